@@ -1,0 +1,161 @@
+"""Chains: stages in signal order, and stages in parallel.
+
+Starting a chain first *arranges* it, with three identities that change nothing in continuous time and make the sampled
+result exact instead of approximate:
+
+- a delay commutes with every time-invariant stage, so it moves to the nearest linear stage, which carries its fraction of a
+  sample exactly;
+- a linear stage distributes over parallel branches, so that a branch's own dynamics are not sampled in between;
+- neighbouring linear stages merge into one system.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hyst_control.chain.linear import Delay, linear_filter
+from hyst_control.chain.stage import Array, Filter, Sampling, Stage, register
+from hyst_control.errors import InputError
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Stages in signal order."""
+
+    stages: tuple[Stage, ...]
+
+    def filter(self, sampling: Sampling) -> Filter:
+        """A running filter of the whole chain."""
+        return started(arrange(self.stages), sampling)
+
+
+class SeriesFilter(Filter):
+    """Filters one after the other."""
+
+    def __init__(self, filters: list[Filter], hold: str) -> None:
+        self.filters = filters
+        self.hold = hold
+
+    def settle(self, value: Array) -> Array:
+        for running in self.filters:
+            value = running.settle(value)
+        return value
+
+    def process(self, block: Array) -> Array:
+        for running in self.filters:
+            block = running.process(block)
+        return block
+
+
+class ParallelFilter(Filter):
+    """Filters fed alike, outputs added."""
+
+    def __init__(self, filters: list[Filter]) -> None:
+        self.filters = filters
+        self.hold = "zoh" if all(running.hold == "zoh" for running in filters) else "foh"
+
+    def settle(self, value: Array) -> Array:
+        return sum(running.settle(value) for running in self.filters)
+
+    def process(self, block: Array) -> Array:
+        total = self.filters[0].process(block)
+        for running in self.filters[1:]:
+            total = total + running.process(block)
+        return total
+
+
+@register
+@dataclass(frozen=True)
+class Parallel(Stage):
+    """Branches fed alike, outputs added. MHL's H_D is `madelung` in parallel with `rate_correction` (MHL paper Eq. 3)."""
+
+    name: ClassVar[str] = "parallel"
+    branches: Any
+
+    def check(self) -> None:
+        if not self.branches:
+            raise InputError("branches: is empty, at least one chain is needed")
+
+    def filter(self, sampling: Sampling) -> Filter:
+        return started((self,), sampling)
+
+
+def started(stages: Sequence[Stage], sampling: Sampling) -> Filter:
+    """A filter for stages that are arranged already."""
+    filters: list[Filter] = []
+    for linear, group in groupby(stages, key=_in_linear_run):
+        run = list(group)
+        pieces: list[list[Stage]] = [run] if linear else [[stage] for stage in run]
+        for piece in pieces:
+            if linear:
+                running: Filter = linear_filter(piece, sampling)
+            elif isinstance(piece[0], Parallel):
+                running = ParallelFilter([Chain(branch).filter(sampling) for branch in piece[0].branches])
+            else:
+                running = piece[0].filter(sampling)
+            filters.append(running)
+            sampling = sampling.with_hold(running.hold)
+    return filters[0] if len(filters) == 1 else SeriesFilter(filters, sampling.hold)
+
+
+def arrange(stages: Sequence[Stage]) -> tuple[Stage, ...]:
+    """The same chain with its delays where a linear stage carries them, and linear stages inside the branches before them."""
+    return _distribute(_place_delays(stages))
+
+
+def _in_linear_run(stage: Stage) -> bool:
+    return isinstance(stage, Delay) or (stage.linear and not getattr(stage, "discrete", False))
+
+
+def _carries_delay(stage: Stage) -> bool:
+    return isinstance(stage, Parallel) or (stage.linear and not getattr(stage, "discrete", False))
+
+
+def _place_delays(stages: Sequence[Stage]) -> list[Stage]:
+    placed: list[Stage] = []
+    waiting: list[Stage] = []
+    for stage in stages:
+        if isinstance(stage, Delay):
+            waiting.append(stage)
+            continue
+        if waiting and isinstance(stage, Parallel):
+            stage = Parallel(tuple((*waiting, *branch) for branch in stage.branches))
+            waiting = []
+        elif waiting and (_carries_delay(stage) or not stage.commutes_with_delay):
+            placed.extend(waiting)
+            waiting = []
+        placed.append(stage)
+    if not waiting:
+        return placed
+    # Nothing linear followed: go back to the last linear stage, over stages that let a delay pass.
+    for index in range(len(placed) - 1, -1, -1):
+        stage = placed[index]
+        if isinstance(stage, Parallel):
+            placed[index] = Parallel(tuple((*waiting, *branch) for branch in stage.branches))
+            return placed
+        if _carries_delay(stage) and _delay_may_move_before(stage, waiting):
+            return placed[:index] + waiting + placed[index:]
+        if not stage.commutes_with_delay or stage.linear:
+            break
+    return placed + waiting
+
+
+def _delay_may_move_before(stage: Stage, delays: list[Stage]) -> bool:
+    """A delay that differs between the axes does not commute with a stage that mixes them."""
+    couples = getattr(stage, "coupled", False) or stage.name in ("state_space", "cross_coupling")
+    return not couples or all(np.ndim(delay.tau) == 0 or len(set(delay.tau)) == 1 for delay in delays)
+
+
+def _distribute(stages: list[Stage]) -> tuple[Stage, ...]:
+    arranged: list[Stage] = []
+    for stage in stages:
+        if arranged and isinstance(arranged[-1], Parallel) and _in_linear_run(stage):
+            arranged[-1] = Parallel(tuple((*branch, stage) for branch in arranged[-1].branches))
+        else:
+            arranged.append(stage)
+    return tuple(arranged)

@@ -1,0 +1,452 @@
+"""Linear continuous-time stages, discretised exactly for the hold of the signal that enters them.
+
+A run of neighbouring linear stages and delays is one `LinearSystem` per axis (or one for all axes where a stage couples
+them), and is advanced by one matrix exponential: nothing is lost between its members, and a delay that is not a whole
+number of samples is exact too, because the held input is known between the samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numba import njit
+from scipy.linalg import block_diag, expm, matrix_balance
+
+from hyst_control.chain.stage import (Array, Filter, Sampling, Stage, depth, frozen, per_axis, per_axis_scalar, register,
+                                      require_finite, require_positive)
+from hyst_control.errors import InputError
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """dx/dt = A x + B u, y = C x + D u + bias; A (n, n), B (n, m), C (p, n), D (p, m), bias (p,)."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    bias: Array
+
+    def then(self, following: LinearSystem) -> LinearSystem:
+        """This system in series with the one that follows it."""
+        n, m = len(self.A), len(following.A)
+        a = np.block([[self.A, np.zeros((n, m))], [following.B @ self.C, following.A]])
+        b = np.vstack([self.B, following.B @ self.D])
+        c = np.hstack([following.D @ self.C, following.C])
+        # The bias is constant, so what follows passes it on with its static gain.
+        return LinearSystem(a, b, c, following.D @ self.D, following.bias + following.static_gain() @ self.bias)
+
+    def static_gain(self) -> Array:
+        """Gain (p, m) at rest. Raises `InputError` for an integrator, which has none."""
+        if not len(self.A):
+            return self.D
+        try:
+            return self.D - self.C @ np.linalg.solve(self.A, self.B)
+        except np.linalg.LinAlgError:
+            raise InputError("den: the system integrates (a pole at s = 0) and never comes to rest: remove that pole") from None
+
+    def balanced(self) -> LinearSystem:
+        """The same system with its states scaled so that the matrix exponential loses no digits."""
+        if not len(self.A):
+            return self
+        a, (scale, permutation) = matrix_balance(self.A, permute=False, separate=True)
+        return LinearSystem(a, self.B / scale[:, None], self.C * scale, self.D, self.bias)
+
+
+def stacked(systems: list[LinearSystem]) -> LinearSystem:
+    """Systems side by side as one, each on its own inputs and outputs."""
+    return LinearSystem(*(block_diag(*(getattr(system, part) for system in systems)) for part in "ABCD"),
+                        bias=np.concatenate([system.bias for system in systems]))
+
+
+def transfer_function_system(num: Array, den: Array) -> LinearSystem:
+    """Controllable canonical form of num(s)/den(s), descending powers, in a time scale that keeps its entries near one."""
+    num, den = np.trim_zeros(np.atleast_1d(num), "f"), np.trim_zeros(np.atleast_1d(den), "f")
+    if not len(num):
+        num = np.zeros(1)
+    order = len(den) - 1
+    if len(num) > len(den):
+        raise InputError(f"num: degree {len(num) - 1} over den of degree {order} is improper: a sampled signal has no derivative")
+    num, den = np.concatenate([np.zeros(len(den) - len(num)), num]) / den[0], den / den[0]
+    # s = w p: coefficients of p^k are divided by w^(order - k), with w the geometric mean of the poles' sizes.
+    nonzero = np.flatnonzero(den)
+    last = int(nonzero[-1])
+    w = abs(den[last]) ** (1.0 / last) if last else 1.0
+    powers = w ** np.arange(order + 1)
+    num, den = num / powers, den / powers
+    a = np.zeros((order, order))
+    if order:
+        a[0] = -den[1:]
+        a[1:, :-1] = np.eye(order - 1)
+    b = np.zeros((order, 1))
+    b[:1] = 1.0
+    c = (num[1:] - num[0] * den[1:]).reshape(1, order)
+    return LinearSystem(a * w, b * w, c, np.array([[num[0]]]), np.zeros(1)).balanced()
+
+
+@dataclass(frozen=True)
+class LinearStage(Stage):
+    """A stage that is a linear continuous-time system; `systems` gives one per axis, or a single one that couples the axes."""
+
+    linear: ClassVar[bool] = True
+
+    def systems(self, axes: int) -> list[LinearSystem]:
+        """One single-input system per axis, or one system for all axes where the stage couples them."""
+        raise NotImplementedError
+
+    def filter(self, sampling: Sampling) -> Filter:
+        return linear_filter([self], sampling)
+
+
+@register
+@dataclass(frozen=True)
+class Delay(Stage):
+    """y(t) = u(t - tau), tau in s, exact between the samples: a chain lets the nearest linear stage carry it.
+
+    Alone it returns what the held input was tau earlier: whole samples under `zoh`, linear in between under `foh`.
+    """
+
+    name: ClassVar[str] = "delay"
+    tau: Any
+
+    def check(self) -> None:
+        require_positive(self.tau, "tau", "s", zero_allowed=True)
+
+    def filter(self, sampling: Sampling) -> Filter:
+        return linear_filter([self], sampling)
+
+
+@register
+@dataclass(frozen=True)
+class TransferFunction(LinearStage):
+    """G(s) = num(s) / den(s), descending powers of s; with `coupled` matrices of polynomials, [output][input]."""
+
+    name: ClassVar[str] = "transfer_function"
+    num: Any
+    den: Any
+    coupled: bool = False
+
+    def check(self) -> None:
+        require_finite(self.num, "num")
+        require_finite(self.den, "den")
+        axes = len(self.num) if depth(self.num) > 1 else (len(self.den) if depth(self.den) > 1 else 1)
+        for system in self.systems(axes):
+            system.static_gain()
+
+    def systems(self, axes: int) -> list[LinearSystem]:
+        if not self.coupled:
+            pairs = zip(per_axis(self.num, axes, 1, "num"), per_axis(self.den, axes, 1, "den"), strict=True)
+            return [self._single(num, den) for num, den in pairs]
+        common = depth(self.den) == 1
+        if depth(self.num) != 3 or (not common and depth(self.den) != 3):
+            raise InputError("num: with coupled: true it is [output][input] of polynomials, and den likewise or one for all")
+        if len(self.num) != axes or any(len(row) != axes for row in self.num):
+            raise InputError(f"num: {len(self.num)} outputs by {len(self.num[0])} inputs for {axes} axes")
+        columns = []
+        for j in range(axes):
+            entries = [self._single(np.array(self.num[i][j]), np.array(self.den if common else self.den[i][j])) for i in range(axes)]
+            columns.append(LinearSystem(block_diag(*(e.A for e in entries)), np.vstack([e.B for e in entries]),
+                                        block_diag(*(e.C for e in entries)), np.vstack([e.D for e in entries]), np.zeros(axes)))
+        return [LinearSystem(block_diag(*(c.A for c in columns)), block_diag(*(c.B for c in columns)),
+                             np.hstack([c.C for c in columns]), np.hstack([c.D for c in columns]), np.zeros(axes))]
+
+    @staticmethod
+    def _single(num: Array, den: Array) -> LinearSystem:
+        if not np.any(den):
+            raise InputError("den: all zero")
+        return transfer_function_system(num, den)
+
+
+@register
+@dataclass(frozen=True)
+class StateSpace(LinearStage):
+    """dx/dt = A x + B u, y = C x + D u over all axes together; with `sample_time` (s) x[k+1] = A x[k] + B u[k]."""
+
+    name: ClassVar[str] = "state_space"
+    A: Any
+    B: Any
+    C: Any
+    D: Any
+    sample_time: float | None = None
+
+    def check(self) -> None:
+        for field in "ABCD":
+            require_finite(getattr(self, field), field)
+            if depth(getattr(self, field)) != 2:
+                raise InputError(f"{field}: a matrix, a list of rows, is due")
+        a, b, c, d = (np.array(getattr(self, field), dtype=float) for field in "ABCD")
+        n = len(a)
+        if a.shape != (n, n) or b.shape[0] != n or c.shape[1] != n or d.shape != (c.shape[0], b.shape[1]):
+            raise InputError(f"A: shapes A {a.shape}, B {b.shape}, C {c.shape}, D {d.shape} do not fit together")
+        if self.sample_time is not None:
+            require_positive(self.sample_time, "sample_time", "s")
+
+    @property
+    def discrete(self) -> bool:
+        """Whether the matrices advance by one sample instead of giving the derivative."""
+        return self.sample_time is not None
+
+    def systems(self, axes: int) -> list[LinearSystem]:
+        system = LinearSystem(*(np.array(getattr(self, field), dtype=float) for field in "ABCD"), bias=np.zeros(len(self.C)))
+        if system.D.shape != (axes, axes):
+            raise InputError(f"D: {system.D.shape[0]} outputs by {system.D.shape[1]} inputs for {axes} axes")
+        return [system]
+
+    def filter(self, sampling: Sampling) -> Filter:
+        if not self.discrete:
+            return super().filter(sampling)
+        if abs(self.sample_time - sampling.sample_time) > 1e-9 * sampling.sample_time:
+            raise InputError(f"sample_time: this discrete state space advances by {self.sample_time:g} s but is run at "
+                             f"{sampling.sample_time:g} s: run it at its own sample time or give continuous matrices")
+        system = self.systems(sampling.axes)[0]
+        # Under zoh the sample wanted is the one at the interval's end, so the input of the interval acts at once.
+        taps = np.stack([system.B, 0 * system.B, 0 * system.B])
+        if sampling.hold == "foh":
+            taps = np.roll(taps, 1, axis=0)
+        feedthrough = np.stack([system.D, 0 * system.D])
+        zero = np.zeros(sampling.axes, dtype=np.int64)
+        return LinearFilter([Discretised(system.A, taps, system.C, feedthrough, system.bias)], zero)
+
+
+@register
+@dataclass(frozen=True)
+class RateCorrection(LinearStage):
+    """Ψ = (k1 dv/dt + b1) / (k2 s + b2), the lag driven by the command's rate (MHL paper Eq. 4).
+
+    k1 output unit s / V, b1 output unit, k2 s, b2 dimensionless. Realised as the high-pass k1 s / (k2 s + b2) of the command
+    plus the constant b1 / b2, so no difference quotient is taken.
+    """
+
+    name: ClassVar[str] = "rate_correction"
+    k1: Any
+    k2: Any
+    b1: Any = 0.0
+    b2: Any = 1.0
+
+    def check(self) -> None:
+        require_finite(self.k1, "k1")
+        require_finite(self.b1, "b1")
+        require_positive(self.k2, "k2", "s")
+        require_positive(self.b2, "b2", "")
+
+    def systems(self, axes: int) -> list[LinearSystem]:
+        k1, k2, b1, b2 = (per_axis_scalar(getattr(self, field), axes, field) for field in ("k1", "k2", "b1", "b2"))
+        return [LinearSystem(np.array([[-b2[i] / k2[i]]]), np.array([[1.0]]), np.array([[-k1[i] * b2[i] / k2[i] ** 2]]),
+                             np.array([[k1[i] / k2[i]]]), np.array([b1[i] / b2[i]])) for i in range(axes)]
+
+
+@register
+@dataclass(frozen=True)
+class CrossCoupling(LinearStage):
+    """y_i = M_ii u_i + sum over j != i of M_ij L(s) u_j; `matrix` M is dimensionless, L a first-order low-pass at `corner` (Hz).
+
+    Without a corner the coupling is static.
+    """
+
+    name: ClassVar[str] = "cross_coupling"
+    matrix: Any
+    corner: float | None = None
+
+    def check(self) -> None:
+        require_finite(self.matrix, "matrix")
+        matrix = np.array(self.matrix, dtype=float)
+        if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
+            raise InputError(f"matrix: shape {matrix.shape}, one row and one column per axis are due")
+        if self.corner is not None:
+            require_positive(self.corner, "corner", "Hz")
+
+    def systems(self, axes: int) -> list[LinearSystem]:
+        matrix = np.array(self.matrix, dtype=float)
+        if len(matrix) != axes:
+            raise InputError(f"matrix: {len(matrix)} rows for {axes} axes")
+        if self.corner is None:
+            return [LinearSystem(np.zeros((0, 0)), np.zeros((0, axes)), np.zeros((axes, 0)), matrix, np.zeros(axes))]
+        w = 2 * np.pi * self.corner
+        direct = np.diag(np.diag(matrix))
+        return [LinearSystem(-w * np.eye(axes), w * np.eye(axes), matrix - direct, direct, np.zeros(axes))]
+
+
+@dataclass(frozen=True)
+class Discretised:
+    """x[k] = A x[k-1] + sum_i B[i] w[k-i], y[k] = C x[k] + sum_i D[i] w[k-i] + bias, with w the input delayed by whole samples.
+
+    A (n, n), B (3, n, m), C (p, n), D (2, p, m), bias (p,).
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    bias: Array
+
+
+def discretise(system: LinearSystem, fraction: Array, sampling: Sampling) -> Discretised:
+    """Advance a system exactly by one sample; input j is late by `fraction[j]` (0 <= fraction < 1) of a sample.
+
+    The interval falls into two parts: up to the kink at `fraction` the input is the older segment, after it the newer one.
+    """
+    ts = sampling.sample_time
+    n, m = system.B.shape
+    b_taps, d_taps = np.zeros((3, n, m)), np.zeros((2, len(system.D), m))
+    transition = expm(system.A * ts)
+    for j in range(m):
+        f = fraction[j]
+        column = system.B[:, j:j + 1]
+        first_start, first_end = _held_input(system.A, column, f * ts)
+        second_start, second_end = _held_input(system.A, column, (1.0 - f) * ts)
+        carry = expm(system.A * (1.0 - f) * ts)
+        older, newer = carry @ np.hstack([first_start, first_end]), np.hstack([second_start, second_end])
+        if sampling.hold == "zoh":
+            b_taps[0, :, j] = newer.sum(axis=1)
+            b_taps[1, :, j] = older.sum(axis=1)
+            d_taps[0, :, j] = system.D[:, j]
+        else:
+            # Values at the start, the kink and the end of the interval from the samples w[k], w[k-1], w[k-2].
+            start, kink, end = np.array([0.0, 1.0 - f, f]), np.array([0.0, 1.0, 0.0]), np.array([1.0 - f, f, 0.0])
+            weights = np.outer(start, older[:, 0]) + np.outer(kink, older[:, 1] + newer[:, 0]) + np.outer(end, newer[:, 1])
+            b_taps[:, :, j] = weights
+            d_taps[:, :, j] = np.outer(end[:2], system.D[:, j])
+    return Discretised(transition, b_taps, system.C, d_taps, system.bias)
+
+
+def _held_input(a: Array, b: Array, time: float) -> tuple[Array, Array]:
+    """State reached from rest over `time` for an input that runs straight from 1 to 0, and from 0 to 1: two columns (n, 1)."""
+    n = len(a)
+    if time <= 0.0 or n == 0:
+        return np.zeros((n, 1)), np.zeros((n, 1))
+    # Van Loan: the exponential of [[A, B, 0], [0, 0, 1/T], [0, 0, 0]] holds the step and the ramp response.
+    block = np.zeros((n + 2, n + 2))
+    block[:n, :n] = a
+    block[:n, n:n + 1] = b
+    block[n, n + 1] = 1.0 / time
+    exponential = expm(block * time)
+    step, ramp = exponential[:n, n:n + 1], exponential[:n, n + 1:n + 2]
+    return step - ramp, ramp
+
+
+@njit(cache=True)
+def advance_linear(block, a, b, c, d, bias, whole, state, scratch, history, position, output):
+    """Run S systems of m inputs each over a block (N, S m); see `Discretised`.
+
+    a (S, n, n), b (S, 3, n, m), c (S, m, n), d (S, 2, m, m), bias (S m,), whole (S m,) delay in samples, state (S, n),
+    scratch (n,), history (L, S m) ring of past inputs with its write position; returns the new position.
+    """
+    length = history.shape[0]
+    systems, n = state.shape
+    m = c.shape[1]
+    for row in range(block.shape[0]):
+        for column in range(block.shape[1]):
+            history[position, column] = block[row, column]
+        for s in range(systems):
+            for i in range(n):
+                value = 0.0
+                for j in range(n):
+                    value += a[s, i, j] * state[s, j]
+                for j in range(m):
+                    at = position - whole[s * m + j]
+                    value += (b[s, 0, i, j] * history[at % length, s * m + j]
+                              + b[s, 1, i, j] * history[(at - 1) % length, s * m + j]
+                              + b[s, 2, i, j] * history[(at - 2) % length, s * m + j])
+                scratch[i] = value
+            for i in range(n):
+                state[s, i] = scratch[i]
+            for p in range(m):
+                value = bias[s * m + p]
+                for j in range(n):
+                    value += c[s, p, j] * state[s, j]
+                for j in range(m):
+                    at = position - whole[s * m + j]
+                    value += (d[s, 0, p, j] * history[at % length, s * m + j]
+                              + d[s, 1, p, j] * history[(at - 1) % length, s * m + j])
+                output[row, s * m + p] = value
+        position = (position + 1) % length
+    return position
+
+
+class LinearFilter(Filter):
+    """Streaming linear systems: one per axis, or one for all axes."""
+
+    hold = "foh"
+
+    def __init__(self, systems: list[Discretised], whole: Array) -> None:
+        n = max(len(system.A) for system in systems)
+        m = systems[0].C.shape[0]
+        count = len(systems)
+        self.a, self.b = np.zeros((count, n, n)), np.zeros((count, 3, n, m))
+        self.c, self.d = np.zeros((count, m, n)), np.zeros((count, 2, m, m))
+        for s, system in enumerate(systems):
+            order = len(system.A)
+            self.a[s, :order, :order], self.b[s, :, :order] = system.A, system.B
+            self.c[s, :, :order], self.d[s] = system.C, system.D
+        self.bias = np.concatenate([system.bias for system in systems])
+        self.whole = whole.astype(np.int64)
+        self.state, self.scratch = np.zeros((count, n)), np.zeros(n)
+        self.history = np.zeros((int(self.whole.max()) + 3, count * m))
+        self.position = 0
+
+    def settle(self, value: Array) -> Array:
+        value = np.asarray(value, dtype=float)
+        count, n, _ = self.a.shape
+        u = value.reshape(count, -1)
+        self.history[:] = value
+        self.position = 0
+        output = np.empty_like(u)
+        for s in range(count):
+            used = np.any(self.a[s] != 0, axis=1) | np.any(self.b[s] != 0, axis=(0, 2))
+            self.state[s] = 0.0
+            if np.any(used):
+                matrix = np.eye(int(used.sum())) - self.a[s][np.ix_(used, used)]
+                self.state[s, used] = np.linalg.solve(matrix, self.b[s].sum(axis=0)[used] @ u[s])
+            output[s] = self.c[s] @ self.state[s] + self.d[s].sum(axis=0) @ u[s]
+        return output.reshape(-1) + self.bias
+
+    def process(self, block: Array) -> Array:
+        output = np.empty_like(block)
+        self.position = advance_linear(block, self.a, self.b, self.c, self.d, self.bias, self.whole, self.state, self.scratch,
+                                       self.history, self.position, output)
+        return output
+
+
+def linear_filter(run: list[Stage], sampling: Sampling) -> Filter:
+    """One filter for a run of linear stages and delays.
+
+    The run's delays are taken at its input; a chain arranges its stages so that this is where they belong
+    (`chain.arrange`). Where it holds delays only, the filter is a pure delay.
+    """
+    axes = sampling.axes
+    late = np.zeros(axes)
+    systems: list[LinearSystem] | None = None
+    for stage in run:
+        if isinstance(stage, Delay):
+            late += per_axis_scalar(stage.tau, axes, "tau")
+            continue
+        following = stage.systems(axes)
+        if systems is None:
+            systems = following
+        elif len(systems) == len(following):
+            systems = [one.then(other) for one, other in zip(systems, following, strict=True)]
+        else:
+            systems = [_coupled(systems).then(_coupled(following))]
+    pure_delay = systems is None
+    if systems is None:
+        empty = LinearSystem(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), np.zeros(1))
+        systems = [empty] * axes
+    samples = late / sampling.sample_time
+    whole = np.floor(samples + 1e-9)
+    fraction = np.maximum(samples - whole, 0.0).reshape(len(systems), -1)
+    discretised = [discretise(system.balanced(), fraction[s], sampling) for s, system in enumerate(systems)]
+    result = LinearFilter(discretised, whole)
+    if pure_delay:
+        result.hold = sampling.hold
+    return result
+
+
+def _coupled(systems: list[LinearSystem]) -> LinearSystem:
+    return systems[0] if len(systems) == 1 else stacked(systems)
+
+
+def state_space_stage(system: LinearSystem) -> StateSpace:
+    """The model-file stage of a system without bias."""
+    return StateSpace(*(frozen(getattr(system, part)) for part in "ABCD"))

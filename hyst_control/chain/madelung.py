@@ -1,0 +1,191 @@
+"""Hysteresis by Madelung's rules: a stack of turning points, and a branch from the last one back towards the one before.
+
+Rules: (1) a curve that leaves a turning point is fixed by it; (2) if it reverses, the new curve returns to that point;
+(3) past it, it continues the curve that led there, and the inner loop is wiped out. The major ascending and descending
+curves f0, g0 (MHL paper Eq. 1, 2) are moved to the turning point and scaled in y so that the branch closes:
+
+    ascending from (a, y_a) towards (b, y_b):   y = y_a + (y_b - y_a) φ_up(u - a) / φ_up(b - a),   φ_up(d) = f0(d)
+    descending from (b, y_b) towards (a, y_a):  y = y_b - (y_b - y_a) φ_dn(b - u) / φ_dn(b - a),   φ_dn(d) = F - g0(1 - d)
+
+with F = f0(1) = g0(1). Inputs are normalised to 0…1; beyond the ends of the major loop the curve continues straight, with its
+slope there, and remembers nothing. The first curve from rest is the ascending one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numba import njit
+
+from hyst_control.chain.curves import Curve, evaluate_curve, knot_curve, polynomial_curve, solve_curve
+from hyst_control.chain.stage import (Array, Filter, Sampling, Stage, depth, per_axis, per_axis_scalar, register,
+                                      require_finite, require_positive)
+from hyst_control.errors import InputError
+
+
+@njit(cache=True)
+def madelung_branches(source, inverse, rising, falling, full, end_slope, stack, stack_depth, last, output, start):
+    """Follow one axis from row `start`; returns the row reached, less than N only when the stack is full.
+
+    source (N,), output (N,) normalised: input → output, or output → input with `inverse`. rising, falling: (breaks,
+    coefficients) of φ_up and φ_dn. full = F; end_slope (2,) slopes dy/du at 0 and 1. stack (capacity, 2) turning points
+    (u, y); stack_depth (1,) and last (3,) = (u, y, direction) are updated.
+    """
+    depth_now = stack_depth[0]
+    key = 1 if inverse else 0
+    top_of_range = full if inverse else 1.0
+    for row in range(start, source.size):
+        raw = source[row]
+        x = min(max(raw, 0.0), top_of_range)
+        if x != last[key]:
+            direction = 1.0 if x > last[key] else -1.0
+            if direction != last[2]:
+                if stack[depth_now - 1, key] != last[key]:
+                    if depth_now == stack.shape[0]:
+                        stack_depth[0] = depth_now
+                        return row
+                    stack[depth_now, 0], stack[depth_now, 1] = last[0], last[1]
+                    depth_now += 1
+                last[2] = direction
+            if x >= top_of_range or x <= 0.0:
+                high = x >= top_of_range
+                stack[0, 0], stack[0, 1] = (0.0, 0.0) if high else (1.0, full)
+                stack[1, 0], stack[1, 1] = (1.0, full) if high else (0.0, 0.0)
+                depth_now = 2
+                last[0], last[1] = stack[1, 0], stack[1, 1]
+            else:
+                if direction > 0.0:
+                    while depth_now > 2 and x >= stack[depth_now - 2, key]:
+                        depth_now -= 2
+                else:
+                    while depth_now > 2 and x <= stack[depth_now - 2, key]:
+                        depth_now -= 2
+                u_from, y_from = stack[depth_now - 1, 0], stack[depth_now - 1, 1]
+                u_to, y_to = stack[depth_now - 2, 0], stack[depth_now - 2, 1]
+                breaks, coefficients = rising if direction > 0.0 else falling
+                whole = evaluate_curve(abs(u_to - u_from), breaks, coefficients)
+                if inverse:
+                    part = solve_curve(whole * (x - y_from) / (y_to - y_from), breaks, coefficients)
+                    last[0], last[1] = u_from + direction * part, x
+                else:
+                    part = evaluate_curve(abs(x - u_from), breaks, coefficients)
+                    last[0], last[1] = x, y_from + (y_to - y_from) * part / whole
+        beyond = raw - x
+        slope = end_slope[1] if beyond > 0.0 else end_slope[0]
+        output[row] = last[1 - key] + (beyond / slope if inverse else beyond * slope)
+    stack_depth[0] = depth_now
+    return source.size
+
+
+class MadelungFilter(Filter):
+    """Streaming Madelung hysteresis, or its inverse, one stack per axis."""
+
+    def __init__(self, curves: list[tuple[Curve, Curve]], input_scale: Array, output_scale: Array, inverse: bool, hold: str) -> None:
+        self.hold = hold
+        self.inverse = inverse
+        self.to_inside = 1.0 / (output_scale if inverse else input_scale)
+        self.to_outside = input_scale if inverse else output_scale
+        self.rising = [(up.breaks, up.coefficients) for up, _ in curves]
+        falling = [mirrored(down) for _, down in curves]
+        self.falling = [(curve.breaks, curve.coefficients) for curve in falling]
+        self.full = [float(up(np.ones(1))[0]) for up, _ in curves]
+        # Beyond the ends: the ascending curve's slope above 1, the descending curve's slope below 0.
+        self.end_slope = [np.array([end_slope(down, 0.0), end_slope(up, 1.0)]) for up, down in curves]
+        self.stack = [np.zeros((64, 2)) for _ in curves]
+        self.stack_depth = [np.zeros(1, dtype=np.int64) for _ in curves]
+        self.last = [np.zeros(3) for _ in curves]
+
+    def settle(self, value: Array) -> Array:
+        for axis, full in enumerate(self.full):
+            self.stack[axis][:2] = (1.0, full), (0.0, 0.0)
+            self.stack_depth[axis][0] = 2
+            self.last[axis][:] = 0.0, 0.0, 1.0
+        return self.process(np.array(value, dtype=float).reshape(1, -1))[0]
+
+    def process(self, block: Array) -> Array:
+        inside = block * self.to_inside
+        output = np.empty_like(inside)
+        for axis in range(block.shape[1]):
+            column, result = np.ascontiguousarray(inside[:, axis]), np.empty(len(block))
+            row = 0
+            while True:
+                row = madelung_branches(column, self.inverse, self.rising[axis], self.falling[axis], self.full[axis],
+                                        self.end_slope[axis], self.stack[axis], self.stack_depth[axis], self.last[axis], result, row)
+                if row == len(column):
+                    break
+                self.stack[axis] = np.concatenate([self.stack[axis], np.zeros_like(self.stack[axis])])
+            output[:, axis] = result
+        return output * self.to_outside
+
+
+def mirrored(down: Curve) -> Curve:
+    """φ_dn(d) = F - g0(1 - d) as a curve of its own."""
+    breaks = 1.0 - down.breaks[::-1]
+    pieces = []
+    full = float(down(np.ones(1))[0])
+    for piece in range(len(down.breaks) - 2, -1, -1):
+        width = down.breaks[piece + 1] - down.breaks[piece]
+        shifted = np.poly1d(down.coefficients[piece])(np.poly1d([-1.0, width]))
+        flipped = np.zeros(down.coefficients.shape[1])
+        flipped[len(flipped) - len(shifted.coeffs):] = -shifted.coeffs
+        flipped[-1] += full
+        pieces.append(flipped)
+    coefficients = np.array(pieces)
+    coefficients[0, -1] = 0.0
+    return Curve(np.ascontiguousarray(breaks), coefficients)
+
+
+def end_slope(curve: Curve, x: float) -> float:
+    """Slope dy/du of a curve at its end x = 0 or 1; never less than a thousandth of the mean slope, so that an inverse exists."""
+    piece = 0 if x == 0.0 else len(curve.breaks) - 2
+    slope = np.polyval(np.polyder(curve.coefficients[piece]), x - curve.breaks[piece])
+    return max(float(slope), 1e-3 * float(curve(np.ones(1))[0]))
+
+
+@register
+@dataclass(frozen=True)
+class Madelung(Stage):
+    """Rate-independent hysteresis from the major loop's curves (MHL paper §2.1); see the module.
+
+    ascending, descending: coefficients p_n … p_1 of polynomials in the normalised input u / input_scale, or, with `knots`
+    (increasing from 0 to 1), the values of monotone piecewise cubics there. input_scale V; output_scale measurement unit.
+    ascending(1) = descending(1). With `inverse` the stage runs from output to input.
+    """
+
+    name: ClassVar[str] = "madelung"
+    ascending: Any
+    descending: Any
+    input_scale: Any
+    output_scale: Any
+    knots: Any = None
+    inverse: bool = False
+
+    def check(self) -> None:
+        for field in ("ascending", "descending"):
+            require_finite(getattr(self, field), field)
+        require_positive(self.input_scale, "input_scale", "V")
+        require_positive(self.output_scale, "output_scale", "(measurement unit)")
+        axes = max(len(value) if depth(value) == 2 else 1 for value in (self.ascending, self.descending))
+        self.curves(axes)
+
+    def curves(self, axes: int) -> list[tuple[Curve, Curve]]:
+        """Ascending and descending curve of every axis, checked for monotony and closure."""
+        pairs = []
+        for up, down in zip(per_axis(self.ascending, axes, 1, "ascending"), per_axis(self.descending, axes, 1, "descending"),
+                            strict=True):
+            if self.knots is None:
+                pair = polynomial_curve(up, "ascending"), polynomial_curve(down, "descending")
+            else:
+                pair = knot_curve(self.knots, up, "ascending"), knot_curve(self.knots, down, "descending")
+            ends = [float(curve(np.ones(1))[0]) for curve in pair]
+            if abs(ends[0] - ends[1]) > 1e-6 * abs(ends[0]):
+                raise InputError(f"descending: ends at {ends[1]:.6g} where ascending ends at {ends[0]:.6g}: scale the curves to meet")
+            pairs.append(pair)
+        return pairs
+
+    def filter(self, sampling: Sampling) -> Filter:
+        axes = sampling.axes
+        return MadelungFilter(self.curves(axes), per_axis_scalar(self.input_scale, axes, "input_scale"),
+                              per_axis_scalar(self.output_scale, axes, "output_scale"), self.inverse, sampling.hold)

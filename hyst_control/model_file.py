@@ -1,0 +1,314 @@
+"""The model file: one YAML that describes a simulator, its range, noise and tolerances; and the simulator that runs it."""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from hyst_control.chain import STAGES, Chain, Parallel, Sampling, Stage
+from hyst_control.chain.stage import HOLDS, Array
+from hyst_control.errors import InputError
+
+FORMAT = "hyst_control/model"
+VERSION = 1
+COMMAND_UNITS = ("V",)
+MEASUREMENT_UNITS = ("um", "mrad")
+KEYS = ("format", "version", "name", "axes", "units", "sample_time", "hold", "valid", "chain", "noise", "tolerance")
+
+
+@dataclass(frozen=True)
+class Model:
+    """A simulator: the chain from command to measurement, and what is known about it.
+
+    units: {"command": "V", "measurement": "um" | "mrad"}; sample_time s, of the data it was fitted on; hold: the command
+    between samples, "zoh" or "foh"; valid: {"command": [V, V], "frequency": [Hz, Hz]}; noise: {"sigma": rms in the
+    measurement unit}; tolerance: relative standard deviation by parameter name or "stage.parameter".
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    units: Mapping[str, str]
+    sample_time: float
+    chain: Chain
+    hold: str = "zoh"
+    valid: Mapping[str, Any] = field(default_factory=dict)
+    noise: Mapping[str, Any] = field(default_factory=dict)
+    tolerance: Mapping[str, float] = field(default_factory=dict)
+
+    def filter(self, sample_time: float | None = None, hold: str | None = None) -> Any:
+        """A running filter of the chain, at the model's own clock and hold unless given."""
+        return self.chain.filter(Sampling(sample_time or self.sample_time, len(self.axes), hold or self.hold))
+
+    def with_stages(self, stages: Sequence[Stage]) -> Model:
+        """The same model with another chain."""
+        return replace(self, chain=Chain(tuple(stages)))
+
+
+class Simulator:
+    """Streams a model as a plant whose command a DAC holds: a command in, the measurement at the following tick out."""
+
+    def __init__(self, model: Model, sample_time: float | None = None) -> None:
+        self.model = model
+        self.sample_time = sample_time or model.sample_time
+        self.axes = model.axes
+        self.units = dict(model.units)
+        self._filter = model.filter(self.sample_time, "zoh")
+
+    def reset(self, command: Array) -> Array:
+        """Settle at the command (A,) in V and return measurement[0] (A,)."""
+        return self._filter.settle(np.asarray(command, dtype=float))
+
+    def step(self, commands: Array) -> Array:
+        """Commands (N, A) in V, each held for one sample; measurements (N, A) at the ticks that follow them."""
+        return self._filter.process(np.ascontiguousarray(commands, dtype=float))
+
+
+def simulate(model: Model, commands: Array, sample_time: float | None = None, hold: str | None = None) -> Array:
+    """Measurements (N, A) of a record that starts settled at its first command; commands (N, A) in V.
+
+    Under `zoh` measurement[k] is the sample at t_k before command[k] acts, under `foh` the one at the same instant.
+    """
+    commands = np.ascontiguousarray(commands, dtype=float)
+    hold = hold or model.hold
+    running = model.filter(sample_time, hold)
+    first = running.settle(commands[0])
+    output = running.process(commands)
+    return output if hold == "foh" else np.concatenate([first[None], output[:-1]])
+
+
+def load_model(path: str | Path) -> Model:
+    """Read and check a model file. Raises `InputError` naming file, field and remedy."""
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}: give the path of a model file") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is not a text file: give the path of a model file (YAML)") from None
+    try:
+        document = yaml.load(text, Loader=_Loader)
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f" line {mark.line + 1}" if mark else ""
+        raise InputError(f"{path}:{where} is not valid YAML: {getattr(error, 'problem', None) or 'unreadable'}") from None
+    try:
+        return model_from_document(document)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def save_model(model: Model, path: str | Path) -> None:
+    """Write a model file: to a temporary file beside it, then renamed, so that a reader never meets half of one."""
+    path = Path(path)
+    text = yaml.dump(model_to_document(model), Dumper=_Dumper, sort_keys=False, width=120)
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}: choose a folder that exists and can be written") from None
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def model_from_document(document: Any) -> Model:
+    """A model from the parsed YAML. Raises `InputError` naming the field."""
+    if not isinstance(document, Mapping):
+        raise InputError("is not a model file: a mapping with format, version, … is due")
+    if document.get("format") != FORMAT:
+        raise InputError(f"format: {document.get('format')!r}, a model file says {FORMAT!r}")
+    if document.get("version") != VERSION:
+        raise InputError(f"version: {document.get('version')!r} is not known here, version {VERSION} is")
+    for key in document:
+        if key not in KEYS:
+            raise InputError(f"{key}: no such key: {_nearest(str(key), KEYS)}")
+    for key in ("axes", "units", "sample_time", "chain"):
+        if key not in document:
+            raise InputError(f"{key}: is missing")
+    axes = document["axes"]
+    if not isinstance(axes, list) or not axes or not all(isinstance(axis, str) and axis for axis in axes):
+        raise InputError(f"axes: {axes!r}, a list of names such as [x] or [x, y] is due")
+    if len(set(axes)) != len(axes):
+        raise InputError(f"axes: {axes!r} names an axis twice")
+    hold = document.get("hold", "zoh")
+    if hold not in HOLDS:
+        raise InputError(f"hold: {hold!r}, one of {', '.join(HOLDS)} is due")
+    sample_time = document["sample_time"]
+    if isinstance(sample_time, bool) or not isinstance(sample_time, (int, float)) or not 0 < sample_time < np.inf:
+        raise InputError(f"sample_time: {sample_time!r}, a positive time in s is due")
+    chain = Chain(stages_from_document(document["chain"], "chain"))
+    for index, stage in enumerate(chain.stages):
+        try:
+            stage.filter(Sampling(float(sample_time), len(axes), hold))
+        except InputError as error:
+            raise InputError(f"chain[{index}] ({stage.name}): {error}") from None
+        except MemoryError:
+            raise InputError(f"chain[{index}] ({stage.name}): too large for this machine at {sample_time:g} s") from None
+    return Model(name=str(document.get("name", "model")), axes=tuple(axes), units=_units(document["units"]),
+                 sample_time=float(sample_time), chain=chain, hold=hold, valid=_ranges(document.get("valid")),
+                 noise=_noise(document.get("noise"), len(axes)), tolerance=_tolerance(document.get("tolerance")))
+
+
+def model_to_document(model: Model) -> dict[str, Any]:
+    """The model as plain lists, numbers and strings, in the order of the model file."""
+    document: dict[str, Any] = {"format": FORMAT, "version": VERSION, "name": model.name, "axes": list(model.axes),
+                                "units": dict(model.units), "sample_time": float(model.sample_time), "hold": model.hold}
+    if model.valid:
+        document["valid"] = _plain(model.valid)
+    document["chain"] = [stage_to_document(stage) for stage in model.chain.stages]
+    if model.noise:
+        document["noise"] = _plain(model.noise)
+    if model.tolerance:
+        document["tolerance"] = _plain(model.tolerance)
+    return document
+
+
+def stages_from_document(rows: Any, where: str) -> tuple[Stage, ...]:
+    """Stages from a list of mappings. Raises `InputError` naming the row and the parameter."""
+    if not isinstance(rows, list) or not rows:
+        raise InputError(f"{where}: a list of stages is due")
+    return tuple(_stage_from_document(row, f"{where}[{index}]") for index, row in enumerate(rows))
+
+
+def stage_to_document(stage: Stage) -> dict[str, Any]:
+    """A stage as the mapping of the model file."""
+    if isinstance(stage, Parallel):
+        return {"stage": stage.name, "branches": [[stage_to_document(item) for item in branch] for branch in stage.branches]}
+    return {"stage": stage.name, **_plain(stage.parameters())}
+
+
+def _stage_from_document(row: Any, where: str) -> Stage:
+    if not isinstance(row, Mapping) or not isinstance(row.get("stage"), str):
+        raise InputError(f"{where}: a mapping with the key stage is due")
+    name = row["stage"]
+    if name not in STAGES:
+        raise InputError(f"{where}.stage: {name!r} is not a stage: {_nearest(name, sorted(STAGES))}")
+    known = {item.name: item for item in fields(STAGES[name])}
+    given = {key: value for key, value in row.items() if key != "stage"}
+    for key in given:
+        if key not in known:
+            raise InputError(f"{where} ({name}).{key}: no such parameter: {_nearest(str(key), list(known))}")
+    for key, item in known.items():
+        if key not in given and item.default is MISSING:
+            raise InputError(f"{where} ({name}).{key}: is missing")
+    if name == Parallel.name:
+        branches = given["branches"]
+        if not isinstance(branches, list) or not branches:
+            raise InputError(f"{where}.branches: a list of chains is due")
+        given["branches"] = tuple(stages_from_document(branch, f"{where}.branches[{i}]") for i, branch in enumerate(branches))
+    try:
+        return STAGES[name](**given)
+    except InputError as error:
+        raise InputError(f"{where} ({name}): {error}") from None
+    except (TypeError, ValueError, IndexError, OverflowError, np.linalg.LinAlgError) as error:
+        raise InputError(f"{where} ({name}): its parameters do not have the form of numbers and lists it needs ({error})") from None
+
+
+def _nearest(word: str, known: Sequence[str]) -> str:
+    from difflib import get_close_matches
+
+    close = get_close_matches(word, known, 1)
+    return f"did you mean {close[0]!r}?" if close else f"one of {', '.join(known)} is due"
+
+
+def _units(units: Any) -> dict[str, str]:
+    for signal, known in (("command", COMMAND_UNITS), ("measurement", MEASUREMENT_UNITS)):
+        if not isinstance(units, Mapping) or units.get(signal) not in known:
+            given = units.get(signal) if isinstance(units, Mapping) else units
+            raise InputError(f"units.{signal}: {given!r}, {' or '.join(known)} is due")
+    for key in units:
+        if key not in ("command", "measurement"):
+            raise InputError(f"units.{key}: no such key, command and measurement are due")
+    return {"command": units["command"], "measurement": units["measurement"]}
+
+
+def _ranges(valid: Any) -> dict[str, Any]:
+    if valid is None:
+        return {}
+    if not isinstance(valid, Mapping):
+        raise InputError("valid: a mapping with command and frequency is due")
+    for key, value in valid.items():
+        if key not in ("command", "frequency"):
+            raise InputError(f"valid.{key}: no such key, command and frequency are due")
+        numbers = np.array(value, dtype=float) if _numeric(value) else np.zeros(0)
+        if numbers.shape[-1:] != (2,) or np.any(numbers[..., 0] >= numbers[..., 1]):
+            raise InputError(f"valid.{key}: {value!r}, [lower, upper] is due")
+    return dict(valid)
+
+
+def _noise(noise: Any, axes: int) -> dict[str, Any]:
+    if noise is None:
+        return {}
+    if not isinstance(noise, Mapping) or set(noise) != {"sigma"}:
+        raise InputError("noise: a mapping with sigma alone is due")
+    sigma = noise["sigma"]
+    if not _numeric(sigma) or np.size(sigma) not in (1, axes) or np.any(np.array(sigma, dtype=float) < 0):
+        raise InputError(f"noise.sigma: {sigma!r}, one rms value or one per axis, not negative, is due")
+    return dict(noise)
+
+
+def _tolerance(tolerance: Any) -> dict[str, float]:
+    if tolerance is None:
+        return {}
+    if not isinstance(tolerance, Mapping):
+        raise InputError("tolerance: a mapping from parameter to relative standard deviation is due")
+    for key, value in tolerance.items():
+        if not _numeric(value) or np.any(np.array(value, dtype=float) < 0):
+            raise InputError(f"tolerance.{key}: {value!r}, a relative standard deviation, not negative, is due")
+    return {str(key): value for key, value in tolerance.items()}
+
+
+def _numeric(value: Any) -> bool:
+    try:
+        return not isinstance(value, (bool, str)) and bool(np.all(np.isfinite(np.array(value, dtype=float))))
+    except (TypeError, ValueError):
+        return False
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    return value.item() if isinstance(value, np.generic) else value
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """Safe loading in which 1e-4 is a number, as it is everywhere but in YAML 1.1, and a key may stand once only."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        for key in keys:
+            if keys.count(key) > 1:
+                raise yaml.constructor.ConstructorError(None, None, f"the key {key!r} stands twice", node.start_mark)
+        return super().construct_mapping(node, deep)
+
+
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float",
+                              re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789"))
+
+
+class _Dumper(yaml.SafeDumper):
+    """Lists of numbers on one line, everything else in block style."""
+
+
+def _represent_list(dumper: yaml.SafeDumper, value: list[Any]) -> Any:
+    flat = all(not isinstance(item, (list, dict)) for item in value)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", value, flow_style=flat)
+
+
+_Dumper.add_representer(list, _represent_list)
