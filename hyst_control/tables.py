@@ -1,0 +1,132 @@
+"""Result tables: the one JSON form of every command that prints figures, and the same rows as aligned text."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hyst_control.errors import InputError
+
+SCHEMA = "hyst_control/table"
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure.
+
+    table: where it belongs ("HAMPI Table 5"); case: operating point ("100 Hz"); subject: model, controller, executor or effect
+    it is about; quantity and unit; value; published: the figure to compare with; n: how many repetitions stand behind it;
+    ci95: its 95 % confidence interval [lower, upper].
+    """
+
+    table: str
+    case: str
+    subject: str
+    quantity: str
+    unit: str
+    value: float
+    published: float | None = None
+    n: int | None = None
+    ci95: tuple[float, float] | None = None
+
+
+@dataclass
+class Table:
+    """Rows of one source ("reproduce hampi"), in the order in which they are printed."""
+
+    source: str
+    rows: list[Row] = field(default_factory=list)
+    machine: str = ""
+
+    def add(self, table: str, case: str, subject: str, quantity: str, unit: str, value: float, *,
+            published: float | None = None, n: int | None = None, ci95: tuple[float, float] | None = None) -> None:
+        """Append one row; numpy numbers become Python ones."""
+        self.rows.append(Row(table, case, subject, quantity, unit, float(value), None if published is None else float(published),
+                             None if n is None else int(n), None if ci95 is None else (float(ci95[0]), float(ci95[1]))))
+
+    def value(self, case: str, subject: str, quantity: str) -> float:
+        """The value of the one row with these three. Raises `KeyError` when there is none or more than one."""
+        found = [row.value for row in self.rows if (row.case, row.subject, row.quantity) == (case, subject, quantity)]
+        if len(found) != 1:
+            raise KeyError(f"{len(found)} rows for {case}, {subject}, {quantity}")
+        return found[0]
+
+    def document(self) -> dict[str, Any]:
+        """The table as plain JSON types; a value that is not a finite number becomes null."""
+        rows = [{key: _number(value) for key, value in asdict(row).items()} for row in self.rows]
+        return {"schema": SCHEMA, "version": VERSION, "source": self.source, "machine": self.machine or machine(), "rows": rows}
+
+    def text(self) -> str:
+        """The rows as aligned columns under one heading per table."""
+        lines: list[str] = []
+        for name in dict.fromkeys(row.table for row in self.rows):
+            rows = [row for row in self.rows if row.table == name]
+            optional = [("published", [_figure(row.published) for row in rows]),
+                        ("95 %", ["" if row.ci95 is None else f"{_figure(row.ci95[0])} … {_figure(row.ci95[1])}" for row in rows]),
+                        ("n", ["" if row.n is None else str(row.n) for row in rows])]
+            columns = [("case", [row.case for row in rows]), ("subject", [row.subject for row in rows]),
+                       ("quantity", [row.quantity for row in rows]), ("value", [_figure(row.value) for row in rows]),
+                       ("unit", [row.unit for row in rows]), *(column for column in optional if any(column[1]))]
+            lines += ([""] if lines else []) + [name] + aligned([header for header, _ in columns],
+                                                                list(zip(*(cells for _, cells in columns), strict=True)),
+                                                                right=("value", "published", "n"))
+        return "\n".join(lines)
+
+    def write(self, path: str | Path) -> None:
+        """Write the JSON to a temporary file beside `path`, then rename. Raises `InputError` where that is not possible."""
+        path = Path(path)
+        text = json.dumps(self.document(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        try:
+            handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+        except OSError as error:
+            raise InputError(f"{path}: {error.strerror or error}: choose a folder that exists and can be written") from None
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        except OSError as error:
+            Path(temporary).unlink(missing_ok=True)
+            raise InputError(f"{path}: {error.strerror or error}: choose a file name that can be written") from None
+
+
+def aligned(headers: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[str] = ()) -> list[str]:
+    """Text lines of a table with columns as wide as their widest cell; the columns named in `right` are flush right."""
+    widths = [max(len(header), *(len(row[i]) for row in rows), 0) for i, header in enumerate(headers)]
+
+    def line(cells: Sequence[str]) -> str:
+        padded = [cell.rjust(width) if header in right else cell.ljust(width)
+                  for header, cell, width in zip(headers, cells, widths, strict=True)]
+        return "  " + "  ".join(padded).rstrip()
+
+    return [line(headers), *(line(row) for row in rows)]
+
+
+def machine() -> str:
+    """Processor, cores and Python, for whoever reads a timing later."""
+    return f"{platform.machine()} {platform.system()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+
+
+def _number(value: Any) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return [_number(item) for item in value] if isinstance(value, tuple) else value
+
+
+def _figure(value: float | None) -> str:
+    if value is None:
+        return ""
+    size = abs(value)
+    if not math.isfinite(value):
+        return str(value)
+    if value == 0 or 1e-3 <= size < 1e7:
+        return f"{value:.0f}" if size >= 1000 or value == int(value) else f"{value:.4g}" if size < 1 else f"{value:.2f}"
+    return f"{value:.3g}"
