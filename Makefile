@@ -1,0 +1,46 @@
+# Builds its own environment in .venv: `make demo` and `make test` work on a machine that has make and CPython 3.10-3.13 only.
+
+PYTHON ?= python3
+VENV := .venv
+# The environment belongs to one interpreter, one place, one list of packages; another one is built anew.
+KEY := $(shell $(PYTHON) -c 'import hashlib, os, sys; \
+	print(hashlib.sha256((sys.version + os.getcwd() + open("requirements.txt").read()).encode()).hexdigest()[:16])')
+READY := $(VENV)/.ready-$(KEY)
+INSTALLED := $(VENV)/.installed
+
+# Traffic stays on this machine unless the user says otherwise.
+ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+export ROS_AUTOMATIC_DISCOVERY_RANGE
+# Both are set by the ROS wheels for the interpreter they belong to; inherited from another one they lead to wrong libraries.
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport PYTHONPATH
+
+.PHONY: demo test lint bench env clean
+demo: env
+	$(VENV)/bin/hyst demo $(ARGS)
+
+test: env
+	$(VENV)/bin/python -m pytest $(ARGS)
+
+lint: env
+	$(VENV)/bin/python -m ruff check .
+
+bench: env
+	$(VENV)/bin/hyst bench $(ARGS)
+
+env: $(READY) $(INSTALLED)
+
+$(READY): requirements.txt
+	@$(PYTHON) -c 'import sys; sys.exit(None if (3, 10) <= sys.version_info[:2] <= (3, 13) else \
+	"Python %d.%d: CPython 3.10 to 3.13 is needed: make PYTHON=python3.12, say" % sys.version_info[:2])'
+	rm -rf $(VENV)
+	$(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -r requirements.txt
+	touch $(VENV)/COLCON_IGNORE $@
+
+$(INSTALLED): $(READY) setup.py setup.cfg
+	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $@
+
+clean:
+	rm -rf $(VENV) build install log demo_out .pytest_cache .ruff_cache .hypothesis *.egg-info

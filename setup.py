@@ -1,0 +1,40 @@
+"""One description for pip (`.venv/bin/hyst` and the nodes) and for colcon (`ros2 run hyst_control <node>`)."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "hyst_control"
+NODES = {
+    "reference_generator": "hyst_control.nodes.reference_generator",
+    "hampi_feedforward": "hyst_control.nodes.hampi_feedforward",
+    "mhl_feedforward": "hyst_control.nodes.mhl_feedforward",
+    "pi_feedback": "hyst_control.nodes.pi_feedback",
+    "plant": "hyst_plant_sim.node",
+    "recorder": "hyst_control.nodes.recorder",
+    "identification": "hyst_control.nodes.identification",
+    "diagnosis": "hyst_control.nodes.diagnosis",
+    "pipeline": "hyst_control.nodes.pipeline",
+}
+
+root = Path(__file__).parent
+folders = [Path("config"), *(path.relative_to(root) for path in sorted((root / "config").rglob("*")) if path.is_dir())]
+present = {name: module for name, module in NODES.items() if (root / (module.replace(".", "/") + ".py")).exists()}
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Identification, feedforward control and sim-to-real diagnosis of piezoelectric actuators with hysteresis",
+    license="Apache-2.0",
+    python_requires=">=3.10",
+    packages=find_packages(include=["hyst_control*", "hyst_plant_sim*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *((f"share/{NAME}/{folder}", [str(file.relative_to(root)) for file in sorted((root / folder).iterdir())
+                                       if file.is_file()]) for folder in folders),
+    ],
+    zip_safe=False,
+    entry_points={"console_scripts": ["hyst = hyst_control.cli:main",
+                                      *(f"{name} = {module}:main" for name, module in present.items())]},
+)
