@@ -1,1 +1,6 @@
-"""Identification, feedforward control and sim-to-real diagnosis of piezoelectric actuators with hysteresis."""
+"""hyst_control: identification, control and sim-to-real diagnosis of piezo stages and fast steering mirrors."""
+
+import os
+
+# The matrices here are small: BLAS threads only spin against each other and against the nodes of a running loop.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

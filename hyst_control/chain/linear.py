@@ -19,6 +19,10 @@ from hyst_control.chain.stage import (Array, Filter, Sampling, Stage, depth, fro
 from hyst_control.errors import InputError
 
 
+TINY = 1e-80
+"""States below this are 0: a decaying state would else end in subnormal numbers, which processors handle a hundred times slower."""
+
+
 @dataclass(frozen=True)
 class LinearSystem:
     """dx/dt = A x + B u, y = C x + D u + bias; A (n, n), B (n, m), C (p, n), D (p, m), bias (p,)."""
@@ -351,7 +355,7 @@ def advance_linear(block, a, b, c, d, bias, whole, state, scratch, history, posi
                               + b[s, 2, i, j] * history[(at - 2) % length, s * m + j])
                 scratch[i] = value
             for i in range(n):
-                state[s, i] = scratch[i]
+                state[s, i] = scratch[i] if abs(scratch[i]) > TINY else 0.0
             for p in range(m):
                 value = bias[s * m + p]
                 for j in range(n):

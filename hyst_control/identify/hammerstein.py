@@ -1,0 +1,169 @@
+"""Identification of the Prandtl-Ishlinskii family: pi, hapi, rdpi and hampi, all records together.
+
+For given thresholds and G(s) the output is linear in the weights and the dynamic weights (HAMPI paper Eq. 2-6), so the search
+is over G's few parameters alone (`varpro`). G's structure is chosen on held-out stretches of the records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.errors import InputError
+from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.dynamics import Structure
+from hyst_control.identify.gram import Operators, Window
+from hyst_control.identify.prandtl_model import AxisFit, assemble
+from hyst_control.identify.varpro import Problem, Solution, solve
+from hyst_control.identify.windows import stretches, whole_records
+
+FAMILIES = ("pi", "hapi", "rdpi", "hampi")
+SELECTION_ROWS = 150_000
+WORTHWHILE = 0.03
+"""A factor of G is kept when it lowers the held-out mean square error by more than this share."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Choices of the fit.
+
+    operators: number of play operators, where `thresholds` (V, increasing) does not list them. nuisance: what each record may
+    add to the model, "none", "offset" or "linear" (an offset and a slow drift, so that creep does not bend the loop).
+    structure: G's, where it is not to be chosen.
+    """
+
+    operators: int = 10
+    thresholds: Sequence[float] | None = None
+    one_sided: bool = False
+    nuisance: str = "linear"
+    structure: Structure | None = None
+
+
+def fit(datasets: Sequence[Dataset], family: str, options: Options | None = None) -> Fit:
+    """Identify a model of `family` from all records at once; one-axis models side by side where there are several axes.
+
+    Raises `InputError` when the records cannot tell a model: no motion, or fewer samples than parameters.
+    """
+    options = options or Options()
+    check(datasets)
+    axes = [fit_axis(datasets, axis, family, options) for axis in range(len(datasets[0].axes))]
+    return assemble(datasets, family, "joint", axes)
+
+
+def check(datasets: Sequence[Dataset]) -> None:
+    """Raise `InputError` unless the records share their axes and unit, and something moves in them."""
+    if not datasets:
+        raise InputError("no record: give at least one bag with command and measurement")
+    first = datasets[0]
+    for data in datasets:
+        if data.axes != first.axes or data.unit != first.unit:
+            raise InputError(f"{data.name}: axes {', '.join(data.axes)} in {data.unit}, but {first.name} has "
+                             f"{', '.join(first.axes)} in {first.unit}: records of one plant are due")
+        if len(data.command) < 50:
+            raise InputError(f"{data.name}: {len(data.command)} samples, at least 50 are needed")
+    for axis, name in enumerate(first.axes):
+        if all(np.ptp(data.command[:, axis]) == 0 for data in datasets):
+            raise InputError(f"{first.name}: the command of axis {name} never moves: record an excitation")
+        if all(np.ptp(data.measurement[:, axis]) == 0 for data in datasets):
+            raise InputError(f"{first.name}: the measurement of axis {name} never moves: check the sensor and the topic")
+
+
+def fit_axis(datasets: Sequence[Dataset], axis: int, family: str, options: Options) -> AxisFit:
+    """Identify one axis."""
+    windows = whole_records(datasets, axis)
+    operators = default_operators(windows, family, options)
+    travel = max(np.ptp(window.measurement) for window in windows)
+    drive = max(np.ptp(window.command) for window in windows)
+    problem = Problem(windows, operators, options.nuisance, len(datasets), 1e-3 * travel / drive)
+    if family == "rdpi":
+        return AxisFit(*rate_dependent(problem))
+    if family == "pi":
+        structure = Structure()
+        chosen = solve(problem, structure, structure.start(1.0))
+        return AxisFit(solve(problem, structure, structure.start(1.0), everything=True), operators, chosen.held_out)
+    chosen = choose_structure(replace(problem, windows=stretches(windows, SELECTION_ROWS)), options.structure)
+    final = solve(problem, chosen.structure, chosen.parameters, chosen.theta, passes=6, everything=True)
+    return AxisFit(final, operators, chosen.held_out)
+
+
+def default_operators(windows: Sequence[Window], family: str, options: Options) -> Operators:
+    """Thresholds from 0, closer together where most reversals engage them; up to half the drive, and two for the first loading."""
+    highest = max(float(np.max(np.abs(window.command))) for window in windows)
+    span = max(float(np.ptp(window.command)) for window in windows)
+    if options.thresholds is not None:
+        thresholds = np.array(options.thresholds, dtype=float)
+        if thresholds.ndim != 1 or not len(thresholds) or thresholds[0] < 0 or np.any(np.diff(thresholds) <= 0):
+            raise InputError("thresholds: a strictly increasing list of voltages, none negative, is due")
+    else:
+        if options.operators < 3:
+            raise InputError(f"operators: {options.operators}, at least 3 are due")
+        reach = span if options.one_sided else span / 2
+        inner = options.operators - 2
+        thresholds = np.concatenate([0.98 * reach * (np.arange(inner) / (inner - 0.5)) ** 1.4, np.array([0.5, 0.85]) * highest
+                                     if highest > 1.4 * reach else reach * np.array([0.9, 0.97])])
+        thresholds = np.unique(np.round(thresholds, 9))
+    return Operators(thresholds, options.one_sided, family == "hampi", center=0.5 * highest)
+
+
+def choose_structure(problem: Problem, given: Structure | None) -> Solution:
+    """Grow G factor by factor as long as the held-out error falls; `given` skips the choice."""
+    frequency = _start_frequency(problem)
+    if given is not None:
+        return solve(problem, given, given.start(frequency))
+    best = solve(problem, Structure(), np.zeros(0))
+    while True:
+        trials = []
+        for structure in best.structure.extensions():
+            start = structure.grow(best.structure, best.parameters, frequency)
+            trials.append(solve(problem, structure, start, best.theta if np.any(best.theta) else None, passes=8))
+        if not trials:
+            return best
+        lowest = min(trial.held_out for trial in trials)
+        if not lowest < (1.0 - WORTHWHILE) * best.held_out:
+            return best
+        # The first of those that do about equally well: the list runs from the plainer to the richer factor.
+        best = next(trial for trial in trials if trial.held_out <= lowest * (1.0 + WORTHWHILE))
+
+
+def _start_frequency(problem: Problem) -> float:
+    """The resonance (Hz) on a coarse grid at which a plain mode does best: where Gauss-Newton begins."""
+    sample_time = min(window.sample_time for window in problem.windows)
+    grid = [f for f in (30.0, 100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0) if f < 0.4 / sample_time] or [0.2 / sample_time]
+    structure = Structure(modes=1)
+    trials = [solve(problem, structure, structure.start(frequency), passes=2) for frequency in grid]
+    return grid[int(np.argmin([trial.fitted for trial in trials]))]
+
+
+def rate_dependent(problem: Problem) -> tuple[Solution, Operators, float]:
+    """RDPI: no dynamics, thresholds r_i + β |du/dt|; β by golden-section search on the error."""
+    structure = Structure()
+    fastest = max(float(np.max(np.abs(np.diff(window.command)))) / window.sample_time for window in problem.windows)
+    largest = 2.0 * float(problem.operators.thresholds[-1]) / fastest
+
+    def trial(beta: float) -> Solution:
+        widened = replace(problem, operators=replace(problem.operators, rate_gain=beta))
+        return solve(widened, structure, np.zeros(0))
+
+    grid = largest * np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 13)])
+    costs = [trial(beta).fitted for beta in grid]
+    at = int(np.argmin(costs))
+    low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
+    golden = (np.sqrt(5.0) - 1.0) / 2.0
+    for _ in range(12):
+        left, right = high - golden * (high - low), low + golden * (high - low)
+        if trial(left).fitted < trial(right).fitted:
+            high = right
+        else:
+            low = left
+    operators = replace(problem.operators, rate_gain=0.5 * (low + high))
+    held_out = trial(operators.rate_gain).held_out
+    final = solve(replace(problem, operators=operators), structure, np.zeros(0), everything=True)
+    return final, operators, held_out
+
+
+def bounded_slopes(theta: Array, count: int) -> Array:
+    """Slopes (cumulative weights) from the linear parameters."""
+    return np.cumsum(theta[:count])

@@ -1,0 +1,42 @@
+"""Bounded linear least squares from Gram matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from hyst_control.chain.stage import Array
+
+
+def solve_bounded(gram: Array, target: Array, lower: Array, upper: Array) -> Array:
+    """Minimise x' gram x - 2 target' x within bounds; gram (K, K), target (K,). Unbounded entries have infinite bounds.
+
+    Columns are scaled to unit length first; directions that the data do not show are left at their smallest.
+    """
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scaled = gram / scale[:, None] / scale
+    values, vectors = np.linalg.eigh(scaled)
+    values = np.maximum(values, 1e-13 * values[-1])
+    root = np.sqrt(values)
+    design = root[:, None] * vectors.T
+    right = (vectors.T @ (target / scale)) / root
+    low, high = lower * scale, upper * scale
+    if not (np.any(np.isfinite(low)) or np.any(np.isfinite(high))):
+        return np.linalg.lstsq(design, right, rcond=None)[0] / scale
+    solution = lsq_linear(design, right, (low, high), method="bvls", tol=1e-12, max_iter=200)
+    return np.clip(solution.x / scale, lower, upper)
+
+
+def cost(gram: Array, solution: Array) -> float:
+    """Sum of squared residuals; gram is that of [columns, y]."""
+    vector = np.append(solution, -1.0)
+    return max(float(vector @ gram @ vector), 0.0)
+
+
+def covariance(gram: Array, variance: float) -> Array:
+    """Covariance of unbounded least squares for residuals of the given variance."""
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scaled = gram / scale[:, None] / scale
+    values, vectors = np.linalg.eigh(scaled)
+    inverse = (vectors / np.maximum(values, 1e-13 * values[-1])) @ vectors.T
+    return variance * inverse / scale[:, None] / scale
