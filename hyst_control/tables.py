@@ -22,9 +22,9 @@ VERSION = 1
 class Row:
     """One figure.
 
-    table: where it belongs ("HAMPI Table 5"); case: operating point ("100 Hz"); subject: model, controller, executor or effect
-    it is about; quantity and unit; value; published: the figure to compare with; n: how many repetitions stand behind it;
-    ci95: its 95 % confidence interval [lower, upper].
+    table: where it belongs ("HAMPI Table 5"); case: operating point ("100 Hz"); subject: model, controller, executor
+    or effect it is about; quantity and unit; value; published: the figure to compare with; n: how many repetitions
+    stand behind it; ci95: its 95 % confidence interval [lower, upper].
     """
 
     table: str
@@ -46,11 +46,33 @@ class Table:
     rows: list[Row] = field(default_factory=list)
     machine: str = ""
 
-    def add(self, table: str, case: str, subject: str, quantity: str, unit: str, value: float, *,
-            published: float | None = None, n: int | None = None, ci95: tuple[float, float] | None = None) -> None:
+    def add(
+        self,
+        table: str,
+        case: str,
+        subject: str,
+        quantity: str,
+        unit: str,
+        value: float,
+        *,
+        published: float | None = None,
+        n: int | None = None,
+        ci95: tuple[float, float] | None = None,
+    ) -> None:
         """Append one row; numpy numbers become Python ones."""
-        self.rows.append(Row(table, case, subject, quantity, unit, float(value), None if published is None else float(published),
-                             None if n is None else int(n), None if ci95 is None else (float(ci95[0]), float(ci95[1]))))
+        self.rows.append(
+            Row(
+                table,
+                case,
+                subject,
+                quantity,
+                unit,
+                float(value),
+                None if published is None else float(published),
+                None if n is None else int(n),
+                None if ci95 is None else (float(ci95[0]), float(ci95[1])),
+            )
+        )
 
     def value(self, case: str, subject: str, quantity: str) -> float:
         """The value of the one row with these three. Raises `KeyError` when there is none or more than one."""
@@ -62,32 +84,58 @@ class Table:
     def document(self) -> dict[str, Any]:
         """The table as plain JSON types; a value that is not a finite number becomes null."""
         rows = [{key: _number(value) for key, value in asdict(row).items()} for row in self.rows]
-        return {"schema": SCHEMA, "version": VERSION, "source": self.source, "machine": self.machine or machine(), "rows": rows}
+        return {
+            "schema": SCHEMA,
+            "version": VERSION,
+            "source": self.source,
+            "machine": self.machine or machine(),
+            "rows": rows,
+        }
 
     def text(self) -> str:
         """The rows as aligned columns under one heading per table."""
         lines: list[str] = []
         for name in dict.fromkeys(row.table for row in self.rows):
             rows = [row for row in self.rows if row.table == name]
-            optional = [("published", [_figure(row.published) for row in rows]),
-                        ("95 %", ["" if row.ci95 is None else f"{_figure(row.ci95[0])} … {_figure(row.ci95[1])}" for row in rows]),
-                        ("n", ["" if row.n is None else str(row.n) for row in rows])]
-            columns = [("case", [row.case for row in rows]), ("subject", [row.subject for row in rows]),
-                       ("quantity", [row.quantity for row in rows]), ("value", [_figure(row.value) for row in rows]),
-                       ("unit", [row.unit for row in rows]), *(column for column in optional if any(column[1]))]
-            lines += ([""] if lines else []) + [name] + aligned([header for header, _ in columns],
-                                                                list(zip(*(cells for _, cells in columns), strict=True)),
-                                                                right=("value", "published", "n"))
+            optional = [
+                ("published", [_figure(row.published) for row in rows]),
+                (
+                    "95 %",
+                    ["" if row.ci95 is None else f"{_figure(row.ci95[0])} … {_figure(row.ci95[1])}" for row in rows],
+                ),
+                ("n", ["" if row.n is None else str(row.n) for row in rows]),
+            ]
+            columns = [
+                ("case", [row.case for row in rows]),
+                ("subject", [row.subject for row in rows]),
+                ("quantity", [row.quantity for row in rows]),
+                ("value", [_figure(row.value) for row in rows]),
+                ("unit", [row.unit for row in rows]),
+                *(column for column in optional if any(column[1])),
+            ]
+            lines += (
+                ([""] if lines else [])
+                + [name]
+                + aligned(
+                    [header for header, _ in columns],
+                    list(zip(*(cells for _, cells in columns), strict=True)),
+                    right=("value", "published", "n"),
+                )
+            )
         return "\n".join(lines)
 
     def write(self, path: str | Path) -> None:
-        """Write the JSON to a temporary file beside `path`, then rename. Raises `InputError` where that is not possible."""
+        """Write the JSON to a temporary file beside `path`, then rename. Raises `InputError` where that is not
+        possible.
+        """
         path = Path(path)
         text = json.dumps(self.document(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         try:
             handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
         except OSError as error:
-            raise InputError(f"{path}: {error.strerror or error}: choose a folder that exists and can be written") from None
+            raise InputError(
+                f"{path}: {error.strerror or error}: choose a folder that exists and can be written"
+            ) from None
         try:
             with os.fdopen(handle, "w", encoding="utf-8") as file:
                 file.write(text)
@@ -103,8 +151,10 @@ def aligned(headers: Sequence[str], rows: Sequence[Sequence[str]], right: Sequen
     widths = [max(len(header), *(len(row[i]) for row in rows), 0) for i, header in enumerate(headers)]
 
     def line(cells: Sequence[str]) -> str:
-        padded = [cell.rjust(width) if header in right else cell.ljust(width)
-                  for header, cell, width in zip(headers, cells, widths, strict=True)]
+        padded = [
+            cell.rjust(width) if header in right else cell.ljust(width)
+            for header, cell, width in zip(headers, cells, widths, strict=True)
+        ]
         return "  " + "  ".join(padded).rstrip()
 
     return [line(headers), *(line(row) for row in rows)]

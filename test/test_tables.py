@@ -11,7 +11,9 @@ from hyst_control.tables import Table
 
 def filled() -> Table:
     table = Table("reproduce something")
-    table.add("Table 5", "100 Hz", "HAMPI", "nrmse", "%", np.float64(1.25), published=1.61, n=np.int64(3), ci95=(1.0, 1.5))
+    table.add(
+        "Table 5", "100 Hz", "HAMPI", "nrmse", "%", np.float64(1.25), published=1.61, n=np.int64(3), ci95=(1.0, 1.5)
+    )
     table.add("Table 6", "10 Hz", "MHL", "fit_time", "s", 12345.0)
     return table
 
@@ -20,9 +22,22 @@ def test_the_file_holds_numbers_and_null_only(tmp_path):
     path = tmp_path / "table.json"
     filled().write(path)
     document = json.loads(path.read_text(encoding="utf-8"))
-    assert (document["schema"], document["version"], document["source"]) == ("hyst_control/table", 1, "reproduce something")
-    assert document["rows"][0] == {"table": "Table 5", "case": "100 Hz", "subject": "HAMPI", "quantity": "nrmse", "unit": "%",
-                                   "value": 1.25, "published": 1.61, "n": 3, "ci95": [1.0, 1.5]}
+    assert (document["schema"], document["version"], document["source"]) == (
+        "hyst_control/table",
+        1,
+        "reproduce something",
+    )
+    assert document["rows"][0] == {
+        "table": "Table 5",
+        "case": "100 Hz",
+        "subject": "HAMPI",
+        "quantity": "nrmse",
+        "unit": "%",
+        "value": 1.25,
+        "published": 1.61,
+        "n": 3,
+        "ci95": [1.0, 1.5],
+    }
     assert document["rows"][1]["published"] is None and document["rows"][1]["ci95"] is None
     assert list(tmp_path.iterdir()) == [path]
 

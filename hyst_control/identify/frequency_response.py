@@ -1,0 +1,169 @@
+"""Nonparametric frequency responses with their uncertainty.
+
+P&S stands for Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd edition, Wiley-IEEE Press
+2012.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from hyst_control.chain.stage import Array
+from hyst_control.errors import InputError
+
+EXCITED = 1e-3
+"""A line is excited when the command's power there is over this share of the mean power per line."""
+
+
+@dataclass(frozen=True)
+class FrequencyResponse:
+    """A measured frequency response matrix, sample to sample: measurement = response · command, line by line.
+
+    frequency (F,) Hz; response (F, p, m), measurement unit per V; noise_variance (F, p, m): variance of the response
+    because of disturbing noise; total_variance (F, p, m): noise and stochastic nonlinear distortion together, None
+    where the experiment cannot tell them apart. Both are variances of the *averaged* response, E|G - E G|².
+    """
+
+    frequency: Array
+    response: np.ndarray
+    noise_variance: Array
+    total_variance: Array | None = None
+    realisations: int = 1
+
+    @property
+    def distortion_variance(self) -> Array | None:
+        """Variance (F, p, m) that the nonlinear distortion adds; never negative."""
+        return None if self.total_variance is None else np.maximum(self.total_variance - self.noise_variance, 0.0)
+
+    def radius(self, confidence: float = 0.95) -> Array:
+        """Radius (F, p, m) of the circle in the complex plane that holds the true value with this probability.
+
+        The estimate is circular complex normal, so |G - E G|² / variance · 2 is chi-square with two degrees of freedom
+        (P&S 2.4).
+        """
+        variance = self.noise_variance if self.total_variance is None else self.total_variance
+        return np.sqrt(variance * chi2.ppf(confidence, 2) / 2.0)
+
+
+def robust_bla(command: Array, measurement: Array, sample_time: float) -> FrequencyResponse:
+    """Best linear approximation from periodic random-phase multisines, by the robust method (P&S, section 4.3.1).
+
+    command (N, m, R, P) in V and measurement (N, p, R, P): one period of N samples, R realisations, P >= 2 steady
+    periods. R is a multiple of the number of inputs m; m neighbouring realisations form a group whose command matrix
+    is inverted per line, best conditioned for orthogonal multisines (Dobrowiecki, Schoukens, Guillaume, IEEE Trans.
+    Instrum. Meas. 55 (2006) 1555-1566). The scatter over the periods is the noise, that over the groups noise and
+    nonlinear distortion; with one group only the latter is unknown. Raises `InputError` for shapes that do not fit or
+    fewer than two periods.
+    """
+    n, m, realisations, periods = command.shape
+    p = measurement.shape[1]
+    if measurement.shape != (n, p, realisations, periods) or realisations % m or periods < 2:
+        raise InputError(
+            f"multisines: command {command.shape} and measurement {measurement.shape}: (samples, channels, "
+            f"realisations, periods) with a multiple of {m} realisations and at least 2 periods are due"
+        )
+    u = np.fft.rfft(command, axis=0) / n
+    y = np.fft.rfft(measurement, axis=0) / n
+    excited = excited_lines(np.sum(np.abs(u) ** 2, axis=(1, 2, 3)))
+    u, y = u[excited], y[excited]
+    groups = realisations // m
+    per_group = np.empty((groups, len(excited), p, m), dtype=complex)
+    noise = np.empty((groups, len(excited), p, m))
+    for g in range(groups):
+        chosen = slice(g * m, (g + 1) * m)
+        inverse = np.linalg.inv(u[:, :, chosen].mean(axis=3))
+        per_group[g] = y[:, :, chosen].mean(axis=3) @ inverse
+        # What the commands' own small differences between periods explain is not noise.
+        residual = y[:, :, chosen] - np.einsum("koj,kjrP->korP", per_group[g], u[:, :, chosen])
+        power = np.sum(np.abs(residual) ** 2, axis=3) / (periods - 1) / periods
+        noise[g] = power @ np.abs(inverse) ** 2
+    noise_variance = noise.mean(axis=0) / groups
+    total = None
+    if groups > 1:
+        total = np.sum(np.abs(per_group - per_group.mean(axis=0)) ** 2, axis=0) / (groups - 1) / groups
+    return FrequencyResponse(excited / (n * sample_time), per_group.mean(axis=0), noise_variance, total, realisations)
+
+
+def local_polynomial(
+    commands: Sequence[Array],
+    measurements: Sequence[Array],
+    sample_time: float,
+    *,
+    kind: str = "arbitrary",
+    half_width: int | None = None,
+    degree: int = 2,
+    highest: float | None = None,
+) -> FrequencyResponse:
+    """Frequency response by the local polynomial method (P&S, sections 7.2.2 and 7.3.2).
+
+    commands, measurements: records (N, m) and (N, p) of equal length N. In a window of 2 `half_width` + 1 lines the
+    response, and each record's transient, is a polynomial of `degree` in the line number; what the polynomials leave
+    is the noise.
+
+    kind: "arbitrary", a transient at both ends is estimated along (the command's spectrum must be rough, as a random
+    or a swept one is); "periodic", whole periods in steady state, no transient; "settled", at rest at both ends, a
+    step or a pulse: the records are differenced first, which makes them periodic without a transient. highest: last
+    frequency (Hz) of interest. Raises `InputError` when the window holds fewer equations than unknowns, or the records
+    do not tell the inputs apart.
+    """
+    if kind not in ("arbitrary", "periodic", "settled"):
+        raise InputError(f"kind: {kind!r}, one of arbitrary, periodic, settled is due")
+    u, y = np.stack(commands, axis=2), np.stack(measurements, axis=2)
+    if kind == "settled":
+        u, y = np.diff(u, axis=0), np.diff(y, axis=0)
+    n, m, records = u.shape
+    spectrum_u = np.fft.rfft(u, axis=0)[1:] / np.sqrt(n)
+    spectrum_y = np.fft.rfft(y, axis=0)[1:] / np.sqrt(n)
+    frequency = np.arange(1, len(spectrum_u) + 1) / (n * sample_time)
+    if highest is not None:
+        keep = frequency <= highest
+        frequency, spectrum_u, spectrum_y = frequency[keep], spectrum_u[keep], spectrum_y[keep]
+    if kind == "periodic":
+        excited = excited_lines(np.sum(np.abs(spectrum_u) ** 2, axis=(1, 2)))
+        frequency, spectrum_u, spectrum_y = frequency[excited], spectrum_u[excited], spectrum_y[excited]
+    unknowns = (degree + 1) * (m + (records if kind == "arbitrary" else 0))
+    if half_width is None:
+        half_width = int(np.ceil((1.5 * unknowns + 4) / records / 2))
+    width = 2 * half_width + 1
+    if width * records <= unknowns or len(frequency) < width:
+        raise InputError(
+            f"local polynomial: {min(width, len(frequency))} lines of {records} records for {unknowns} unknowns: "
+            "use longer records, a wider window or a lower degree"
+        )
+    response = np.empty((len(frequency), spectrum_y.shape[1], m), dtype=complex)
+    variance = np.empty(response.shape)
+    for k in range(len(frequency)):
+        begin = min(max(k - half_width, 0), len(frequency) - width)
+        window = slice(begin, begin + width)
+        # The line number scaled to the window, so that the columns are of one size; at the line itself the offset is
+        # zero.
+        powers = ((np.arange(begin, begin + width) - k) / half_width)[:, None] ** np.arange(degree + 1)
+        regressor = np.einsum("kjr,kd->krdj", spectrum_u[window], powers).reshape(width * records, -1)
+        if kind == "arbitrary":
+            transient = np.einsum("kd,rq->krdq", powers, np.eye(records)).reshape(width * records, -1)
+            regressor = np.hstack([regressor, transient])
+        target = np.swapaxes(spectrum_y[window], 1, 2).reshape(width * records, -1)
+        scale = np.maximum(np.linalg.norm(regressor, axis=0), 1e-300)
+        q, r = np.linalg.qr(regressor / scale)
+        diagonal = np.abs(np.diag(r))
+        if diagonal.min() < 1e-10 * diagonal.max():
+            raise InputError(
+                f"local polynomial: at {frequency[k]:g} Hz the records do not tell the {m} inputs apart: "
+                "excite them differently, or take a command with a rougher spectrum"
+            )
+        inverse = np.linalg.inv(r) / scale[:, None]
+        projected = q.conj().T @ target
+        response[k] = (inverse @ projected)[:m].T
+        noise = np.sum(np.abs(target - q @ projected) ** 2, axis=0) / (width * records - unknowns)
+        variance[k] = np.outer(noise, np.sum(np.abs(inverse[:m]) ** 2, axis=1))
+    return FrequencyResponse(frequency, response, variance, None, records)
+
+
+def excited_lines(power: Array) -> Array:
+    """Indices of the lines whose power (F,) is over `EXCITED` of the mean; never the static one."""
+    chosen = np.flatnonzero(power > EXCITED * power[1:].mean())
+    return chosen[chosen > 0]

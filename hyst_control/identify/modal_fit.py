@@ -1,0 +1,546 @@
+"""A stable linear multi-input multi-output model in modal form, fitted to spectra of commands and measurements.
+
+Time is counted in samples here (sample time 1), poles accordingly: λ = p · sample time. The model of output o is
+
+    Y_o(z) = Σ_i c_io [Σ_j b_ij φ_j(λ_i, z) U_j(z) + t_i ψ(λ_i, z)] + Σ_j D_oj δ_j(z) U_j(z) + d_o
+
+with one term per real pole and two, conjugate to each other, per complex pair. Each pole carries a residue matrix c bᵀ
+of rank one, so n poles are n states. φ_j is the exact response of a mode to the held command, late by τ_j samples
+(`hyst_control.chain.linear.discretise` realises the same), and t_i, d_o are the transient of a record that is not
+periodic: its discrete Fourier transform obeys the same equations with one more input of constant spectrum (Pintelon &
+Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., 2012, section 6.3).
+
+Two steps: a frequency-domain subspace estimate (McKelvey, Akçay, Ljung, IEEE Trans. Automatic Control 41 (1996)
+960-979) on a warped unit circle that gives the excited band the whole circle, then Levenberg-Marquardt on the output
+error, which for spectra of whole records is the simulation error in the time domain (Parseval). Poles are parametrised
+as λ = -e^a + j w, so every iterate is stable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, qr
+
+from hyst_control.chain.stage import Array
+
+CHUNK = 256
+"""Lines worked on at once: small enough for the cache, large enough for the matrix product."""
+SLOWEST = -14.0
+"""Least logarithm of a pole's decay per sample: slower is an integrator."""
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Discrete Fourier transforms of one record or of several of the same length and lines.
+
+    angle (F,): frequency of each line in radian per sample; command (F, m, R) and measurement (F, p, R) for R records;
+    periodic: whether each record is a whole number of periods in steady state, so that it has no transient.
+    """
+
+    angle: Array
+    command: np.ndarray
+    measurement: np.ndarray
+    periodic: bool = True
+
+    @property
+    def power(self) -> float:
+        """Sum of squares of the measurement's lines."""
+        return float(np.sum(np.abs(self.measurement) ** 2))
+
+    def compressed(self) -> tuple[Spectra, float]:
+        """Periodic records over m per line carry redundant columns: the m that matter, and the squared error no model
+        removes.
+
+        Per line [U; Y] (m + p, R) is turned by a unitary matrix from the right so that U has m nonzero columns only.
+        """
+        m, count = self.command.shape[1:]
+        if not self.periodic or count <= m:
+            return self, 0.0
+        rotation, _ = np.linalg.qr(np.conj(np.swapaxes(self.command, 1, 2)))
+        command, measurement = self.command @ rotation, self.measurement @ rotation
+        kept = Spectra(self.angle, command, measurement, True)
+        return kept, self.power - kept.power
+
+
+@dataclass(frozen=True)
+class ModalModel:
+    """The model of the module's docstring.
+
+    poles (n,) with Im >= 0, one entry per real pole (Im = 0) or pair; outputs (n, p) = c, inputs (n, m) = b, both real
+    for a real pole; feedthrough (p, m) = D; delay (m,) in samples; hold of the command.
+    """
+
+    poles: np.ndarray
+    outputs: np.ndarray
+    inputs: np.ndarray
+    feedthrough: Array
+    delay: Array
+    hold: str = "zoh"
+
+    @property
+    def states(self) -> int:
+        """Number of states: two for each complex pair."""
+        return len(self.poles) + int(np.count_nonzero(self.poles.imag))
+
+    @property
+    def parameters(self) -> int:
+        """Number of free parameters: n (m + p) + m p, and the delays that are not zero."""
+        outputs, inputs = self.feedthrough.shape
+        return (
+            self.states * (outputs + inputs)
+            + int(np.count_nonzero(self.feedthrough))
+            + int(np.count_nonzero(self.delay))
+        )
+
+    def response(self, angle: Array) -> np.ndarray:
+        """Frequency response (F, p, m) of the sampled system at `angle` (F,), radian per sample."""
+        z = np.exp(1j * np.asarray(angle, dtype=float))
+        total = np.einsum("kj,oj->koj", self._direct(z), self.feedthrough.astype(complex))
+        for pole, c, b in zip(self.poles, self.outputs, self.inputs, strict=True):
+            pairs = [(pole, c, b)] if pole.imag == 0 else [(pole, c, b), (np.conj(pole), np.conj(c), np.conj(b))]
+            for value, left, right in pairs:
+                total += np.einsum("o,j,kj->koj", left, right, mode_response(value, self.delay, self.hold, z))
+        return total
+
+    def _direct(self, z: np.ndarray) -> np.ndarray:
+        return direct_response(self.delay, self.hold, z)
+
+    def state_space(self) -> tuple[Array, Array, Array, Array]:
+        """Real block-diagonal A, B, C, D in continuous time, time counted in samples; the delay is apart."""
+        rows_a, rows_b, columns_c = [], [], []
+        for pole, c, b in zip(self.poles, self.outputs, self.inputs, strict=True):
+            if pole.imag == 0:
+                rows_a.append(np.array([[pole.real]]))
+                rows_b.append(b.real[None])
+                columns_c.append(c.real[:, None])
+            else:
+                # c x + conj(c x) with x' = λ x + b u: the states are Re x and Im x.
+                rows_a.append(np.array([[pole.real, -pole.imag], [pole.imag, pole.real]]))
+                rows_b.append(np.stack([b.real, b.imag]))
+                columns_c.append(np.stack([2 * c.real, -2 * c.imag], axis=1))
+        n = self.states
+        a = np.zeros((n, n))
+        at = 0
+        for block in rows_a:
+            a[at : at + len(block), at : at + len(block)] = block
+            at += len(block)
+        m = self.feedthrough.shape[1]
+        b = np.vstack(rows_b) if rows_b else np.zeros((0, m))
+        c = np.hstack(columns_c) if columns_c else np.zeros((len(self.feedthrough), 0))
+        return a, b, c, self.feedthrough
+
+
+@dataclass(frozen=True)
+class Transients:
+    """Linear nuisance of the records that are not periodic: per record the modes' t (n,) complex and the constant d
+    (p,).
+    """
+
+    modes: list[np.ndarray] = field(default_factory=list)
+    constant: list[Array] = field(default_factory=list)
+
+
+def taps(pole: complex, late: float, hold: str) -> tuple[complex, complex, complex]:
+    """Input taps of dx/dt = λ x + u sampled at 1, u held and late by 0 <= late < 1: x[k] = e^λ x[k-1] + Σ taps[i]
+    w[k-i].
+    """
+
+    def step(time: float) -> complex:
+        return np.expm1(pole * time) / pole
+
+    def ramp(time: float) -> complex:
+        x = pole * time
+        if abs(x) < 1e-3:
+            return time * (0.5 + x / 6 + x * x / 24 + x**3 / 120)
+        return (np.expm1(x) - x) / (pole * x)
+
+    rest = 1.0 - late
+    carry = np.exp(pole * rest)
+    if hold == "zoh":
+        return step(rest), carry * step(late), 0j
+    older_up = carry * ramp(late) if late > 0 else 0j
+    older_down = carry * step(late) - older_up
+    newer_up = ramp(rest)
+    newer_down = step(rest) - newer_up
+    return rest * newer_up, rest * older_down + older_up + newer_down + late * newer_up, late * older_down
+
+
+def mode_response(pole: complex, delay: Array, hold: str, z: np.ndarray) -> np.ndarray:
+    """φ (F, m) of the module's docstring."""
+    back = 1.0 / z
+    columns = []
+    for late in delay:
+        whole = int(np.floor(late + 1e-12))
+        t0, t1, t2 = taps(pole, late - whole, hold)
+        columns.append((t0 + back * (t1 + back * t2)) * back ** (whole + (hold == "zoh")))
+    return np.stack(columns, axis=-1) / (1.0 - np.exp(pole) * back)[:, None]
+
+
+def direct_response(delay: Array, hold: str, z: np.ndarray) -> np.ndarray:
+    """δ (F, m) of the module's docstring: what the direct path makes of the held command."""
+    back = 1.0 / z
+    columns = []
+    for late in delay:
+        whole = int(np.floor(late + 1e-12))
+        part = late - whole
+        columns.append(back ** (whole + 1) if hold == "zoh" else back**whole * (1.0 - part + part * back))
+    return np.stack(columns, axis=-1)
+
+
+def subspace(
+    data: Sequence[Spectra], orders: Sequence[int], delay: Array, hold: str, direct: bool = True
+) -> list[ModalModel]:
+    """Models of the given orders (states) from one singular value decomposition; McKelvey et al. 1996, algorithm 2.
+
+    The unit circle is warped by the bilinear map that takes the highest line to three quarters of the circle, so that
+    a band far below the sampling rate is as well conditioned as a full one. Unstable poles are reflected.
+    """
+    outputs = data[0].measurement.shape[1]
+    top = max(float(spectra.angle.max()) for spectra in data)
+    c = np.tan(min(top, 3.1) / 2) / np.tan(3 * np.pi / 8)
+    largest = max(orders)
+    blocks = 2 * int(np.ceil(largest / outputs)) + 4
+    extra = sum(spectra.command.shape[2] for spectra in data if not spectra.periodic)
+    inputs = data[0].command.shape[1] + extra
+    columns_u, columns_y = [], []
+    used = inputs - extra
+    for spectra in data:
+        z = np.exp(1j * spectra.angle)
+        shift = np.exp(2j * np.arctan(np.tan(spectra.angle / 2) / c))
+        powers = shift[:, None] ** np.arange(blocks)
+        late = direct_response(delay, "foh" if hold == "foh" else "zoh", z) * (z[:, None] if hold == "zoh" else 1.0)
+        for r in range(spectra.command.shape[2]):
+            u = np.zeros((len(z), inputs), dtype=complex)
+            u[:, : inputs - extra] = spectra.command[:, :, r] * late
+            if not spectra.periodic:
+                # A transient has the spectrum of one more input; its size is set to that of the commands.
+                u[:, used] = np.sqrt(np.mean(np.abs(spectra.command[:, :, r]) ** 2))
+                used += 1
+            columns_u.append(np.einsum("kq,kj->qjk", powers, u).reshape(blocks * inputs, -1))
+            columns_y.append(
+                np.einsum("kq,ko->qok", powers, spectra.measurement[:, :, r]).reshape(blocks * outputs, -1)
+            )
+    stacked = np.vstack([np.hstack(columns_u), np.hstack(columns_y)])
+    real = np.hstack([stacked.real, stacked.imag])
+    triangle = qr(real.T, mode="r")[0][: real.shape[0]].T
+    rows = blocks * inputs
+    left, _, _ = np.linalg.svd(triangle[rows:, rows:], full_matrices=False)
+    models = []
+    for order in orders:
+        basis = left[:, :order]
+        a = np.linalg.lstsq(basis[:-outputs], basis[outputs:], rcond=None)[0]
+        warped, vectors = np.linalg.eig(a)
+        x = (warped - 1) / (warped + 1) * c
+        z_poles = (1 + x) / (1 - x)
+        modes = (basis[:outputs] @ vectors).T
+        keep = (z_poles.imag > 1e-9) | ((np.abs(z_poles.imag) <= 1e-9) & (z_poles.real > 1e-3))
+        poles = np.log(np.where(np.abs(z_poles) > 1e-6, z_poles, 1e-6))[keep]
+        poles = -np.maximum(np.abs(poles.real), 1e-5) + 1j * np.where(np.abs(poles.imag) > 1e-9, poles.imag, 0.0)
+        c_modes = np.where((poles.imag == 0)[:, None], modes[keep].real, modes[keep])
+        c_modes = c_modes / np.maximum(np.linalg.norm(c_modes, axis=1, keepdims=True), 1e-300)
+        start = ModalModel(
+            poles,
+            c_modes,
+            np.zeros((len(poles), data[0].command.shape[1]), dtype=complex),
+            np.zeros((outputs, data[0].command.shape[1])),
+            np.array(delay, dtype=float),
+            hold,
+        )
+        problem = Problem(data, start, direct)
+        models.append(problem.fit_linear("b"))
+    return models
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each kind of parameter stands in the vector: n poles, m inputs, p outputs, `records` with transients.
+
+    Complex parameters have their real parts first, then their imaginary ones: "c" (2, n, p), "b" (2, n, m), "t"
+    (records, 2, n). "pole" (n, 2) is a and w of λ = -e^a + j w.
+    """
+
+    slices: dict[str, slice]
+    size: int
+
+    @classmethod
+    def of(cls, n: int, m: int, p: int, records: int, direct: bool, free_delay: bool) -> Layout:
+        """The layout for these sizes."""
+        sizes = {
+            "pole": 2 * n,
+            "c": 2 * n * p,
+            "b": 2 * n * m,
+            "D": p * m * direct,
+            "delay": m * free_delay,
+            "t": 2 * n * records,
+            "d": p * records,
+        }
+        ends = np.cumsum(list(sizes.values()))
+        return cls(
+            {name: slice(int(end) - size, int(end)) for (name, size), end in zip(sizes.items(), ends, strict=True)},
+            int(ends[-1]),
+        )
+
+    def indices(self, name: str, *shape: int) -> Array:
+        """Positions of a kind of parameter, in its shape."""
+        part = self.slices[name]
+        return np.arange(part.start, part.stop).reshape(shape)
+
+
+class Problem:
+    """The least-squares problem: error and normal equations at a model with its transients.
+
+    All that varies along the lines is a few scalar functions of the frequency, the columns of W: for every pole and
+    every conjugate φ_j U_j, Σ_j b_j ∂φ_j/∂λ U_j, the transient ψ, and the slope along the delays. The model's output,
+    and its derivative with respect to each parameter, is W times a small matrix (K, p). So the normal equations need
+    the Gram matrix W^H W only, whatever the number of lines.
+    """
+
+    def __init__(
+        self, data: Sequence[Spectra], model: ModalModel, direct: bool = True, free_delay: bool = False
+    ) -> None:
+        compressed = [spectra.compressed() for spectra in data]
+        self.data = [kept for kept, _ in compressed]
+        self.irreducible = sum(rest for _, rest in compressed)
+        self.power = sum(spectra.power for spectra in data)
+        self.direct, self.free_delay = direct, free_delay
+        self.model = model
+        self.records = sum(s.command.shape[2] for s in self.data if not s.periodic)
+        n, p, m = len(model.poles), *model.feedthrough.shape
+        self.transients = Transients(
+            [np.zeros(n, dtype=complex) for _ in range(self.records)], [np.zeros(p) for _ in range(self.records)]
+        )
+        self.layout = Layout.of(n, m, p, self.records, direct, free_delay)
+        self.free = np.ones(self.layout.size, dtype=bool)
+        real = model.poles.imag == 0
+        self.free[self.layout.indices("pole", n, 2)[real, 1]] = False
+        self.free[self.layout.indices("c", 2, n, p)[1, real]] = False
+        self.free[self.layout.indices("b", 2, n, m)[1, real]] = False
+        self.free[self.layout.indices("t", self.records, 2, n)[:, 1, real]] = False
+        # Columns of W: per branch (pole, then conjugates) m driven, 1 slope, the transients, m delay slopes; then the
+        # direct part (m, the constants, m delay slopes).
+        self.branches = [(i, False) for i in range(n)] + [(i, True) for i in range(n) if not real[i]]
+        self.width = m + 1 + self.records + m * free_delay
+        self.columns = self.width * len(self.branches) + m + self.records + m * free_delay
+
+    def normal_equations(self) -> tuple[Array, Array, float]:
+        """JᵀJ (P, P), Jᵀr (P,) and rᵀr over all data at the present model; r is measured minus model."""
+        gram = np.zeros((self.columns, self.columns), dtype=complex)
+        moment = np.zeros((self.columns, self.model.feedthrough.shape[0]), dtype=complex)
+        cost = self.irreducible
+        weights = self._output_weights()
+        for functions, measured in self._pieces():
+            residual = measured - functions @ weights
+            conjugate = functions.conj().T
+            gram += conjugate @ functions
+            moment += conjugate @ residual
+            cost += float(np.sum(np.abs(residual) ** 2))
+        jacobian = self._jacobian_weights()
+        size = self.layout.size
+        matrix, vector = np.zeros((size, size)), np.zeros(size)
+        for o, weight in enumerate(jacobian):
+            matrix += (weight.conj().T @ (gram @ weight)).real
+            vector += (weight.conj().T @ moment[:, o]).real
+        return matrix, vector, cost
+
+    def cost(self) -> float:
+        """rᵀr over all data at the present model."""
+        weights = self._output_weights()
+        return self.irreducible + sum(
+            float(np.sum(np.abs(measured - functions @ weights) ** 2)) for functions, measured in self._pieces()
+        )
+
+    def fit_linear(self, *names: str) -> ModalModel:
+        """The model whose parameters of these kinds, in which the output is linear, minimise the error; the others
+        stay.
+        """
+        matrix, vector, _ = self.normal_equations()
+        chosen = np.zeros(self.layout.size, dtype=bool)
+        for name in (*names, "D", "t", "d"):
+            chosen[self.layout.slices[name]] = True
+        self.apply(solve_damped(matrix, vector, chosen & self.free, 1e-12))
+        return self.model
+
+    def apply(self, change: Array) -> None:
+        """Move the present model along a step in the parameters."""
+        model, part = self.model, self.layout.slices
+        n, p, m = len(model.poles), *model.feedthrough.shape
+        pole = change[part["pole"]].reshape(n, 2)
+        log_decay = np.clip(np.log(-model.poles.real) + np.clip(pole[:, 0], -2.0, 2.0), SLOWEST, 3.0)
+        frequency = np.where(model.poles.imag == 0, 0.0, np.clip(model.poles.imag + pole[:, 1], 1e-7, np.pi))
+        c, b = change[part["c"]].reshape(2, n, p), change[part["b"]].reshape(2, n, m)
+        feedthrough = model.feedthrough + change[part["D"]].reshape(p, m) if self.direct else model.feedthrough
+        delay = np.maximum(model.delay + change[part["delay"]], 0.0) if self.free_delay else model.delay
+        self.model = replace(
+            model,
+            poles=-np.exp(log_decay) + 1j * frequency,
+            outputs=model.outputs + c[0] + 1j * c[1],
+            inputs=model.inputs + b[0] + 1j * b[1],
+            feedthrough=feedthrough,
+            delay=delay,
+        )
+        t, d = change[part["t"]].reshape(self.records, 2, n), change[part["d"]].reshape(self.records, p)
+        self.transients = Transients(
+            [old + row[0] + 1j * row[1] for old, row in zip(self.transients.modes, t, strict=True)],
+            [old + row for old, row in zip(self.transients.constant, d, strict=True)],
+        )
+
+    def rescale(self) -> None:
+        """Share each mode's size between c and b equally: the product alone matters."""
+        model = self.model
+        c, b = np.linalg.norm(model.outputs, axis=1), np.linalg.norm(model.inputs, axis=1)
+        ratio = np.sqrt(np.where((c > 0) & (b > 0), np.maximum(b, 1e-300) / np.maximum(c, 1e-300), 1.0))
+        self.model = replace(model, outputs=model.outputs * ratio[:, None], inputs=model.inputs / ratio[:, None])
+        self.transients = replace(self.transients, modes=[t / ratio for t in self.transients.modes])
+
+    def _pieces(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """W (rows, K) and the measurement (rows, p), a few lines at a time; a row is one line of one record."""
+        record = 0
+        for spectra in self.data:
+            count = spectra.command.shape[2]
+            records = range(0) if spectra.periodic else range(record, record + count)
+            record += len(records)
+            for begin in range(0, len(spectra.angle), CHUNK):
+                rows = slice(begin, begin + CHUNK)
+                measured = np.swapaxes(spectra.measurement[rows], 1, 2)
+                functions = self._functions(
+                    np.exp(1j * spectra.angle[rows]), np.swapaxes(spectra.command[rows], 1, 2), records
+                )
+                yield functions.reshape(-1, self.columns), measured.reshape(-1, measured.shape[2])
+
+    def _functions(self, z: np.ndarray, u: np.ndarray, records: range) -> np.ndarray:
+        """W at some lines z (F,), commands u (F, R, m): (F, R, K). `records` are those of the transients, empty if
+        periodic.
+        """
+        model = self.model
+        m, hold, delay = u.shape[2], model.hold, model.delay
+        functions = np.zeros((*u.shape[:2], self.columns), dtype=complex)
+        for branch, (i, conjugate) in enumerate(self.branches):
+            pole, b = (
+                (np.conj(model.poles[i]), np.conj(model.inputs[i])) if conjugate else (model.poles[i], model.inputs[i])
+            )
+            at = self.width * branch
+            response = mode_response(pole, delay, hold, z)
+            h = 1e-5 * (abs(pole) + 1e-3)
+            slope = (mode_response(pole + h, delay, hold, z) - mode_response(pole - h, delay, hold, z)) / (2 * h)
+            functions[:, :, at : at + m] = response[:, None] * u
+            functions[:, :, at + m] = np.matmul(u, (slope * b)[:, :, None])[..., 0]
+            if records:
+                free = 1.0 / (z - np.exp(pole))
+                for r, record in enumerate(records):
+                    functions[:, r, at + m + 1 + record] = free
+                    t = self.transients.modes[record][i]
+                    functions[:, r, at + m] += np.exp(pole) * free**2 * (np.conj(t) if conjugate else t)
+            if self.free_delay:
+                late = (mode_response(pole, delay + 1e-6, hold, z) - response) / 1e-6
+                functions[:, :, at + self.width - m : at + self.width] = (late * b)[:, None] * u
+        at = self.width * len(self.branches)
+        direct = direct_response(delay, hold, z)
+        functions[:, :, at : at + m] = direct[:, None] * u
+        if self.free_delay:
+            functions[:, :, -m:] = ((direct_response(delay + 1e-6, hold, z) - direct) / 1e-6)[:, None] * u
+        for r, record in enumerate(records):
+            functions[:, r, at + m + record] = 1.0
+        return functions
+
+    def _output_weights(self) -> np.ndarray:
+        """The matrix (K, p) that makes the model's output of W."""
+        model = self.model
+        p, m = model.feedthrough.shape
+        weights = np.zeros((self.columns, p), dtype=complex)
+        for branch, (i, conjugate) in enumerate(self.branches):
+            at = self.width * branch
+            parts = np.concatenate([model.inputs[i], [0.0], [t[i] for t in self.transients.modes]])
+            block = np.outer(parts, model.outputs[i])
+            weights[at : at + len(parts)] = np.conj(block) if conjugate else block
+        at = self.width * len(self.branches)
+        weights[at : at + m] = model.feedthrough.T
+        for record, constant in enumerate(self.transients.constant):
+            weights[at + m + record] = constant
+        return weights
+
+    def _jacobian_weights(self) -> np.ndarray:
+        """The matrices (p, K, P) that make each output's derivatives of W."""
+        model, layout = self.model, self.layout
+        n, p, m = len(model.poles), *model.feedthrough.shape
+        weights = np.zeros((p, self.columns, layout.size), dtype=complex)
+        at_pole, at_c, at_b = layout.indices("pole", n, 2), layout.indices("c", 2, n, p), layout.indices("b", 2, n, m)
+        at_t, at_delay = layout.indices("t", self.records, 2, n), layout.indices("delay", -1)
+        for branch, (i, conjugate) in enumerate(self.branches):
+            # A conjugate branch depends on the imaginary part with the opposite sign.
+            turn = -1j if conjugate else 1j
+            c, b = (
+                (np.conj(model.outputs[i]), np.conj(model.inputs[i]))
+                if conjugate
+                else (model.outputs[i], model.inputs[i])
+            )
+            column = self.width * branch
+            driven, slope, free = (
+                np.arange(column, column + m),
+                column + m,
+                np.arange(column + m + 1, column + m + 1 + self.records),
+            )
+            weights[:, slope, at_pole[i, 0]] += c * model.poles[i].real
+            weights[:, slope, at_pole[i, 1]] += c * turn
+            transient = np.array([np.conj(t[i]) if conjugate else t[i] for t in self.transients.modes], dtype=complex)
+            for o in range(p):
+                for half, unit in enumerate((1.0, turn)):
+                    weights[o, driven, at_c[half, i, o]] += unit * b
+                    weights[o, free, at_c[half, i, o]] += unit * transient
+                    weights[o, driven, at_b[half, i]] += unit * c[o]
+                    weights[o, free, at_t[:, half, i]] += unit * c[o]
+                if self.free_delay:
+                    weights[o, column + self.width - m + np.arange(m), at_delay] += c[o]
+        column = self.width * len(self.branches)
+        for o in range(p):
+            if self.direct:
+                weights[o, column + np.arange(m), layout.indices("D", p, m)[o]] = 1.0
+            if self.free_delay:
+                weights[o, self.columns - m + np.arange(m), at_delay] += model.feedthrough[o]
+            weights[o, column + m + np.arange(self.records), layout.indices("d", self.records, p)[:, o]] = 1.0
+        return weights
+
+
+def solve_damped(matrix: Array, vector: Array, chosen: np.ndarray, damping: float) -> Array:
+    """Step (P,) of the damped normal equations over the chosen parameters, scaled by their diagonal; zero elsewhere."""
+    index = np.flatnonzero(chosen)
+    scale = np.sqrt(np.maximum(np.diag(matrix)[index], 1e-300))
+    scaled = matrix[np.ix_(index, index)] / scale / scale[:, None]
+    scaled[np.diag_indices_from(scaled)] += damping
+    step = np.zeros(len(vector))
+    try:
+        step[index] = cho_solve(cho_factor(scaled), vector[index] / scale) / scale
+    except np.linalg.LinAlgError:
+        step[index] = np.linalg.lstsq(scaled, vector[index] / scale, rcond=1e-13)[0] / scale
+    return step
+
+
+def refine(problem: Problem, iterations: int = 40, tolerance: float = 1e-5) -> tuple[float, Array]:
+    """Levenberg-Marquardt from the problem's present model; returns rᵀr and the last JᵀJ.
+
+    Ends when an accepted step lowers the cost by less than `tolerance` of it.
+    """
+    problem.rescale()
+    matrix, vector, cost = problem.normal_equations()
+    damping = 1e-4
+    for _ in range(iterations):
+        best = problem.model, problem.transients
+        gained = 0.0
+        for _ in range(8):
+            problem.apply(solve_damped(matrix, vector, problem.free, damping))
+            trial = problem.cost()
+            if trial < cost:
+                gained = cost - trial
+                damping = max(damping / 5, 1e-10)
+                break
+            problem.model, problem.transients = best
+            damping *= 8
+        if gained <= tolerance * (cost - problem.irreducible):
+            if gained > 0:
+                matrix, vector, cost = problem.normal_equations()
+            break
+        problem.rescale()
+        matrix, vector, cost = problem.normal_equations()
+    return cost, matrix
