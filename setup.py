@@ -24,7 +24,7 @@ present = {name: module for name, module in NODES.items() if (root / (module.rep
 setup(
     name=NAME,
     version="0.1.0",
-    description="Identification, feedforward control and sim-to-real diagnosis of piezoelectric actuators with hysteresis",
+    description="Identification, feedforward control and gap diagnosis of piezoelectric actuators with hysteresis",
     license="Apache-2.0",
     python_requires=">=3.10",
     packages=find_packages(include=["hyst_control*", "hyst_plant_sim*"]),

@@ -3,9 +3,9 @@
 Layout (fixed): dim[0] = label "sample", size N, stride N C; dim[1] = label naming every column with its unit, such as
 ``t[s],x[um]``, size C, stride C; data_offset 0; data row-major. Column 0 is the sample time in s (tick index x period).
 
-A message object costs several microseconds to fill and to take; all but the sizes and the data is constant for a topic, so
-the header is prepared once and the data is copied behind it. The byte layout is XCDR1 as every DDS vendor writes a plain
-ROS 2 message: a 4-byte encapsulation header, then the fields, each aligned to its size counted from behind that header.
+A message object costs several microseconds to fill and to take; all but the sizes and the data is constant for a topic,
+so the header is prepared once and the data is copied behind it. The byte layout is XCDR1 as every DDS vendor writes a
+plain ROS 2 message: a 4-byte encapsulation header, then the fields, each aligned to its size counted from behind it.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ class Decoder:
             return self._label, np.frombuffer(buffer, np.float64, -1, len(self._header)).reshape(self._shape)
         label, block = decode(buffer)
         if label and block.flags.c_contiguous and block.dtype.isnative:
-            start = len(buffer) - block.nbytes
-            self._header, self._length, self._label, self._shape = bytes(buffer[:start]), len(buffer), label, block.shape
+            self._header, self._length = bytes(buffer[:len(buffer) - block.nbytes]), len(buffer)
+            self._label, self._shape = label, block.shape
         return label, block
 
 
@@ -99,10 +99,10 @@ def header(label: str, rows: int, columns: int) -> bytes:
 
 
 def decode(buffer: bytes | bytearray | memoryview) -> tuple[str, NDArray[np.float64]]:
-    """Label and block (N, C) of a serialized Float64MultiArray; the block is a read-only view of the buffer where it can be.
+    """Label and block (N, C) of a serialized Float64MultiArray; the block is a view of the buffer where it can be.
 
-    A message without a layout gives the label "" and its data as one row (1, C). Raises `InputError` when the bytes are no
-    such message, or its layout is not the fixed one.
+    A message without a layout gives the label "" and its data as one row (1, C). Raises `InputError` when the bytes are
+    no such message, or its layout is not the fixed one.
     """
     view = memoryview(buffer)
     if len(view) < 12 or view[0] != 0 or view[1] > 1:
@@ -127,8 +127,8 @@ def decode(buffer: bytes | bytearray | memoryview) -> tuple[str, NDArray[np.floa
         raise InputError(f"layout of {len(dimensions)} dimensions: two, samples and columns, are due")
     (_, rows, stride), (label, columns, column_stride) = dimensions
     if rows * columns != count or stride != count or column_stride != columns or offset:
-        raise InputError(f"layout ({rows} x {columns}, strides {stride} and {column_stride}, offset {offset}) does not fit "
-                         f"its {count} values")
+        raise InputError(f"layout ({rows} x {columns}, strides {stride} and {column_stride}, offset {offset}) does not "
+                         f"fit its {count} values")
     if not label:
         raise InputError("layout without a label: columns such as 't[s],x[um]' are due")
     if label.count(",") + 1 != columns:

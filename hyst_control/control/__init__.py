@@ -1,0 +1,1 @@
+"""Controllers: feedforward compensators and PI feedback, and the loop they close."""

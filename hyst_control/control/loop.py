@@ -1,0 +1,72 @@
+"""The control loop computed offline: what the nodes do in lockstep, to the last bit."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.control.pi import RunningPI
+
+Array = NDArray[np.float64]
+
+
+class Plant(Protocol):
+    """What a simulator and a truth plant have in common."""
+
+    def reset(self, command: Array) -> Array:
+        """Settle at the command (A,) in V; measurement[0] (A,)."""
+
+    def step(self, commands: Array) -> Array:
+        """Commands (N, A) in V; measurements (N, A) at the ticks that follow them."""
+
+
+class Compensator(Protocol):
+    """A feedforward: a streaming filter from the reference to the command in V that looks `preview` ticks ahead.
+
+    Its output belongs to the reference `preview` rows back, so the first `preview` rows it returns precede tick 0.
+    """
+
+    preview: int
+
+    def settle(self, value: Array) -> Array:
+        """Come to rest at the reference (A,)."""
+
+    def process(self, block: Array) -> Array:
+        """Reference rows (N, A) to feedforward rows (N, A) of the ticks `preview` earlier."""
+
+
+def feedforward_rows(reference: Array, compensator: Compensator) -> Array:
+    """Feedforward (N, A) in V of a reference (N, A) whose last value is held on."""
+    compensator.settle(reference[0])
+    ahead = compensator.preview
+    held = np.concatenate([reference, np.repeat(reference[-1:], ahead, axis=0)]) if ahead else reference
+    return compensator.process(np.ascontiguousarray(held))[ahead:]
+
+
+def run_loop(reference: Array, compensator: Compensator | None, controller: RunningPI, plant: Plant,
+             feedback: bool = True, start: str = "rest") -> dict[str, Array]:
+    """Signals by topic, each (N, A), of N ticks of the loop; reference (N, A) in the measurement unit.
+
+    start: "rest", the plant settled at 0 V, or "first_command", settled at the first command (open loop only: a closed
+    loop needs a measurement before it has a command). Without a compensator the feedforward is zero.
+    """
+    ahead = feedforward_rows(reference, compensator) if compensator else np.zeros_like(reference)
+    rest = np.zeros(reference.shape[1])
+    controller.reset(rest if start == "rest" else None)
+    if not feedback:
+        command, correction = controller.pass_through(ahead)
+        first = plant.reset(rest if start == "rest" else command[0])
+        measurement = np.concatenate([first[None], plant.step(command)[:-1]])
+    else:
+        if start != "rest":
+            raise ValueError("a closed loop starts at rest: it needs a measurement before its first command")
+        command, correction, measurement = (np.empty_like(reference) for _ in range(3))
+        sample = plant.reset(rest)
+        for k in range(len(reference)):
+            measurement[k] = sample
+            command[k], correction[k] = controller.step(reference[k], sample, ahead[k])
+            sample = plant.step(command[k:k + 1])[0]
+    return {"reference": reference, "feedforward": ahead, "feedback": correction, "command": command,
+            "measurement": measurement}

@@ -1,0 +1,160 @@
+"""PI feedback added to a feedforward, with output limits, slew limit and anti-windup, sample by sample.
+
+For every tick k and axis, with e = reference - measurement:
+
+    integral_k  = integral_{k-1} + ki T e_k
+    feedback_k  = kp e_k + integral_k
+    wanted_k    = feedforward_k + feedback_k
+    command_k   = wanted_k clamped to [lower, upper] and to command_{k-1} -+ slew_limit T
+    integral_k += (command_k - wanted_k) min(1, T / tracking_time)        (back-calculation)
+
+(backward Euler; Astrom and Hagglund, PID Controllers, 1995, section 3.5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hyst_control.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PI:
+    """Description of the controller; `start` makes a running one.
+
+    kp: V per measurement unit; ki: V per measurement unit and s; sample_time: s; lower, upper: V; slew_limit: V/s,
+    0 for none; tracking_time: s, of the anti-windup, 0 for kp / ki (or a single sample where that is 0).
+    Raises `InputError` when a value makes no sense.
+    """
+
+    kp: float
+    ki: float
+    sample_time: float
+    lower: float
+    upper: float
+    slew_limit: float = 0.0
+    tracking_time: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not np.isfinite(value):
+                raise InputError(f"{name}: {value!r} is not a finite number")
+        if self.sample_time <= 0:
+            raise InputError(f"sample_time: {self.sample_time:g} s must be positive")
+        if self.lower >= self.upper:
+            raise InputError(f"lower: {self.lower:g} V must be below upper, {self.upper:g} V")
+        for name in ("kp", "ki", "slew_limit", "tracking_time"):
+            if getattr(self, name) < 0:
+                raise InputError(f"{name}: {getattr(self, name):g} must not be negative")
+
+    def start(self, axes: int) -> RunningPI:
+        """A running controller for this many axes, reset."""
+        return RunningPI(self, axes)
+
+
+class RunningPI:
+    """The controller's state: integral and last command per axis; any cutting into blocks gives the same bits."""
+
+    def __init__(self, description: PI, axes: int) -> None:
+        self.description = description
+        self.axes = axes
+        tracking_time = description.tracking_time or (description.kp / description.ki if description.ki else 0.0)
+        share = min(1.0, description.sample_time / tracking_time) if tracking_time else 1.0
+        step = description.slew_limit * description.sample_time if description.slew_limit else np.inf
+        self._constants = np.array([description.kp, description.ki * description.sample_time, description.lower,
+                                    description.upper, step, share])
+        self._state = np.empty((2, axes))
+        self.saturated = 0
+        self.reset()
+
+    @property
+    def command(self) -> Array:
+        """The last command (A,) in V; NaN before the first one."""
+        return self._state[1].copy()
+
+    def reset(self, command: Array | None = None) -> None:
+        """Forget the integral. The first command keeps the slew limit from `command` (A,) V, or is free when None."""
+        self._state[0] = 0.0
+        self._state[1] = np.nan if command is None else command
+        self.saturated = 0
+
+    def resume(self, command: Array, reference: Array, measurement: Array, feedforward: Array) -> None:
+        """Take over without a jump: with these inputs (A,) the next command is `command` (A,) in V."""
+        kp, ki_step = self._constants[:2]
+        error = reference - measurement
+        self._state[0] = np.asarray(command, dtype=float) - feedforward - (kp + ki_step) * error
+        self._state[1] = command
+
+    def step(self, reference: Array, measurement: Array, feedforward: Array) -> tuple[Array, Array]:
+        """Command and feedback of the next ticks, both shaped like the inputs: (A,) for one tick or (N, A) for N.
+
+        reference, measurement: measurement unit; feedforward, command, feedback: V.
+        """
+        shape = feedforward.shape
+        command, feedback = np.empty((2, shape[0] if len(shape) == 2 else 1, self.axes))
+        self.saturated += _run(reference.reshape(-1, self.axes), measurement.reshape(-1, self.axes),
+                               feedforward.reshape(-1, self.axes), self._constants, self._state, command, feedback)
+        return command.reshape(shape), feedback.reshape(shape)
+
+    def pass_through(self, feedforward: Array) -> tuple[Array, Array]:
+        """The open loop: feedforward (N, A) in V within the limits, and a feedback of zeros."""
+        command, feedback = np.empty(feedforward.shape), np.zeros(feedforward.shape)
+        self.saturated += _limit(feedforward, self._constants, self._state, command)
+        return command, feedback
+
+    def ramp(self, target: Array, rate: float, ticks: int = 1) -> Array:
+        """Commands (ticks, A) that go from the last one to `target` (A,) in V at no more than `rate` V/s."""
+        step = rate * self.description.sample_time
+        start = np.where(np.isnan(self._state[1]), target, self._state[1])
+        way = target - start
+        moved = np.minimum(np.arange(1, ticks + 1)[:, None] * step, np.abs(way))
+        commands = np.clip(start + np.sign(way) * moved, self.description.lower, self.description.upper)
+        self._state[1] = commands[-1]
+        return commands
+
+
+@njit(cache=True)
+def _clamped(wanted: float, last: float, constants: Array) -> float:
+    value = min(max(wanted, constants[2]), constants[3])
+    if not np.isnan(last):
+        value = min(max(value, last - constants[4]), last + constants[4])
+    return value
+
+
+@njit(cache=True)
+def _run(reference: Array, measurement: Array, feedforward: Array, constants: Array, state: Array,
+         command: Array, feedback: Array) -> int:
+    kp, ki_step, share = constants[0], constants[1], constants[5]
+    saturated = 0
+    for k in range(command.shape[0]):
+        for axis in range(command.shape[1]):
+            error = reference[k, axis] - measurement[k, axis]
+            integral = state[0, axis] + ki_step * error
+            feedback[k, axis] = kp * error + integral
+            wanted = feedforward[k, axis] + feedback[k, axis]
+            limited = _clamped(wanted, state[1, axis], constants)
+            if limited != wanted:
+                saturated += 1
+                integral += (limited - wanted) * share
+            command[k, axis] = limited
+            state[0, axis] = integral
+            state[1, axis] = limited
+    return saturated
+
+
+@njit(cache=True)
+def _limit(feedforward: Array, constants: Array, state: Array, command: Array) -> int:
+    saturated = 0
+    for k in range(command.shape[0]):
+        for axis in range(command.shape[1]):
+            command[k, axis] = _clamped(feedforward[k, axis], state[1, axis], constants)
+            state[1, axis] = command[k, axis]
+            if command[k, axis] != feedforward[k, axis]:
+                saturated += 1
+    return saturated
