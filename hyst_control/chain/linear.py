@@ -14,10 +14,20 @@ import numpy as np
 from numba import njit
 from scipy.linalg import block_diag, expm, matrix_balance
 
-from hyst_control.chain.stage import (Array, Filter, Sampling, Stage, depth, frozen, per_axis, per_axis_scalar, register,
-                                      require_finite, require_positive)
+from hyst_control.chain.stage import (
+    Array,
+    Filter,
+    Sampling,
+    Stage,
+    depth,
+    frozen,
+    per_axis,
+    per_axis_scalar,
+    register,
+    require_finite,
+    require_positive,
+)
 from hyst_control.errors import InputError
-
 
 TINY = 1e-80
 """States below this are 0: a decaying state would else end in subnormal numbers, which processors handle a hundred times slower."""

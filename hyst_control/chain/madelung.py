@@ -20,8 +20,18 @@ import numpy as np
 from numba import njit
 
 from hyst_control.chain.curves import Curve, evaluate_curve, knot_curve, polynomial_curve, solve_curve
-from hyst_control.chain.stage import (Array, Filter, Sampling, Stage, depth, per_axis, per_axis_scalar, register,
-                                      require_finite, require_positive)
+from hyst_control.chain.stage import (
+    Array,
+    Filter,
+    Sampling,
+    Stage,
+    depth,
+    per_axis,
+    per_axis_scalar,
+    register,
+    require_finite,
+    require_positive,
+)
 from hyst_control.errors import InputError
 
 

@@ -16,8 +16,18 @@ from typing import Any, ClassVar
 import numpy as np
 from numba import njit
 
-from hyst_control.chain.stage import (Array, Filter, Sampling, Stage, depth, per_axis, per_axis_scalar, register,
-                                      require_finite, require_positive)
+from hyst_control.chain.stage import (
+    Array,
+    Filter,
+    Sampling,
+    Stage,
+    depth,
+    per_axis,
+    per_axis_scalar,
+    register,
+    require_finite,
+    require_positive,
+)
 from hyst_control.errors import InputError
 
 

@@ -16,8 +16,17 @@ import numpy as np
 from numba import njit
 
 from hyst_control.chain.play import check_operators
-from hyst_control.chain.stage import (Array, Filter, Sampling, Stage, per_axis, per_axis_scalar, register, require_finite,
-                                      require_positive)
+from hyst_control.chain.stage import (
+    Array,
+    Filter,
+    Sampling,
+    Stage,
+    per_axis,
+    per_axis_scalar,
+    register,
+    require_finite,
+    require_positive,
+)
 
 
 @njit(cache=True)

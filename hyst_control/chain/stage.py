@@ -162,6 +162,8 @@ def require_finite(value: ArrayLike | Any, field: str) -> None:
 def require_positive(value: Any, field: str, unit: str, zero_allowed: bool = False) -> None:
     """Raise `InputError` unless every number in the nested value is positive (or zero where that is allowed)."""
     require_finite(value, field)
-    for item in np.ravel(np.array(value, dtype=float)):
-        if item < 0 or (item == 0 and not zero_allowed):
-            raise InputError(f"{field}: {item:g} {unit} must be {'zero or ' if zero_allowed else ''}positive")
+    if isinstance(value, tuple):
+        for item in value:
+            require_positive(item, field, unit, zero_allowed)
+    elif value < 0 or (value == 0 and not zero_allowed):
+        raise InputError(f"{field}: {value:g} {unit} must be {'zero or ' if zero_allowed else ''}positive")

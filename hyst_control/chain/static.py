@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Callable, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from hyst_control.chain.stage import (Array, Filter, Sampling, Stage, per_axis_scalar, register, require_finite,
-                                      require_positive)
+from hyst_control.chain.stage import (
+    Array,
+    Filter,
+    Sampling,
+    Stage,
+    per_axis_scalar,
+    register,
+    require_finite,
+    require_positive,
+)
 from hyst_control.errors import InputError
 
 

@@ -12,7 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hyst_control.chain.linear import Delay, Discretised, LinearSystem, TransferFunction, discretise, transfer_function_system
+from hyst_control.chain.linear import (
+    Delay,
+    Discretised,
+    LinearSystem,
+    TransferFunction,
+    discretise,
+    transfer_function_system,
+)
 from hyst_control.chain.stage import Array, Sampling, Stage
 
 TAU_UNIT = 1e-4

@@ -138,6 +138,8 @@ class Grams:
     fitted: Array
     held_out: Array
     rows: tuple[int, int]
+    blocks: Array
+    """The Gram matrix of every block by itself (B, K, K): how much the blocks disagree says how sure the parameters are."""
 
 
 def gram_matrices(windows: Sequence[Window], operators: Operators, structure: Structure, parameters: Array, theta: Array,
@@ -147,6 +149,7 @@ def gram_matrices(windows: Sequence[Window], operators: Operators, structure: St
     total = columns + size + extra * groups + 1
     grams = np.zeros((2, total, total))
     rows = [0, 0]
+    blocks = []
     for window in windows:
         passing = _Pass(window, operators, structure, parameters, theta, step)
         n = len(window.command)
@@ -167,9 +170,12 @@ def gram_matrices(windows: Sequence[Window], operators: Operators, structure: St
             block[:, -1] = window.measurement[begin + used.start:end]
             # Every third tenth of a record is held out of the choice between structures.
             part = 1 if int(10 * share[0]) % 3 == 2 else 0
-            grams[part][np.ix_(place, place)] += block.T @ block
+            product = block.T @ block
+            grams[part][np.ix_(place, place)] += product
             rows[part] += len(block)
-    return Grams(grams[0], grams[1], (rows[0], rows[1]))
+            blocks.append(np.zeros((total, total)))
+            blocks[-1][np.ix_(place, place)] = product
+    return Grams(grams[0], grams[1], (rows[0], rows[1]), np.array(blocks))
 
 
 class _Pass:

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset, Fit
 from hyst_control.identify.dynamics import Structure
@@ -77,7 +76,7 @@ def fit_axis(datasets: Sequence[Dataset], axis: int, family: str, options: Optio
     operators = default_operators(windows, family, options)
     travel = max(np.ptp(window.measurement) for window in windows)
     drive = max(np.ptp(window.command) for window in windows)
-    problem = Problem(windows, operators, options.nuisance, len(datasets), 1e-3 * travel / drive)
+    problem = Problem(windows, operators, options.nuisance, len(datasets), travel / drive)
     if family == "rdpi":
         return AxisFit(*rate_dependent(problem))
     if family == "pi":
@@ -162,8 +161,3 @@ def rate_dependent(problem: Problem) -> tuple[Solution, Operators, float]:
     held_out = trial(operators.rate_gain).held_out
     final = solve(replace(problem, operators=operators), structure, np.zeros(0), everything=True)
     return final, operators, held_out
-
-
-def bounded_slopes(theta: Array, count: int) -> Array:
-    """Slopes (cumulative weights) from the linear parameters."""
-    return np.cumsum(theta[:count])

@@ -33,10 +33,16 @@ def cost(gram: Array, solution: Array) -> float:
     return max(float(vector @ gram @ vector), 0.0)
 
 
-def covariance(gram: Array, variance: float) -> Array:
-    """Covariance of unbounded least squares for residuals of the given variance."""
+def covariance(blocks: Array, solution: Array) -> Array:
+    """Covariance of a least-squares solution (K,) from the Gram matrices (B, K + 1, K + 1) of blocks of [columns, y].
+
+    The sandwich estimate with blocks as clusters (Liang and Zeger, Biometrika 73, 1986): residuals may be correlated within a
+    block, as those of a model error are, without making the parameters look surer than they are.
+    """
+    gram = blocks.sum(axis=0)[:-1, :-1]
+    scores = blocks[:, :-1, -1] - blocks[:, :-1, :-1] @ solution
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    scaled = gram / scale[:, None] / scale
-    values, vectors = np.linalg.eigh(scaled)
+    values, vectors = np.linalg.eigh(gram / scale[:, None] / scale)
     inverse = (vectors / np.maximum(values, 1e-13 * values[-1])) @ vectors.T
-    return variance * inverse / scale[:, None] / scale
+    spread = (scores / scale).T @ (scores / scale) * len(blocks) / max(len(blocks) - 1, 1)
+    return (inverse @ spread @ inverse) / scale[:, None] / scale

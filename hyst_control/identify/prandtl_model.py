@@ -16,7 +16,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify.dataset import Dataset, Fit
 from hyst_control.identify.gram import Operators
 from hyst_control.identify.least_squares import covariance
-from hyst_control.identify.report import command_bandwidth, noise_sigma, record_rows, residual_inflation
+from hyst_control.identify.report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.varpro import Solution
 from hyst_control.model_file import Model
 
@@ -43,7 +43,7 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
     parameters, notes = [], []
     relative: dict[str, list[float]] = {}
     for axis, name in zip(axes, first.axes, strict=True):
-        for row in parameter_rows(family, axis, first, residual_inflation(residuals)):
+        for row in parameter_rows(family, axis, first):
             row["axis"] = name
             parameters.append(row)
             key = row["name"].split("[")[0]
@@ -105,11 +105,11 @@ def merge_axes(chains: Sequence[Sequence[Stage]]) -> tuple[Stage, ...]:
     return tuple(merged)
 
 
-def parameter_rows(family: str, axis: AxisFit, data: Dataset, inflation: float) -> list[dict[str, Any]]:
+def parameter_rows(family: str, axis: AxisFit, data: Dataset) -> list[dict[str, Any]]:
     """Every parameter with its value, unit and standard error (None where the data cannot give one)."""
     solution, operators = axis.solution, axis.operators
-    gram = (solution.grams.fitted + solution.grams.held_out)[:-1, :-1]
-    spread = covariance(gram, solution.fitted * inflation)
+    size = solution.structure.size
+    spread = covariance(solution.grams.blocks, np.concatenate([solution.theta, np.zeros(size), solution.nuisances]))
     errors = np.sqrt(np.maximum(np.diag(spread), 0.0))
     count, columns = len(operators.thresholds), operators.columns
     rows = [{"name": f"weights[{i}]", "value": float(solution.theta[i]), "standard_error": float(errors[i]),

@@ -9,14 +9,15 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.identify.dataset import Dataset
-from hyst_control.identify.windows import memory_filled
+from hyst_control.identify.windows import before
 from hyst_control.model_file import Model, simulate
 
 
 def residual(model: Model, data: Dataset) -> Array:
     """Measured minus simulated (N, A); rows before the memory is filled are left out where the record's start is unknown."""
-    simulated = simulate(model, data.command, data.sample_time, data.hold)
-    begin = max(memory_filled(data.command[:, axis]) for axis in range(len(data.axes))) if data.start == "unknown" else 0
+    memory, begin = before(data)
+    command = data.command if memory is None else np.concatenate([memory, data.command])
+    simulated = simulate(model, command, data.sample_time, data.hold)[len(command) - len(data.command):]
     return data.measurement[begin:] - simulated[begin:]
 
 
@@ -44,26 +45,6 @@ def lag_one(error: Array) -> float:
     centered = error - np.mean(error)
     power = float(centered @ centered)
     return float(centered[1:] @ centered[:-1]) / power if power > 0 else 0.0
-
-
-def residual_inflation(residuals: Sequence[Array]) -> float:
-    """How much larger than that of white noise the variance of an estimate is: the sum of the residual's autocorrelation.
-
-    The sum runs to the first zero crossing, over at most a tenth of the longest record.
-    """
-    longest = max(residuals, key=len)
-    centered = longest - longest.mean(axis=0)
-    n = len(centered)
-    size = 1 << (2 * n - 1).bit_length()
-    spectrum = np.abs(np.fft.rfft(centered, size, axis=0)) ** 2
-    correlation = np.fft.irfft(spectrum, size, axis=0)[:max(n // 10, 2)]
-    power = np.maximum(correlation[0], 1e-300)
-    factors = []
-    for column in (correlation / power).T:
-        negative = np.flatnonzero(column <= 0)
-        end = negative[0] if len(negative) else len(column)
-        factors.append(1.0 + 2.0 * float(column[1:end].sum()))
-    return max(factors)
 
 
 def noise_sigma(residuals: Sequence[Array]) -> list[float]:

@@ -12,6 +12,11 @@ from hyst_control.identify.dynamics import Structure
 from hyst_control.identify.gram import Grams, Operators, Window, gram_matrices
 from hyst_control.identify.least_squares import cost, solve_bounded
 
+PRIOR = 1e-7
+"""Weight of the prior on the slopes, relative to the strongest regressor."""
+LEAST_SLOPE = 1e-3
+"""Smallest slope of a branch, relative to the mean slope."""
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -25,7 +30,7 @@ class Problem:
     operators: Operators
     nuisance: str
     groups: int
-    least_slope: float
+    mean_slope: float
 
     @property
     def to_weights(self) -> Array:
@@ -38,7 +43,7 @@ class Problem:
     def bounds(self, free: int) -> tuple[Array, Array]:
         """Bounds of the bounded coordinates followed by `free` unbounded ones."""
         n, dynamic = len(self.operators.thresholds), self.operators.dynamic
-        lower = np.concatenate([np.full(n, self.least_slope), [0.0, 0.0, -np.inf] * dynamic, np.full(free, -np.inf)])
+        lower = np.concatenate([np.full(n, LEAST_SLOPE * self.mean_slope), [0.0, 0.0, -np.inf] * dynamic, np.full(free, -np.inf)])
         return lower, np.full(len(lower), np.inf)
 
 
@@ -65,6 +70,11 @@ def linear_solution(problem: Problem, gram: Array, size: int) -> tuple[Array, Ar
     transform[:columns, :columns] = problem.to_weights
     reduced = transform.T @ gram[np.ix_(keep, keep)] @ transform
     target = transform.T @ gram[keep, total]
+    # Slopes that the data do not show stay at the mean slope: a prior far weaker than any data that do show them.
+    count = len(problem.operators.thresholds)
+    strength = PRIOR * float(np.max(np.diag(reduced)[:count]))
+    reduced[np.arange(count), np.arange(count)] += strength
+    target[:count] += strength * problem.mean_slope
     solution = transform @ solve_bounded(reduced, target, *problem.bounds(len(keep) - columns))
     return solution[:columns], solution[columns:]
 

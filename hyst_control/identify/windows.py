@@ -15,13 +15,29 @@ SETTLE_TIME = 0.25
 
 
 def whole_records(datasets: Sequence[Dataset], axis: int) -> list[Window]:
-    """Each record as one window. Where its start is unknown, rows count from where the memory is full."""
+    """Each record as one window; see `before` for one whose start is unknown."""
     windows = []
     for group, data in enumerate(datasets):
         command = np.ascontiguousarray(data.command[:, axis])
-        skip = memory_filled(command) if data.start == "unknown" else 0
-        windows.append(Window(command, np.ascontiguousarray(data.measurement[:, axis]), data.sample_time, data.hold, skip, group))
+        memory, skip = before(data)
+        windows.append(Window(command, np.ascontiguousarray(data.measurement[:, axis]), data.sample_time, data.hold, skip, group,
+                              memory=None if memory is None else np.ascontiguousarray(memory[:, axis])))
     return windows
+
+
+def before(data: Dataset) -> tuple[Array | None, int]:
+    """What a record was preceded by, as commands (M, A) or None for rest, and the first row that counts.
+
+    A record of unknown start that is a closed loop (it ends where it began) is taken to have been preceded by itself. Any other
+    counts from where its command has met both its extremes, which wipes out all earlier memory.
+    """
+    if data.start != "unknown":
+        return None, 0
+    gap = np.abs(np.stack([data.command[-1] - data.command[0], data.measurement[-1] - data.measurement[0]]))
+    span = np.stack([np.ptp(data.command, axis=0), np.ptp(data.measurement, axis=0)])
+    if np.all(gap < 0.03 * span):
+        return data.command, 0
+    return None, max(memory_filled(data.command[:, axis]) for axis in range(data.command.shape[1]))
 
 
 def stretches(windows: Sequence[Window], rows: int, length: float = 1.0) -> list[Window]:

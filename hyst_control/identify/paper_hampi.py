@@ -1,0 +1,107 @@
+"""The HAMPI paper's own sequence (§3.2): step → G(s), quasi-static loops → w_i, loops at 100 Hz → m1, m2, k, b.
+
+Kept to be compared with the joint fit: every later step inherits the error of the ones before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from hyst_control.errors import InputError
+from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.dynamics import Structure
+from hyst_control.identify.gram import Operators, Window, gram_matrices
+from hyst_control.identify.hammerstein import Options, check, default_operators
+from hyst_control.identify.least_squares import cost
+from hyst_control.identify.prandtl_model import AxisFit, assemble
+from hyst_control.identify.roles import Stretch, pick
+from hyst_control.identify.varpro import Problem, Solution, solve
+from hyst_control.identify.windows import turning_points, whole_records
+
+DYNAMIC_FREQUENCY = 100.0
+PAPER_STRUCTURE = Structure(modes=1, zeros=1, slow_pair=True)
+"""The factors of the paper's Eq. 7."""
+
+
+def fit(datasets: Sequence[Dataset], family: str, options: Options) -> Fit:
+    """Identify hapi or hampi in the paper's three steps.
+
+    Raises `InputError` naming the experiment that the records lack.
+    """
+    check(datasets)
+    axes = [_fit_axis(datasets, axis, family, options) for axis in range(len(datasets[0].axes))]
+    return assemble(datasets, family, "paper", axes)
+
+
+def _fit_axis(datasets: Sequence[Dataset], axis: int, family: str, options: Options) -> AxisFit:
+    step = _windows(datasets, axis, "step", "a step from rest that is then held")
+    slow = _windows(datasets, axis, "quasi_static", "loops at 5 Hz or slower")
+    everything = whole_records(datasets, axis)
+    operators = replace(default_operators(everything, family, options), dynamic=False)
+    drive = max(float(np.ptp(window.command)) for window in everything)
+    mean_slope = max(float(np.ptp(window.measurement)) for window in everything) / drive
+
+    # Step 1: G(s), with a plain gain for the hysteresis, which the small step hardly shows.
+    gain = Problem(step, Operators(np.zeros(1)), "none", len(datasets), mean_slope)
+    structure = options.structure or PAPER_STRUCTURE
+    trials = [solve(gain, structure, structure.start(frequency), everything=True) for frequency in (300.0, 800.0, 2000.0)]
+    parameters = min(trials, key=lambda trial: trial.fitted).parameters
+
+    # Step 2: the static weights, G(s) as it is.
+    static = solve(Problem(slow, operators, "offset", len(datasets), mean_slope), structure, parameters, passes=2, everything=True)
+    static = replace(static, parameters=parameters, held_out=static.fitted)
+    if family == "hapi":
+        return AxisFit(static, operators, static.fitted)
+
+    # Step 3: the dynamic weights, everything else as it is.
+    fast = _windows(datasets, axis, "dynamic", "loops at 100 Hz", DYNAMIC_FREQUENCY)
+    return _dynamic_weights(fast, replace(operators, dynamic=True), static, len(datasets))
+
+
+def _dynamic_weights(windows: Sequence[Window], operators: Operators, static: Solution, groups: int) -> AxisFit:
+    count = len(operators.thresholds)
+    grams = gram_matrices(windows, operators, static.structure, static.parameters, np.append(static.theta, np.zeros(3)), "offset",
+                          groups)
+    gram = grams.fitted + grams.held_out
+    size, total = static.structure.size, len(gram) - 1
+    keep = np.r_[0:operators.columns, operators.columns + size:total + 1]
+    gram = gram[np.ix_(keep, keep)]
+    # Columns m1, m2, k, b and the offset; b adds to every weight alike.
+    free = np.zeros((len(gram) - 1, 5))
+    free[count:count + 3, :3] = np.eye(3)
+    free[:count, 3] = 1.0
+    free = np.concatenate([free[:, :4], np.eye(len(gram) - 1)[:, operators.columns:]], axis=1)
+    fixed = np.concatenate([static.theta, np.zeros(len(gram) - 1 - count)])
+    normal, target = free.T @ gram[:-1, :-1] @ free, free.T @ (gram[:-1, -1] - gram[:-1, :-1] @ fixed)
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    values, vectors = np.linalg.eigh(normal / scale[:, None] / scale)
+    root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+    lower = np.concatenate([[0.0, 0.0], np.full(len(scale) - 2, -np.inf)])
+    found = lsq_linear(root[:, None] * vectors.T, (vectors.T @ (target / scale)) / root, (lower, np.inf)).x / scale
+    vector = fixed + free @ found
+    fitted = cost(gram, vector) / max(sum(grams.rows), 1)
+    solution = replace(static, theta=vector[:operators.columns], nuisances=vector[operators.columns:], fitted=fitted,
+                       held_out=fitted, grams=grams)
+    return AxisFit(solution, operators, fitted)
+
+
+def _windows(datasets: Sequence[Dataset], axis: int, kind: str, words: str, frequency: float | None = None) -> list[Window]:
+    chosen = pick(datasets, axis, kind, frequency)
+    if not chosen:
+        raise InputError(f"{', '.join(data.name for data in datasets)}: the paper's sequence needs {words}: add such a record or "
+                         "use the joint method")
+    return [_window(datasets[stretch.record], axis, stretch) for stretch in chosen]
+
+
+def _window(data: Dataset, axis: int, stretch: Stretch) -> Window:
+    command = np.ascontiguousarray(data.command[:, axis])
+    begin = max(stretch.begin - (20 if stretch.kind == "step" else 0), 0)
+    turning = turning_points(command[:begin + 1])
+    memory = command[turning[turning < begin]] if begin else None
+    part = slice(begin, stretch.end)
+    return Window(command[part], np.ascontiguousarray(data.measurement[part, axis]), data.sample_time, data.hold, 0,
+                  stretch.record, begin / len(command), (stretch.end - begin) / len(command), memory)
