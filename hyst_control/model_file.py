@@ -156,15 +156,30 @@ def model_from_document(document: Any) -> Model:
             raise InputError(f"chain[{index}] ({stage.name}): {error}") from None
         except MemoryError:
             raise InputError(f"chain[{index}] ({stage.name}): too large for this machine at {sample_time:g} s") from None
-    return Model(name=str(document.get("name", "model")), axes=tuple(axes), units=_units(document["units"]),
-                 sample_time=float(sample_time), chain=chain, hold=hold, valid=_ranges(document.get("valid")),
-                 noise=_noise(document.get("noise"), len(axes)), tolerance=_tolerance(document.get("tolerance")))
+    return Model(
+        name=str(document.get("name", "model")),
+        axes=tuple(axes),
+        units=_units(document["units"]),
+        sample_time=float(sample_time),
+        chain=chain,
+        hold=hold,
+        valid=_ranges(document.get("valid")),
+        noise=_noise(document.get("noise"), len(axes)),
+        tolerance=_tolerance(document.get("tolerance")),
+    )
 
 
 def model_to_document(model: Model) -> dict[str, Any]:
     """The model as plain lists, numbers and strings, in the order of the model file."""
-    document: dict[str, Any] = {"format": FORMAT, "version": VERSION, "name": model.name, "axes": list(model.axes),
-                                "units": dict(model.units), "sample_time": float(model.sample_time), "hold": model.hold}
+    document: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": model.name,
+        "axes": list(model.axes),
+        "units": dict(model.units),
+        "sample_time": float(model.sample_time),
+        "hold": model.hold,
+    }
     if model.valid:
         document["valid"] = _plain(model.valid)
     document["chain"] = [stage_to_document(stage) for stage in model.chain.stages]
@@ -298,8 +313,7 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
         return super().construct_mapping(node, deep)
 
 
-_Loader.add_implicit_resolver("tag:yaml.org,2002:float",
-                              re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789"))
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789"))
 
 
 class _Dumper(yaml.SafeDumper):

@@ -24,7 +24,9 @@ class Curve:
     coefficients: Array
 
     def __call__(self, x: Array) -> Array:
-        return evaluate_curve_array(np.ascontiguousarray(x, dtype=float).ravel(), self.breaks, self.coefficients).reshape(np.shape(x))
+        return evaluate_curve_array(np.ascontiguousarray(x, dtype=float).ravel(), self.breaks, self.coefficients).reshape(
+            np.shape(x)
+        )
 
 
 def polynomial_curve(coefficients: Array, field: str) -> Curve:
@@ -39,8 +41,10 @@ def polynomial_curve(coefficients: Array, field: str) -> Curve:
     edges = np.concatenate([[0.0], inside[(inside > 0) & (inside < 1)], [1.0]])
     for left, right in zip(edges[:-1], edges[1:], strict=True):
         if np.polyval(p, right) <= np.polyval(p, left):
-            raise InputError(f"{field}: the curve falls between {left:.4g} and {right:.4g} of the normalised input: "
-                             "a branch must rise all the way; correct the coefficients")
+            raise InputError(
+                f"{field}: the curve falls between {left:.4g} and {right:.4g} of the normalised input: "
+                "a branch must rise all the way; correct the coefficients"
+            )
     return Curve(np.array([0.0, 1.0]), p.reshape(1, -1))
 
 
@@ -55,8 +59,10 @@ def knot_curve(knots: Array, values: Array, field: str) -> Curve:
         raise InputError(f"{field}: starts at {values[0]:g}, a branch starts at 0")
     if np.any(np.diff(values) <= 0):
         i = int(np.argmax(np.diff(values) <= 0))
-        raise InputError(f"{field}: the curve falls between {knots[i]:.4g} and {knots[i + 1]:.4g} of the normalised input: "
-                         "a branch must rise all the way; correct the values")
+        raise InputError(
+            f"{field}: the curve falls between {knots[i]:.4g} and {knots[i + 1]:.4g} of the normalised input: "
+            "a branch must rise all the way; correct the values"
+        )
     return Curve(knots, np.ascontiguousarray(PchipInterpolator(knots, values).c.T))
 
 

@@ -71,8 +71,10 @@ class LinearSystem:
 
 def stacked(systems: list[LinearSystem]) -> LinearSystem:
     """Systems side by side as one, each on its own inputs and outputs."""
-    return LinearSystem(*(block_diag(*(getattr(system, part) for system in systems)) for part in "ABCD"),
-                        bias=np.concatenate([system.bias for system in systems]))
+    return LinearSystem(
+        *(block_diag(*(getattr(system, part) for system in systems)) for part in "ABCD"),
+        bias=np.concatenate([system.bias for system in systems]),
+    )
 
 
 def transfer_function_system(num: Array, den: Array) -> LinearSystem:
@@ -160,11 +162,27 @@ class TransferFunction(LinearStage):
             raise InputError(f"num: {len(self.num)} outputs by {len(self.num[0])} inputs for {axes} axes")
         columns = []
         for j in range(axes):
-            entries = [self._single(np.array(self.num[i][j]), np.array(self.den if common else self.den[i][j])) for i in range(axes)]
-            columns.append(LinearSystem(block_diag(*(e.A for e in entries)), np.vstack([e.B for e in entries]),
-                                        block_diag(*(e.C for e in entries)), np.vstack([e.D for e in entries]), np.zeros(axes)))
-        return [LinearSystem(block_diag(*(c.A for c in columns)), block_diag(*(c.B for c in columns)),
-                             np.hstack([c.C for c in columns]), np.hstack([c.D for c in columns]), np.zeros(axes))]
+            entries = [
+                self._single(np.array(self.num[i][j]), np.array(self.den if common else self.den[i][j])) for i in range(axes)
+            ]
+            columns.append(
+                LinearSystem(
+                    block_diag(*(e.A for e in entries)),
+                    np.vstack([e.B for e in entries]),
+                    block_diag(*(e.C for e in entries)),
+                    np.vstack([e.D for e in entries]),
+                    np.zeros(axes),
+                )
+            )
+        return [
+            LinearSystem(
+                block_diag(*(c.A for c in columns)),
+                block_diag(*(c.B for c in columns)),
+                np.hstack([c.C for c in columns]),
+                np.hstack([c.D for c in columns]),
+                np.zeros(axes),
+            )
+        ]
 
     @staticmethod
     def _single(num: Array, den: Array) -> LinearSystem:
@@ -212,8 +230,10 @@ class StateSpace(LinearStage):
         if not self.discrete:
             return super().filter(sampling)
         if abs(self.sample_time - sampling.sample_time) > 1e-9 * sampling.sample_time:
-            raise InputError(f"sample_time: this discrete state space advances by {self.sample_time:g} s but is run at "
-                             f"{sampling.sample_time:g} s: run it at its own sample time or give continuous matrices")
+            raise InputError(
+                f"sample_time: this discrete state space advances by {self.sample_time:g} s but is run at "
+                f"{sampling.sample_time:g} s: run it at its own sample time or give continuous matrices"
+            )
         system = self.systems(sampling.axes)[0]
         # Under zoh the sample wanted is the one at the interval's end, so the input of the interval acts at once.
         taps = np.stack([system.B, 0 * system.B, 0 * system.B])
@@ -247,8 +267,16 @@ class RateCorrection(LinearStage):
 
     def systems(self, axes: int) -> list[LinearSystem]:
         k1, k2, b1, b2 = (per_axis_scalar(getattr(self, field), axes, field) for field in ("k1", "k2", "b1", "b2"))
-        return [LinearSystem(np.array([[-b2[i] / k2[i]]]), np.array([[1.0]]), np.array([[-k1[i] * b2[i] / k2[i] ** 2]]),
-                             np.array([[k1[i] / k2[i]]]), np.array([b1[i] / b2[i]])) for i in range(axes)]
+        return [
+            LinearSystem(
+                np.array([[-b2[i] / k2[i]]]),
+                np.array([[1.0]]),
+                np.array([[-k1[i] * b2[i] / k2[i] ** 2]]),
+                np.array([[k1[i] / k2[i]]]),
+                np.array([b1[i] / b2[i]]),
+            )
+            for i in range(axes)
+        ]
 
 
 @register
@@ -307,7 +335,7 @@ def discretise(system: LinearSystem, fraction: Array, sampling: Sampling) -> Dis
     transition = expm(system.A * ts)
     for j in range(m):
         f = fraction[j]
-        column = system.B[:, j:j + 1]
+        column = system.B[:, j : j + 1]
         first_start, first_end = _held_input(system.A, column, f * ts)
         second_start, second_end = _held_input(system.A, column, (1.0 - f) * ts)
         carry = expm(system.A * (1.0 - f) * ts)
@@ -333,10 +361,10 @@ def _held_input(a: Array, b: Array, time: float) -> tuple[Array, Array]:
     # Van Loan: the exponential of [[A, B, 0], [0, 0, 1/T], [0, 0, 0]] holds the step and the ramp response.
     block = np.zeros((n + 2, n + 2))
     block[:n, :n] = a
-    block[:n, n:n + 1] = b
+    block[:n, n : n + 1] = b
     block[n, n + 1] = 1.0 / time
     exponential = expm(block * time)
-    step, ramp = exponential[:n, n:n + 1], exponential[:n, n + 1:n + 2]
+    step, ramp = exponential[:n, n : n + 1], exponential[:n, n + 1 : n + 2]
     return step - ramp, ramp
 
 
@@ -360,9 +388,11 @@ def advance_linear(block, a, b, c, d, bias, whole, state, scratch, history, posi
                     value += a[s, i, j] * state[s, j]
                 for j in range(m):
                     at = position - whole[s * m + j]
-                    value += (b[s, 0, i, j] * history[at % length, s * m + j]
-                              + b[s, 1, i, j] * history[(at - 1) % length, s * m + j]
-                              + b[s, 2, i, j] * history[(at - 2) % length, s * m + j])
+                    value += (
+                        b[s, 0, i, j] * history[at % length, s * m + j]
+                        + b[s, 1, i, j] * history[(at - 1) % length, s * m + j]
+                        + b[s, 2, i, j] * history[(at - 2) % length, s * m + j]
+                    )
                 scratch[i] = value
             for i in range(n):
                 state[s, i] = scratch[i] if abs(scratch[i]) > TINY else 0.0
@@ -372,8 +402,7 @@ def advance_linear(block, a, b, c, d, bias, whole, state, scratch, history, posi
                     value += c[s, p, j] * state[s, j]
                 for j in range(m):
                     at = position - whole[s * m + j]
-                    value += (d[s, 0, p, j] * history[at % length, s * m + j]
-                              + d[s, 1, p, j] * history[(at - 1) % length, s * m + j])
+                    value += d[s, 0, p, j] * history[at % length, s * m + j] + d[s, 1, p, j] * history[(at - 1) % length, s * m + j]
                 output[row, s * m + p] = value
         position = (position + 1) % length
     return position
@@ -418,8 +447,20 @@ class LinearFilter(Filter):
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
-        self.position = advance_linear(block, self.a, self.b, self.c, self.d, self.bias, self.whole, self.state, self.scratch,
-                                       self.history, self.position, output)
+        self.position = advance_linear(
+            block,
+            self.a,
+            self.b,
+            self.c,
+            self.d,
+            self.bias,
+            self.whole,
+            self.state,
+            self.scratch,
+            self.history,
+            self.position,
+            output,
+        )
         return output
 
 

@@ -92,7 +92,9 @@ def madelung_branches(source, inverse, rising, falling, full, end_slope, stack, 
 class MadelungFilter(Filter):
     """Streaming Madelung hysteresis, or its inverse, one stack per axis."""
 
-    def __init__(self, curves: list[tuple[Curve, Curve]], input_scale: Array, output_scale: Array, inverse: bool, hold: str) -> None:
+    def __init__(
+        self, curves: list[tuple[Curve, Curve]], input_scale: Array, output_scale: Array, inverse: bool, hold: str
+    ) -> None:
         self.hold = hold
         self.inverse = inverse
         self.to_inside = 1.0 / (output_scale if inverse else input_scale)
@@ -121,8 +123,19 @@ class MadelungFilter(Filter):
             column, result = np.ascontiguousarray(inside[:, axis]), np.empty(len(block))
             row = 0
             while True:
-                row = madelung_branches(column, self.inverse, self.rising[axis], self.falling[axis], self.full[axis],
-                                        self.end_slope[axis], self.stack[axis], self.stack_depth[axis], self.last[axis], result, row)
+                row = madelung_branches(
+                    column,
+                    self.inverse,
+                    self.rising[axis],
+                    self.falling[axis],
+                    self.full[axis],
+                    self.end_slope[axis],
+                    self.stack[axis],
+                    self.stack_depth[axis],
+                    self.last[axis],
+                    result,
+                    row,
+                )
                 if row == len(column):
                     break
                 self.stack[axis] = np.concatenate([self.stack[axis], np.zeros_like(self.stack[axis])])
@@ -139,7 +152,7 @@ def mirrored(down: Curve) -> Curve:
         width = down.breaks[piece + 1] - down.breaks[piece]
         shifted = np.poly1d(down.coefficients[piece])(np.poly1d([-1.0, width]))
         flipped = np.zeros(down.coefficients.shape[1])
-        flipped[len(flipped) - len(shifted.coeffs):] = -shifted.coeffs
+        flipped[len(flipped) - len(shifted.coeffs) :] = -shifted.coeffs
         flipped[-1] += full
         pieces.append(flipped)
     coefficients = np.array(pieces)
@@ -183,19 +196,27 @@ class Madelung(Stage):
     def curves(self, axes: int) -> list[tuple[Curve, Curve]]:
         """Ascending and descending curve of every axis, checked for monotony and closure."""
         pairs = []
-        for up, down in zip(per_axis(self.ascending, axes, 1, "ascending"), per_axis(self.descending, axes, 1, "descending"),
-                            strict=True):
+        for up, down in zip(
+            per_axis(self.ascending, axes, 1, "ascending"), per_axis(self.descending, axes, 1, "descending"), strict=True
+        ):
             if self.knots is None:
                 pair = polynomial_curve(up, "ascending"), polynomial_curve(down, "descending")
             else:
                 pair = knot_curve(self.knots, up, "ascending"), knot_curve(self.knots, down, "descending")
             ends = [float(curve(np.ones(1))[0]) for curve in pair]
             if abs(ends[0] - ends[1]) > 1e-6 * abs(ends[0]):
-                raise InputError(f"descending: ends at {ends[1]:.6g} where ascending ends at {ends[0]:.6g}: scale the curves to meet")
+                raise InputError(
+                    f"descending: ends at {ends[1]:.6g} where ascending ends at {ends[0]:.6g}: scale the curves to meet"
+                )
             pairs.append(pair)
         return pairs
 
     def filter(self, sampling: Sampling) -> Filter:
         axes = sampling.axes
-        return MadelungFilter(self.curves(axes), per_axis_scalar(self.input_scale, axes, "input_scale"),
-                              per_axis_scalar(self.output_scale, axes, "output_scale"), self.inverse, sampling.hold)
+        return MadelungFilter(
+            self.curves(axes),
+            per_axis_scalar(self.input_scale, axes, "input_scale"),
+            per_axis_scalar(self.output_scale, axes, "output_scale"),
+            self.inverse,
+            sampling.hold,
+        )

@@ -81,8 +81,9 @@ def dynamic_prandtl_ishlinskii(command, previous, rate_factor, thresholds, relea
 class PlayFilter(Filter):
     """Streaming Prandtl-Ishlinskii model, classical or with dynamic weights."""
 
-    def __init__(self, sampling: Sampling, thresholds: list[Array], weights: list[Array], one_sided: bool,
-                 coefficients: dict[str, Array]) -> None:
+    def __init__(
+        self, sampling: Sampling, thresholds: list[Array], weights: list[Array], one_sided: bool, coefficients: dict[str, Array]
+    ) -> None:
         axes = sampling.axes
         count = max(len(r) for r in thresholds)
         self.hold = sampling.hold
@@ -90,8 +91,8 @@ class PlayFilter(Filter):
         self.thresholds = np.full((axes, count), np.inf)
         self.weights = np.zeros((axes, count))
         for axis, (r, w) in enumerate(zip(thresholds, weights, strict=True)):
-            self.thresholds[axis, :len(r)] = r
-            self.weights[axis, :len(w)] = w
+            self.thresholds[axis, : len(r)] = r
+            self.weights[axis, : len(w)] = w
         self.release = np.where(np.isfinite(self.thresholds), 0.0, np.inf) if one_sided else self.thresholds.copy()
         self.state = np.zeros((axes, count))
         self.previous = np.zeros(axes)
@@ -106,8 +107,21 @@ class PlayFilter(Filter):
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
         w0, m1, m2, k, b = self.coefficients
-        dynamic_prandtl_ishlinskii(block, self.previous, self.rate_factor, self.thresholds, self.release, self.weights,
-                                   w0, m1, m2, k, b, self.state, output)
+        dynamic_prandtl_ishlinskii(
+            block,
+            self.previous,
+            self.rate_factor,
+            self.thresholds,
+            self.release,
+            self.weights,
+            w0,
+            m1,
+            m2,
+            k,
+            b,
+            self.state,
+            output,
+        )
         return output
 
 
@@ -116,8 +130,9 @@ def check_operators(thresholds: Any, weights: Any) -> None:
     require_positive(thresholds, "thresholds", "V", zero_allowed=True)
     require_finite(weights, "weights")
     axes = max(len(value) if depth(value) == 2 else 1 for value in (thresholds, weights))
-    for axis, (r, w) in enumerate(zip(per_axis(thresholds, axes, 1, "thresholds"), per_axis(weights, axes, 1, "weights"),
-                                      strict=True)):
+    for axis, (r, w) in enumerate(
+        zip(per_axis(thresholds, axes, 1, "thresholds"), per_axis(weights, axes, 1, "weights"), strict=True)
+    ):
         where = f" of axis {axis}" if axes > 1 else ""
         if np.any(np.diff(r) <= 0):
             i = int(np.argmax(np.diff(r) <= 0))
@@ -130,8 +145,13 @@ def play_filter(stage: Any, sampling: Sampling, **coefficients: Any) -> PlayFilt
     """A `PlayFilter` for a stage with thresholds and weights; coefficients not given are 0."""
     axes = sampling.axes
     values = {key: per_axis_scalar(coefficients.get(key, 0.0), axes, key) for key in ("w0", "m1", "m2", "k", "b")}
-    return PlayFilter(sampling, per_axis(stage.thresholds, axes, 1, "thresholds"),
-                      per_axis(stage.weights, axes, 1, "weights"), stage.one_sided, values)
+    return PlayFilter(
+        sampling,
+        per_axis(stage.thresholds, axes, 1, "thresholds"),
+        per_axis(stage.weights, axes, 1, "weights"),
+        stage.one_sided,
+        values,
+    )
 
 
 @register
@@ -149,8 +169,9 @@ class PlayOperator(Stage):
     def filter(self, sampling: Sampling) -> Filter:
         thresholds = [np.array([r]) for r in per_axis_scalar(self.threshold, sampling.axes, "threshold")]
         zero = np.zeros(sampling.axes)
-        return PlayFilter(sampling, thresholds, [np.ones(1)] * sampling.axes, self.one_sided,
-                          dict.fromkeys(("w0", "m1", "m2", "k", "b"), zero))
+        return PlayFilter(
+            sampling, thresholds, [np.ones(1)] * sampling.axes, self.one_sided, dict.fromkeys(("w0", "m1", "m2", "k", "b"), zero)
+        )
 
 
 @register

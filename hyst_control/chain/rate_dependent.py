@@ -57,7 +57,7 @@ class RateDependentFilter(Filter):
         self.hold = sampling.hold
         self.thresholds, self.weights = np.full((axes, count), np.inf), np.zeros((axes, count))
         for axis, (r, w) in enumerate(zip(thresholds, weights, strict=True)):
-            self.thresholds[axis, :len(r)], self.weights[axis, :len(w)] = r, w
+            self.thresholds[axis, : len(r)], self.weights[axis, : len(w)] = r, w
         self.w0, self.beta = w0, beta
         self.state, self.previous = np.zeros((axes, count)), np.zeros(axes)
         self.rate_factor = 1.0 / sampling.sample_time
@@ -69,8 +69,9 @@ class RateDependentFilter(Filter):
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
-        rate_dependent_prandtl_ishlinskii(block, self.previous, self.rate_factor, self.thresholds, self.weights, self.w0,
-                                          self.beta, self.state, output)
+        rate_dependent_prandtl_ishlinskii(
+            block, self.previous, self.rate_factor, self.thresholds, self.weights, self.w0, self.beta, self.state, output
+        )
         return output
 
 
@@ -92,6 +93,10 @@ class RateDependentPrandtlIshlinskii(Stage):
 
     def filter(self, sampling: Sampling) -> Filter:
         axes = sampling.axes
-        return RateDependentFilter(sampling, per_axis(self.thresholds, axes, 1, "thresholds"),
-                                   per_axis(self.weights, axes, 1, "weights"), per_axis_scalar(self.w0, axes, "w0"),
-                                   per_axis_scalar(self.beta, axes, "beta"))
+        return RateDependentFilter(
+            sampling,
+            per_axis(self.thresholds, axes, 1, "thresholds"),
+            per_axis(self.weights, axes, 1, "weights"),
+            per_axis_scalar(self.w0, axes, "w0"),
+            per_axis_scalar(self.beta, axes, "beta"),
+        )

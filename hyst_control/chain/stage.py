@@ -93,8 +93,9 @@ class Stage:
 
     def parameters(self) -> dict[str, Any]:
         """The parameters as they stand in a model file, without those left at their default."""
-        return {field.name: thawed(getattr(self, field.name)) for field in fields(self)
-                if getattr(self, field.name) != field.default}
+        return {
+            field.name: thawed(getattr(self, field.name)) for field in fields(self) if getattr(self, field.name) != field.default
+        }
 
 
 STAGES: dict[str, type[Stage]] = {}

@@ -1,0 +1,177 @@
+"""Properties that every registered stage has: blocks do not matter, and rest is rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hyst_control.chain import STAGES, Chain, Sampling
+from hyst_control.chain.play import PlayOperator
+from hyst_control.chain.static import Gain
+
+SAMPLE_TIME = 1e-4
+RISING, FALLING = [0.2, 0.5, 0.3], [-0.3, -0.2, 1.5]
+"""A Madelung pair in closed form: x³/5 + x²/2 + 3x/10 below, its mirror image 1 - f(1 - x) above."""
+
+
+def spread(axes: int, *choices: object) -> object:
+    """One parameter value for one axis, a list of them, cyclically, for more."""
+    return choices[0] if axes == 1 else [choices[i % len(choices)] for i in range(axes)]
+
+
+EXAMPLES = {
+    "gain": lambda n: {"gain": spread(n, 1.7, -0.3)},
+    "offset": lambda n: {"offset": spread(n, 0.4, -2.0)},
+    "saturation": lambda n: {"lower": spread(n, 10.0, 20.0), "upper": spread(n, 70.0, 50.0)},
+    "quantization": lambda n: {"step": spread(n, 0.1, 2.5)},
+    "delay": lambda n: {"tau": spread(n, 2.3e-4, 7e-5, 1.0e-3)},
+    "transfer_function": lambda n: {"num": spread(n, [1e4, 4e7], [3e7]), "den": spread(n, [1.0, 900.0, 4e7], [1.0, 400.0, 3e7])},
+    "state_space": lambda n: {
+        "A": (-np.diag([800.0, 3000.0, 9000.0])[:n, :n]).tolist(),
+        "B": np.full((n, n), 500.0).tolist(),
+        "C": (np.eye(n) + 0.1).tolist(),
+        "D": (0.2 * np.eye(n)).tolist(),
+    },
+    "rate_correction": lambda n: {"k1": spread(n, -1e-3, 2e-3), "k2": spread(n, 7e-4, 3e-4), "b1": spread(n, 0.1, 0.0)},
+    "cross_coupling": lambda n: {"matrix": (np.eye(n) + 0.03 - 0.01 * np.tri(n)).tolist(), "corner": 300.0},
+    "parallel": lambda n: {"branches": ((Gain(0.5),), (PlayOperator(3.0), Gain(0.2)))},
+    "play_operator": lambda n: {"threshold": spread(n, 5.0, 12.0)},
+    "prandtl_ishlinskii": lambda n: {
+        "thresholds": spread(n, [0.0, 4.0, 11.0], [1.0, 9.0]),
+        "weights": spread(n, [0.2, 0.5, -0.1], [0.3, 0.4]),
+        "w0": 0.3,
+    },
+    "rate_dependent_prandtl_ishlinskii": lambda n: {
+        "thresholds": spread(n, [2.0, 7.0], [1.0]),
+        "weights": spread(n, [0.4, 0.3], [0.9]),
+        "beta": spread(n, 1e-5, 0.0),
+    },
+    "modified_prandtl_ishlinskii": lambda n: {
+        "thresholds": spread(n, [0.5, 5.5, 20.0], [1.0, 30.0]),
+        "one_sided": True,
+        "weights": spread(n, [0.5, 0.2, 0.3], [0.6, -0.1]),
+        "m1": spread(n, 8e-7, 0.0),
+        "m2": 3e-7,
+        "k": spread(n, -6e-4, 1e-4),
+        "b": 0.02,
+    },
+    "madelung": lambda n: {
+        "ascending": spread(n, RISING, FALLING),
+        "descending": spread(n, FALLING, FALLING),
+        "input_scale": spread(n, 100.0, 80.0),
+        "output_scale": spread(n, 2.0, 0.6),
+    },
+}
+"""Parameters of every stage for a number of axes, different from axis to axis where they may be."""
+
+VARIANTS = {
+    "prandtl_ishlinskii, one-sided": (
+        "prandtl_ishlinskii",
+        lambda n: {"thresholds": [1.0, 6.0], "weights": [0.5, 0.3], "one_sided": True},
+    ),
+    "modified_prandtl_ishlinskii, two-sided": (
+        "modified_prandtl_ishlinskii",
+        lambda n: {"thresholds": [1.0, 6.0], "weights": [0.5, 0.3], "m1": 1e-6, "w0": 0.1},
+    ),
+    "cross_coupling, static": ("cross_coupling", lambda n: {"matrix": (np.eye(n) + 0.03).tolist()}),
+    "state_space, discrete": (
+        "state_space",
+        lambda n: {
+            "A": np.diag([0.9, 0.5, -0.2])[:n, :n].tolist(),
+            "sample_time": SAMPLE_TIME,
+            "B": np.ones((n, n)).tolist(),
+            "C": np.eye(n).tolist(),
+            "D": np.full((n, n), 0.1).tolist(),
+        },
+    ),
+    "transfer_function, coupled": (
+        "transfer_function",
+        lambda n: {
+            "coupled": True,
+            "den": [1.0, 900.0, 4e7],
+            "num": [[[1e4 if i == j else 2e3, 3e7 + 1e7 * (i - j)] for j in range(n)] for i in range(n)],
+        },
+    ),
+    "madelung, inverse": (
+        "madelung",
+        lambda n: {"ascending": RISING, "descending": FALLING, "input_scale": 100.0, "output_scale": 80.0, "inverse": True},
+    ),
+    "madelung, knots": (
+        "madelung",
+        lambda n: {
+            "ascending": spread(n, [0.0, 0.3, 1.0], [0.0, 0.2, 1.0]),
+            "knots": [0.0, 0.4, 1.0],
+            "descending": [0.0, 0.6, 1.0],
+            "input_scale": 100.0,
+            "output_scale": 2.0,
+        },
+    ),
+}
+CASES = {**{name: (name, make) for name, make in EXAMPLES.items()}, **VARIANTS}
+
+
+def test_every_registered_stage_has_an_example():
+    assert set(STAGES) == set(EXAMPLES), "add the parameters of a new stage to EXAMPLES: its blocks are then tested too"
+
+
+def command(seed: int, rows: int, axes: int) -> np.ndarray:
+    """A wandering command (rows, axes) in V with turns, plateaus and excursions beyond 0…100 V."""
+    random = np.random.default_rng(seed)
+    steps = random.normal(0.0, 12.0, (rows, axes)) * (random.random((rows, axes)) < 0.7)
+    return 50.0 + 0.6 * np.cumsum(steps, axis=0)
+
+
+def started(case: str, axes: int, hold: str):
+    name, make = CASES[case]
+    return Chain((STAGES[name](**make(axes)),)).filter(Sampling(SAMPLE_TIME, axes, hold))
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+@pytest.mark.parametrize("case", CASES)
+@settings(max_examples=12, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), axes=st.integers(1, 3), cuts=st.lists(st.integers(0, 150), max_size=8))
+def test_any_cutting_into_blocks_gives_the_same_bits(case, hold, seed, axes, cuts):
+    u = command(seed, 150, axes)
+    whole, cut = started(case, axes, hold), started(case, axes, hold)
+    np.testing.assert_array_equal(whole.settle(u[0]), cut.settle(u[0]))
+    pieces = [cut.process(np.ascontiguousarray(u[i:j])) for i, j in zip([0, *sorted(cuts)], [*sorted(cuts), 150])]
+    np.testing.assert_array_equal(np.concatenate(pieces), whole.process(u))
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+@pytest.mark.parametrize("case", CASES)
+def test_settle_is_where_a_long_constant_input_ends(case, hold):
+    """From rest at 0, a slow rise and then a constant: the output must come to the settled one."""
+    axes, value = 2, np.array([37.0, 61.0])
+    settled = started(case, axes, hold).settle(value)
+    slow = started(case, axes, hold)
+    slow.settle(np.zeros(axes))
+    slow.process(np.linspace(0.0, 1.0, 3000)[:, None] * value)
+    last = slow.process(np.tile(value, (2000, 1)))[-1]
+    np.testing.assert_allclose(last, settled, rtol=1e-9, atol=1e-9)
+    # And a filter that settled there stays there.
+    resting = started(case, axes, hold)
+    resting.settle(value)
+    np.testing.assert_allclose(resting.process(np.tile(value, (5, 1))), np.tile(settled, (5, 1)), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_settling_again_forgets_everything(case):
+    u = command(5, 200, 2)
+    running = started(case, 2, "zoh")
+    running.settle(u[0])
+    first = running.process(u)
+    running.settle(u[0])
+    np.testing.assert_array_equal(running.process(u), first)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_block_given_is_not_changed(case):
+    u = command(7, 50, 2)
+    copy = u.copy()
+    running = started(case, 2, "zoh")
+    running.settle(u[0])
+    running.process(u)
+    np.testing.assert_array_equal(u, copy)
