@@ -116,15 +116,13 @@ def local_polynomial(
     if kind == "settled":
         u, y = np.diff(u, axis=0), np.diff(y, axis=0)
     n, m, records = u.shape
-    spectrum_u = np.fft.rfft(u, axis=0)[1:] / np.sqrt(n)
-    spectrum_y = np.fft.rfft(y, axis=0)[1:] / np.sqrt(n)
-    frequency = np.arange(1, len(spectrum_u) + 1) / (n * sample_time)
-    if highest is not None:
-        keep = frequency <= highest
-        frequency, spectrum_u, spectrum_y = frequency[keep], spectrum_u[keep], spectrum_y[keep]
+    spectrum_u, spectrum_y = np.fft.rfft(u, axis=0) / np.sqrt(n), np.fft.rfft(y, axis=0) / np.sqrt(n)
+    lines = np.arange(1, len(spectrum_u))
     if kind == "periodic":
-        excited = excited_lines(np.sum(np.abs(spectrum_u) ** 2, axis=(1, 2)))
-        frequency, spectrum_u, spectrum_y = frequency[excited], spectrum_u[excited], spectrum_y[excited]
+        lines = excited_lines(np.sum(np.abs(spectrum_u) ** 2, axis=(1, 2)))
+    if highest is not None:
+        lines = lines[lines <= highest * n * sample_time]
+    frequency, spectrum_u, spectrum_y = lines / (n * sample_time), spectrum_u[lines], spectrum_y[lines]
     unknowns = (degree + 1) * (m + (records if kind == "arbitrary" else 0))
     if half_width is None:
         half_width = int(np.ceil((1.5 * unknowns + 4) / records / 2))

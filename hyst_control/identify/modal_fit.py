@@ -2,7 +2,7 @@
 
 Time is counted in samples here (sample time 1), poles accordingly: λ = p · sample time. The model of output o is
 
-    Y_o(z) = Σ_i c_io [Σ_j b_ij φ_j(λ_i, z) U_j(z) + t_i ψ(λ_i, z)] + Σ_j D_oj δ_j(z) U_j(z) + d_o
+    Y_o(z) = Σ_i c_io [Σ_j b_ij φ_j(λ_i, z) U_j(z) + t_i ψ(λ_i, z)] + Σ_j D_oj δ_j(z) U_j(z) + d_o(z)
 
 with one term per real pole and two, conjugate to each other, per complex pair. Each pole carries a residue matrix c bᵀ
 of rank one, so n poles are n states. φ_j is the exact response of a mode to the held command, late by τ_j samples
@@ -89,11 +89,7 @@ class ModalModel:
     def parameters(self) -> int:
         """Number of free parameters: n (m + p) + m p, and the delays that are not zero."""
         outputs, inputs = self.feedthrough.shape
-        return (
-            self.states * (outputs + inputs)
-            + int(np.count_nonzero(self.feedthrough))
-            + int(np.count_nonzero(self.delay))
-        )
+        return self.states * (outputs + inputs) + int(np.count_nonzero(self.feedthrough)) + int(np.count_nonzero(self.delay))
 
     def response(self, angle: Array) -> np.ndarray:
         """Frequency response (F, p, m) of the sampled system at `angle` (F,), radian per sample."""
@@ -135,12 +131,12 @@ class ModalModel:
 
 @dataclass(frozen=True)
 class Transients:
-    """Linear nuisance of the records that are not periodic: per record the modes' t (n,) complex and the constant d
+    """Linear nuisance of the records that are not periodic: per record the modes' t (n,) complex and the edge d
     (p,).
     """
 
     modes: list[np.ndarray] = field(default_factory=list)
-    constant: list[Array] = field(default_factory=list)
+    edge: list[Array] = field(default_factory=list)
 
 
 def taps(pole: complex, late: float, hold: str) -> tuple[complex, complex, complex]:
@@ -190,9 +186,7 @@ def direct_response(delay: Array, hold: str, z: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=-1)
 
 
-def subspace(
-    data: Sequence[Spectra], orders: Sequence[int], delay: Array, hold: str, direct: bool = True
-) -> list[ModalModel]:
+def subspace(data: Sequence[Spectra], orders: Sequence[int], delay: Array, hold: str, direct: bool = True) -> list[ModalModel]:
     """Models of the given orders (states) from one singular value decomposition; McKelvey et al. 1996, algorithm 2.
 
     The unit circle is warped by the bilinear map that takes the highest line to three quarters of the circle, so that
@@ -220,9 +214,7 @@ def subspace(
                 u[:, used] = np.sqrt(np.mean(np.abs(spectra.command[:, :, r]) ** 2))
                 used += 1
             columns_u.append(np.einsum("kq,kj->qjk", powers, u).reshape(blocks * inputs, -1))
-            columns_y.append(
-                np.einsum("kq,ko->qok", powers, spectra.measurement[:, :, r]).reshape(blocks * outputs, -1)
-            )
+            columns_y.append(np.einsum("kq,ko->qok", powers, spectra.measurement[:, :, r]).reshape(blocks * outputs, -1))
     stacked = np.vstack([np.hstack(columns_u), np.hstack(columns_y)])
     real = np.hstack([stacked.real, stacked.imag])
     triangle = qr(real.T, mode="r")[0][: real.shape[0]].T
@@ -250,7 +242,7 @@ def subspace(
             hold,
         )
         problem = Problem(data, start, direct)
-        models.append(problem.fit_linear("b"))
+        models.append(problem.fit_linear("b", "D", "t", "d"))
     return models
 
 
@@ -266,7 +258,7 @@ class Layout:
     size: int
 
     @classmethod
-    def of(cls, n: int, m: int, p: int, records: int, direct: bool, free_delay: bool) -> Layout:
+    def of(cls, n: int, m: int, p: int, records: int, edges: int, direct: bool, free_delay: bool) -> Layout:
         """The layout for these sizes."""
         sizes = {
             "pole": 2 * n,
@@ -275,7 +267,7 @@ class Layout:
             "D": p * m * direct,
             "delay": m * free_delay,
             "t": 2 * n * records,
-            "d": p * records,
+            "d": p * edges * records,
         }
         ends = np.cumsum(list(sizes.values()))
         return cls(
@@ -298,9 +290,7 @@ class Problem:
     the Gram matrix W^H W only, whatever the number of lines.
     """
 
-    def __init__(
-        self, data: Sequence[Spectra], model: ModalModel, direct: bool = True, free_delay: bool = False
-    ) -> None:
+    def __init__(self, data: Sequence[Spectra], model: ModalModel, direct: bool = True, free_delay: bool = False) -> None:
         compressed = [spectra.compressed() for spectra in data]
         self.data = [kept for kept, _ in compressed]
         self.irreducible = sum(rest for _, rest in compressed)
@@ -309,10 +299,13 @@ class Problem:
         self.model = model
         self.records = sum(s.command.shape[2] for s in self.data if not s.periodic)
         n, p, m = len(model.poles), *model.feedthrough.shape
+        # A delayed command reaches back before the record: as many samples of its output are free as the delay is long.
+        self.edges = 2 + int(np.ceil(model.delay.max()))
         self.transients = Transients(
-            [np.zeros(n, dtype=complex) for _ in range(self.records)], [np.zeros(p) for _ in range(self.records)]
+            [np.zeros(n, dtype=complex) for _ in range(self.records)],
+            [np.zeros((self.edges, p)) for _ in range(self.records)],
         )
-        self.layout = Layout.of(n, m, p, self.records, direct, free_delay)
+        self.layout = Layout.of(n, m, p, self.records, self.edges, direct, free_delay)
         self.free = np.ones(self.layout.size, dtype=bool)
         real = model.poles.imag == 0
         self.free[self.layout.indices("pole", n, 2)[real, 1]] = False
@@ -320,10 +313,10 @@ class Problem:
         self.free[self.layout.indices("b", 2, n, m)[1, real]] = False
         self.free[self.layout.indices("t", self.records, 2, n)[:, 1, real]] = False
         # Columns of W: per branch (pole, then conjugates) m driven, 1 slope, the transients, m delay slopes; then the
-        # direct part (m, the constants, m delay slopes).
+        # direct part (m, the edges, m delay slopes).
         self.branches = [(i, False) for i in range(n)] + [(i, True) for i in range(n) if not real[i]]
         self.width = m + 1 + self.records + m * free_delay
-        self.columns = self.width * len(self.branches) + m + self.records + m * free_delay
+        self.columns = self.width * len(self.branches) + m + self.records * self.edges + m * free_delay
 
     def normal_equations(self) -> tuple[Array, Array, float]:
         """JᵀJ (P, P), Jᵀr (P,) and rᵀr over all data at the present model; r is measured minus model."""
@@ -358,7 +351,7 @@ class Problem:
         """
         matrix, vector, _ = self.normal_equations()
         chosen = np.zeros(self.layout.size, dtype=bool)
-        for name in (*names, "D", "t", "d"):
+        for name in names:
             chosen[self.layout.slices[name]] = True
         self.apply(solve_damped(matrix, vector, chosen & self.free, 1e-12))
         return self.model
@@ -381,10 +374,10 @@ class Problem:
             feedthrough=feedthrough,
             delay=delay,
         )
-        t, d = change[part["t"]].reshape(self.records, 2, n), change[part["d"]].reshape(self.records, p)
+        t, d = change[part["t"]].reshape(self.records, 2, n), change[part["d"]].reshape(self.records, self.edges, p)
         self.transients = Transients(
             [old + row[0] + 1j * row[1] for old, row in zip(self.transients.modes, t, strict=True)],
-            [old + row for old, row in zip(self.transients.constant, d, strict=True)],
+            [old + row for old, row in zip(self.transients.edge, d, strict=True)],
         )
 
     def rescale(self) -> None:
@@ -405,9 +398,7 @@ class Problem:
             for begin in range(0, len(spectra.angle), CHUNK):
                 rows = slice(begin, begin + CHUNK)
                 measured = np.swapaxes(spectra.measurement[rows], 1, 2)
-                functions = self._functions(
-                    np.exp(1j * spectra.angle[rows]), np.swapaxes(spectra.command[rows], 1, 2), records
-                )
+                functions = self._functions(np.exp(1j * spectra.angle[rows]), np.swapaxes(spectra.command[rows], 1, 2), records)
                 yield functions.reshape(-1, self.columns), measured.reshape(-1, measured.shape[2])
 
     def _functions(self, z: np.ndarray, u: np.ndarray, records: range) -> np.ndarray:
@@ -418,9 +409,7 @@ class Problem:
         m, hold, delay = u.shape[2], model.hold, model.delay
         functions = np.zeros((*u.shape[:2], self.columns), dtype=complex)
         for branch, (i, conjugate) in enumerate(self.branches):
-            pole, b = (
-                (np.conj(model.poles[i]), np.conj(model.inputs[i])) if conjugate else (model.poles[i], model.inputs[i])
-            )
+            pole, b = (np.conj(model.poles[i]), np.conj(model.inputs[i])) if conjugate else (model.poles[i], model.inputs[i])
             at = self.width * branch
             response = mode_response(pole, delay, hold, z)
             h = 1e-5 * (abs(pole) + 1e-3)
@@ -442,7 +431,8 @@ class Problem:
         if self.free_delay:
             functions[:, :, -m:] = ((direct_response(delay + 1e-6, hold, z) - direct) / 1e-6)[:, None] * u
         for r, record in enumerate(records):
-            functions[:, r, at + m + record] = 1.0
+            first = at + m + self.edges * record
+            functions[:, r, first : first + self.edges] = z[:, None] ** -np.arange(self.edges)
         return functions
 
     def _output_weights(self) -> np.ndarray:
@@ -457,8 +447,8 @@ class Problem:
             weights[at : at + len(parts)] = np.conj(block) if conjugate else block
         at = self.width * len(self.branches)
         weights[at : at + m] = model.feedthrough.T
-        for record, constant in enumerate(self.transients.constant):
-            weights[at + m + record] = constant
+        for record, edge in enumerate(self.transients.edge):
+            weights[at + m + self.edges * record : at + m + self.edges * (record + 1)] = edge
         return weights
 
     def _jacobian_weights(self) -> np.ndarray:
@@ -471,11 +461,7 @@ class Problem:
         for branch, (i, conjugate) in enumerate(self.branches):
             # A conjugate branch depends on the imaginary part with the opposite sign.
             turn = -1j if conjugate else 1j
-            c, b = (
-                (np.conj(model.outputs[i]), np.conj(model.inputs[i]))
-                if conjugate
-                else (model.outputs[i], model.inputs[i])
-            )
+            c, b = (np.conj(model.outputs[i]), np.conj(model.inputs[i])) if conjugate else (model.outputs[i], model.inputs[i])
             column = self.width * branch
             driven, slope, free = (
                 np.arange(column, column + m),
@@ -499,7 +485,8 @@ class Problem:
                 weights[o, column + np.arange(m), layout.indices("D", p, m)[o]] = 1.0
             if self.free_delay:
                 weights[o, self.columns - m + np.arange(m), at_delay] += model.feedthrough[o]
-            weights[o, column + m + np.arange(self.records), layout.indices("d", self.records, p)[:, o]] = 1.0
+            edges = np.arange(self.records * self.edges)
+            weights[o, column + m + edges, layout.indices("d", self.records * self.edges, p)[:, o]] = 1.0
         return weights
 
 

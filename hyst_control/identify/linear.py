@@ -1,0 +1,459 @@
+"""The family "linear": stable linear dynamics with a sub-sample delay, from records of any excitation.
+
+Each record is taken to its discrete Fourier transform. A record is in general not periodic, so the transient at its
+ends is estimated with the model (see `modal_fit`); the static line is left out, which frees the fit of each record's
+offset. The number of states is chosen on held-out data.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hyst_control.chain.chain import Chain
+from hyst_control.chain.linear import Delay, StateSpace, TransferFunction
+from hyst_control.chain.stage import Array, Stage
+from hyst_control.chain.static import Offset
+from hyst_control.errors import InputError
+from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.modal_fit import Layout, ModalModel, Problem, Spectra, refine, subspace
+from hyst_control.identify.report import command_bandwidth, noise_sigma, record_rows
+from hyst_control.model_file import Model
+
+MOST_LINES = 6000
+"""Lines of one record that a fit looks at: those where the command is strongest."""
+BAND_POWER = 1e-5
+"""Share of the command's power per line, relative to the strongest, under which a line tells nothing."""
+NO_BETTER = 0.01
+"""A model is preferred to a larger one that is better on held-out data by no more than this share of the error."""
+SINGLE_ORDERS = (1, 2, 3, 4, 5, 6, 8, 10)
+COUPLED_ORDERS = (2, 4, 6, 8, 12, 16, 20, 26, 32, 40)
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a linear fit may be told.
+
+    order: number of states, None: chosen on held-out data; coupled: whether axes drive each other (a `state_space`,
+    the default for several axes) or not (a `transfer_function` per axis); delay: "estimate", or a fixed time in s, 0
+    for none; direct: allow a direct path D besides; iterations: of the refinement.
+    """
+
+    order: int | None = None
+    coupled: bool | None = None
+    delay: float | str = "estimate"
+    direct: bool = True
+    iterations: int = 60
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A fitted model with its relative errors: rms error / rms measurement, on the data fitted and on held-out data."""
+
+    model: ModalModel
+    fitted: float
+    held_out: float
+    normal: Array
+    variance: float
+    layout: Layout
+    seconds: float
+
+    def standard_errors(self, *kinds: str) -> Array:
+        """Standard errors (P,) of the parameters of these kinds estimated together, for a white residual; others as
+        known.
+        """
+        chosen = np.concatenate([np.arange(self.normal.shape[0])[self.layout.slices[kind]] for kind in kinds])
+        part = self.normal[np.ix_(chosen, chosen)]
+        scale = np.sqrt(np.maximum(np.diag(part), 1e-300))
+        inverse = np.linalg.pinv(part / scale / scale[:, None], rcond=1e-12, hermitian=True)
+        errors = np.zeros(self.layout.size)
+        errors[chosen] = np.sqrt(np.maximum(self.variance * np.diag(inverse), 0.0)) / scale
+        return errors
+
+
+def fit(datasets: Sequence[Dataset], **options: Any) -> Fit:
+    """Identify a linear model from all records together; options are those of `Options`.
+
+    Raises `InputError` when records differ in axes or sample time, are too short, or do not excite every axis.
+    """
+    settings = Options(**options)
+    first = checked(datasets)
+    axes = len(first.axes)
+    coupled = axes > 1 if settings.coupled is None else settings.coupled
+    if coupled or axes == 1:
+        chosen, table = _search(datasets, settings, COUPLED_ORDERS if axes > 1 else SINGLE_ORDERS)
+        found = [chosen]
+        stages = stages_of(chosen.model, first.sample_time)
+    else:
+        searches = [_search([_axis(data, axis) for data in datasets], settings, SINGLE_ORDERS) for axis in range(axes)]
+        found = [candidate for candidate, _ in searches]
+        table = [row for axis, (_, rows) in enumerate(searches) for row in ({"axis": first.axes[axis], **row} for row in rows)]
+        stages = diagonal_stages([candidate.model for candidate in found], first.sample_time)
+    command = np.concatenate([data.command for data in datasets])
+    model = Model(
+        name="linear",
+        axes=tuple(first.axes),
+        units={"command": "V", "measurement": first.unit},
+        sample_time=first.sample_time,
+        chain=Chain(tuple(stages)),
+        hold=first.hold,
+        valid={
+            "command": [float(command.min()), float(command.max())],
+            "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
+        },
+        tolerance=tolerance_of(found, stages),
+    )
+    # The static line took no part in the fit, so a common offset of the sensor comes last.
+    _, residuals = record_rows(model, datasets)
+    offset = np.concatenate(residuals).mean(axis=0)
+    spread = np.concatenate(residuals).std(axis=0) / np.sqrt(sum(map(len, residuals)))
+    if np.any(np.abs(offset) > 3.0 * spread):
+        model = model.with_stages([*stages, Offset(_alike(offset))])
+    rows, residuals = record_rows(model, datasets)
+    model = replace(model, noise={"sigma": noise_sigma(residuals)})
+    notes = (
+        []
+        if any(np.isfinite(row["held_out"]) for row in table)
+        else [
+            "No part of the records could be held out: the number of states was chosen by an information criterion. "
+            "A second record, or a longer one with the same kind of excitation, would test it."
+        ]
+    )
+    report = {
+        "family": "linear",
+        "method": "joint",
+        "records": rows,
+        "notes": notes,
+        "orders": table,
+        "states": sum(candidate.model.states for candidate in found),
+        "parameters": [
+            row
+            for index, candidate in enumerate(found)
+            for row in parameter_rows(candidate, first.sample_time, first.axes[index] if len(found) > 1 else "")
+        ],
+    }
+    return Fit(model, report)
+
+
+def checked(datasets: Sequence[Dataset]) -> Dataset:
+    """The first record, after all were found to agree in axes, units, hold and sample time and to move on every
+    axis.
+    """
+    if not datasets:
+        raise InputError("records: none given: a linear fit needs at least one with command and measurement")
+    first = datasets[0]
+    for data in datasets:
+        if data.axes != first.axes or data.unit != first.unit or data.hold != first.hold:
+            raise InputError(
+                f"{data.name}: axes {data.axes}, unit {data.unit}, hold {data.hold} differ from those of {first.name} "
+                f"({first.axes}, {first.unit}, {first.hold}): fit records of one system at a time"
+            )
+        if abs(data.sample_time - first.sample_time) > 1e-9 * first.sample_time:
+            raise InputError(
+                f"{data.name}: sample time {data.sample_time:g} s, {first.name} has {first.sample_time:g} s: "
+                "a linear fit takes records of one sample time"
+            )
+        if len(data.command) < 32:
+            raise InputError(f"{data.name}: {len(data.command)} samples are too few for a linear fit, 32 or more are due")
+        if not (np.all(np.isfinite(data.command)) and np.all(np.isfinite(data.measurement))):
+            raise InputError(f"{data.name}: holds values that are not finite numbers: cut them out first")
+    moving = np.concatenate([data.command - data.command.mean(axis=0) for data in datasets])
+    scale = np.linalg.norm(moving, axis=0)
+    if np.any(scale == 0):
+        still = first.axes[int(np.flatnonzero(scale == 0)[0])]
+        raise InputError(f"command of axis {still}: never moves: a record that excites every axis is needed")
+    return first
+
+
+def spectra_of(data: Dataset, period: int | None = None) -> Spectra:
+    """The record's discrete Fourier transform at the lines where the command has power, the static line left out.
+
+    With `period` (samples) the record is in steady state over whole periods, which are averaged. Scaled to the root of
+    the number of samples, so that sums of squares are those of the samples.
+    """
+    command, measurement = data.command, data.measurement
+    if period:
+        command = command.reshape(-1, period, command.shape[1]).mean(axis=0)
+        measurement = measurement.reshape(-1, period, measurement.shape[1]).mean(axis=0)
+    n = len(command)
+    u = np.fft.rfft(command - command[0], axis=0) / np.sqrt(n / 2)
+    y = np.fft.rfft(measurement - measurement[0], axis=0) / np.sqrt(n / 2)
+    power = np.sum(np.abs(u / np.maximum(np.std(command, axis=0), 1e-300)) ** 2, axis=1)
+    power[0] = 0.0
+    if n % 2 == 0:
+        power[-1] = 0.0
+    lines = np.flatnonzero(power > BAND_POWER * power.max())
+    if len(lines) > MOST_LINES:
+        lines = np.sort(lines[np.argsort(power[lines])[-MOST_LINES:]])
+    return Spectra(2 * np.pi * lines / n, u[lines][:, :, None], y[lines][:, :, None], bool(period))
+
+
+def held_out_split(datasets: Sequence[Dataset]) -> tuple[list[Dataset], list[Dataset]]:
+    """Records to fit and records to judge by: every third record, or the last third of the one there is.
+
+    Nothing is held out when what remains would not excite every axis, or what is held out would hardly move.
+    """
+    datasets = list(datasets)
+    if len(datasets) > 1:
+        held = datasets[2::3] or datasets[-1:]
+        kept = [data for data in datasets if not any(data is other for other in held)]
+    else:
+        data = datasets[0]
+        cut = 2 * len(data.command) // 3
+        kept, held = [data.rows(0, cut)], [data.rows(cut, len(data.command))]
+
+    def motion(records: list[Dataset]) -> Array:
+        return np.sqrt(sum(np.mean(np.diff(data.command, axis=0) ** 2, axis=0) for data in records) / len(records))
+
+    everything = motion(datasets)
+    if np.any(motion(kept) < 0.2 * everything) or np.any(motion(held) < 0.2 * everything) or min(map(_length, held)) < 64:
+        return datasets, []
+    return kept, held
+
+
+def _length(data: Dataset) -> int:
+    return len(data.command)
+
+
+def error_of(model: ModalModel, data: Sequence[Spectra]) -> float:
+    """rms error / rms measurement of a model on spectra; transients are fitted, as nothing is known of a cut's
+    start.
+    """
+    problem = Problem(data, model)
+    if problem.records:
+        problem.fit_linear("t", "d")
+    return float(np.sqrt(problem.cost() / problem.power))
+
+
+def choose(
+    train: Sequence[Spectra],
+    held_out: Sequence[Spectra],
+    orders: Sequence[int],
+    hold: str,
+    delays: Sequence[Array],
+    *,
+    direct: bool = True,
+    free_delay: bool = False,
+    iterations: int = 12,
+) -> tuple[Candidate, list[dict[str, float]]]:
+    """The smallest model that is as good as any on held-out data, of the given numbers of states and starting delays.
+
+    Also returns a row per model tried. Without held-out data Schwarz's information criterion decides. Stops growing
+    after three orders without a gain.
+    """
+    rows: list[dict[str, float]] = []
+    tried: list[tuple[float, Candidate]] = []
+    starts = {tuple(delay): subspace(train, orders, delay, hold, direct) for delay in delays}
+    stale = 0
+    for index, order in enumerate(orders):
+        best: tuple[float, Candidate] | None = None
+        for models in starts.values():
+            candidate = refined(train, models[index], direct, free_delay, iterations)
+            candidate = replace(candidate, held_out=error_of(candidate.model, held_out) if held_out else np.nan)
+            score = candidate.held_out if held_out else information(candidate, train)
+            rows.append(
+                {
+                    "order": order,
+                    "states": candidate.model.states,
+                    "parameters": candidate.model.parameters,
+                    "fitted": candidate.fitted,
+                    "held_out": candidate.held_out,
+                    "seconds": candidate.seconds,
+                    "delay_samples": [float(value) for value in candidate.model.delay],
+                }
+            )
+            if best is None or score < best[0]:
+                best = score, candidate
+        gain = NO_BETTER if held_out else 0.0
+        lowest = min((score for score, _ in tried), default=np.inf)
+        stale = 0 if best[0] < lowest * (1.0 - np.sign(lowest) * gain) or not np.isfinite(lowest) else stale + 1
+        tried.append(best)
+        if stale >= 3:
+            break
+    lowest = min(score for score, _ in tried)
+    limit = lowest * (1.0 + NO_BETTER) if held_out else lowest
+    return next(candidate for score, candidate in tried if score <= limit), rows
+
+
+def refined(data: Sequence[Spectra], start: ModalModel, direct: bool, free_delay: bool, iterations: int) -> Candidate:
+    """Output-error refinement of a model, with what tells how sure its parameters are."""
+    began = time.perf_counter()
+    problem = Problem(data, start, direct, free_delay)
+    cost, matrix = refine(problem, iterations)
+    equations = sum(2 * spectra.measurement.size for spectra in data)
+    variance = cost / max(equations - problem.layout.size, 1)
+    error = float(np.sqrt(cost / problem.power))
+    return Candidate(problem.model, error, np.nan, matrix, variance, problem.layout, time.perf_counter() - began)
+
+
+def information(candidate: Candidate, data: Sequence[Spectra]) -> float:
+    """Schwarz's criterion up to a constant: lower is better."""
+    equations = sum(2 * spectra.measurement.size for spectra in data)
+    return 2 * equations * float(np.log(candidate.fitted)) + candidate.model.parameters * float(np.log(equations))
+
+
+def _search(datasets: Sequence[Dataset], settings: Options, orders: Sequence[int]) -> tuple[Candidate, list[dict[str, Any]]]:
+    first = datasets[0]
+    inputs = len(first.axes)
+    kept, held = held_out_split(datasets)
+    train, test = [spectra_of(data) for data in kept], [spectra_of(data) for data in held]
+    orders = [settings.order] if settings.order else orders
+    lines = sum(len(spectra.angle) * inputs for spectra in train)
+    orders = [order for order in orders if order * 2 * inputs + inputs * inputs < lines] or [1]
+    if settings.delay == "estimate":
+        # The delay is told from the modes' own lag where the model is strictly proper; the direct path would take its
+        # place.
+        late = dead_time(train, first.hold)
+        variants = [
+            ([np.zeros(inputs)], settings.direct, False),
+            ([late, 0.5 * late] if np.any(late) else [late + 0.25], False, True),
+        ]
+    else:
+        variants = [([np.full(inputs, float(settings.delay) / first.sample_time)], settings.direct, False)]
+    results = [choose(train, test, orders, first.hold, delays, direct=direct, free_delay=free) for delays, direct, free in variants]
+    rows = [row for _, table in results for row in table]
+
+    def score(candidate: Candidate) -> float:
+        return candidate.held_out if test else information(candidate, train)
+
+    lowest = min(score(candidate) for candidate, _ in results)
+    limit = lowest + NO_BETTER * abs(lowest) if test else lowest
+    good = [(candidate.model.parameters, index) for index, (candidate, _) in enumerate(results) if score(candidate) <= limit]
+    index = min(good)[1]
+    delays, direct, free = variants[index]
+    everything = [spectra_of(data) for data in datasets]
+    final = refined(everything, results[index][0].model, direct, free, settings.iterations)
+    return replace(final, held_out=results[index][0].held_out), rows
+
+
+def dead_time(data: Sequence[Spectra], hold: str, order: int = 3) -> Array:
+    """Delay (m,) in samples, the same for all inputs, at which a model of few states and no direct path fits best."""
+    inputs = data[0].command.shape[1]
+    grid = [0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0]
+    costs = []
+    for late in grid:
+        model = subspace(data, [order * inputs], np.full(inputs, late), hold, direct=False)[0]
+        costs.append(refined(data, model, False, False, 4).fitted)
+    return np.full(inputs, grid[int(np.argmin(costs))])
+
+
+def _axis(data: Dataset, axis: int) -> Dataset:
+    return replace(
+        data,
+        command=data.command[:, axis : axis + 1],
+        measurement=data.measurement[:, axis : axis + 1],
+        axes=(data.axes[axis],),
+    )
+
+
+def stages_of(model: ModalModel, sample_time: float) -> list[Stage]:
+    """The model as chain stages: the delay if there is one, then a `transfer_function` (one axis) or a
+    `state_space`.
+    """
+    stages: list[Stage] = [Delay(_alike(model.delay * sample_time))] if np.any(model.delay > 0) else []
+    if model.feedthrough.shape == (1, 1):
+        num, den = polynomials(model, sample_time)
+        return [*stages, TransferFunction(num, den)]
+    a, b, c, d = model.state_space()
+    return [*stages, StateSpace(a / sample_time, b / sample_time, c, d)]
+
+
+def diagonal_stages(models: Sequence[ModalModel], sample_time: float) -> list[Stage]:
+    """Models of one axis each as stages with per-axis parameters."""
+    delay = np.array([model.delay[0] * sample_time for model in models])
+    pairs = [polynomials(model, sample_time) for model in models]
+    longest = max(len(den) for _, den in pairs)
+    # A polynomial of lower degree is written with leading zeros.
+    num = [np.concatenate([np.zeros(longest - len(num)), num]) for num, _ in pairs]
+    den = [np.concatenate([np.zeros(longest - len(den)), den]) for _, den in pairs]
+    stages: list[Stage] = [Delay(_alike(delay))] if np.any(delay > 0) else []
+    return [*stages, TransferFunction([list(row) for row in num], [list(row) for row in den])]
+
+
+def _alike(values: Array) -> float | list[float]:
+    return float(values[0]) if np.all(values == values[0]) else [float(value) for value in values]
+
+
+def polynomials(model: ModalModel, sample_time: float) -> tuple[Array, Array]:
+    """num and den in descending powers of s of a model with one input and one output; den is monic."""
+    poles, residues = [], []
+    for pole, c, b in zip(model.poles, model.outputs[:, 0], model.inputs[:, 0], strict=True):
+        poles += [pole] if pole.imag == 0 else [pole, np.conj(pole)]
+        residues += [c * b] if pole.imag == 0 else [c * b, np.conj(c * b)]
+    poles_s, residues_s = np.array(poles, dtype=complex) / sample_time, np.array(residues, dtype=complex) / sample_time
+    den = np.atleast_1d(np.poly(poles_s).real)
+    num = float(model.feedthrough[0, 0]) * den
+    for i in range(len(poles_s)):
+        num[1:] += (residues_s[i] * np.poly(np.delete(poles_s, i))).real
+    return np.trim_zeros(num, "f") if np.any(num) else np.zeros(1), den
+
+
+def parameter_rows(candidate: Candidate, sample_time: float, axis: str) -> list[dict[str, Any]]:
+    """Frequency and damping of every pole, the static gain and the delay, with standard errors."""
+    model, layout = candidate.model, candidate.layout.slices
+    sigma = candidate.standard_errors(*layout)
+    n = len(model.poles)
+    pole_sigma = sigma[layout["pole"]].reshape(n, 2)
+    suffix = f"[{axis}]" if axis else ""
+    rows = []
+    for i, pole in enumerate(model.poles):
+        size = abs(pole)
+        # λ = -e^a + j w: errors of a and w, to first order those of |λ| and of the damping ratio.
+        real, imaginary = abs(pole.real) * pole_sigma[i, 0], pole_sigma[i, 1] if pole.imag else 0.0
+        frequency = size / (2 * np.pi * sample_time)
+        frequency_error = np.hypot(pole.real * real, pole.imag * imaginary) / size / (2 * np.pi * sample_time)
+        rows.append(
+            {
+                "name": f"frequency[{i}]{suffix}",
+                "value": float(frequency),
+                "standard_error": float(frequency_error),
+                "unit": "Hz",
+            }
+        )
+        if pole.imag:
+            damping_error = np.hypot(pole.imag**2 * real, pole.real * pole.imag * imaginary) / size**3
+            rows.append(
+                {
+                    "name": f"damping[{i}]{suffix}",
+                    "value": float(-pole.real / size),
+                    "standard_error": float(damping_error),
+                    "unit": "",
+                }
+            )
+    for j, late in enumerate(model.delay):
+        if len(sigma[layout["delay"]]) and late > 0:
+            rows.append(
+                {
+                    "name": f"delay[{j}]{suffix}",
+                    "value": float(late * sample_time),
+                    "standard_error": float(sigma[layout["delay"]][j] * sample_time),
+                    "unit": "s",
+                }
+            )
+    return rows
+
+
+def tolerance_of(found: Sequence[Candidate], stages: Sequence[Stage]) -> dict[str, float]:
+    """Relative standard deviations by parameter name, one number per parameter: the median over its entries.
+
+    That of the residues holds b and the delay, for which c could be exchanged.
+    """
+    if not all(len(candidate.model.poles) for candidate in found):
+        return {}
+    poles, residues = [], []
+    for candidate in found:
+        model, layout = candidate.model, candidate.layout.slices
+        sigma = candidate.standard_errors("pole", "c")
+        n = len(model.poles)
+        pole_sigma = sigma[layout["pole"]].reshape(n, 2)
+        poles += list(np.hypot(np.abs(model.poles.real) * pole_sigma[:, 0], pole_sigma[:, 1]) / np.abs(model.poles))
+        c_sigma = np.hypot(*sigma[layout["c"]].reshape(2, *model.outputs.shape))
+        residues += list(np.linalg.norm(c_sigma, axis=1) / np.maximum(np.linalg.norm(model.outputs, axis=1), 1e-300))
+    pole, residue = float(np.median(poles)), float(np.median(residues))
+    names = {"transfer_function": {"num": residue, "den": pole}, "state_space": {"A": pole, "C": residue}}
+    tolerance = {name: value for stage in stages for name, value in names.get(stage.name, {}).items()}
+    return {name: value for name, value in tolerance.items() if np.isfinite(value)}
