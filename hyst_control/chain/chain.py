@@ -90,7 +90,7 @@ def started(stages: Sequence[Stage], sampling: Sampling) -> Filter:
     filters: list[Filter] = []
     for linear, group in groupby(stages, key=_in_linear_run):
         run = list(group)
-        pieces: list[list[Stage]] = [run] if linear else [[stage] for stage in run]
+        pieces = _cut_before_uneven_delays(run) if linear else [[stage] for stage in run]
         for piece in pieces:
             if linear:
                 running: Filter = linear_filter(piece, sampling)
@@ -126,7 +126,7 @@ def _place_delays(stages: Sequence[Stage]) -> list[Stage]:
         if waiting and isinstance(stage, Parallel):
             stage = Parallel(tuple((*waiting, *branch) for branch in stage.branches))
             waiting = []
-        elif waiting and (_carries_delay(stage) or not stage.commutes_with_delay):
+        elif waiting and (_carries_delay(stage) or not _commutes(stage, waiting)):
             placed.extend(waiting)
             waiting = []
         placed.append(stage)
@@ -135,20 +135,46 @@ def _place_delays(stages: Sequence[Stage]) -> list[Stage]:
     # Nothing linear followed: go back to the last linear stage, over stages that let a delay pass.
     for index in range(len(placed) - 1, -1, -1):
         stage = placed[index]
+        if not _commutes(stage, waiting):
+            break
         if isinstance(stage, Parallel):
             placed[index] = Parallel(tuple((*waiting, *branch) for branch in stage.branches))
             return placed
-        if _carries_delay(stage) and _delay_may_move_before(stage, waiting):
+        if _carries_delay(stage):
             return placed[:index] + waiting + placed[index:]
-        if not stage.commutes_with_delay or stage.linear:
-            break
     return placed + waiting
 
 
-def _delay_may_move_before(stage: Stage, delays: list[Stage]) -> bool:
-    """A delay that differs between the axes does not commute with a stage that mixes them."""
-    couples = getattr(stage, "coupled", False) or stage.name in ("state_space", "cross_coupling")
-    return not couples or all(np.ndim(delay.tau) == 0 or len(set(delay.tau)) == 1 for delay in delays)
+def _commutes(stage: Stage, delays: Sequence[Stage]) -> bool:
+    """Whether the delays may change places with a stage: not one that mixes the axes, where they differ between the axes."""
+    if not all(inner.commutes_with_delay for inner in _within(stage)):
+        return False
+    return _even(delays) or not any(_couples(inner) for inner in _within(stage))
+
+
+def _within(stage: Stage) -> list[Stage]:
+    """A stage itself, or all the stages in the branches of a parallel one."""
+    if not isinstance(stage, Parallel):
+        return [stage]
+    return [inner for branch in stage.branches for member in branch for inner in _within(member)]
+
+
+def _couples(stage: Stage) -> bool:
+    return getattr(stage, "coupled", False) or stage.name in ("state_space", "cross_coupling")
+
+
+def _even(delays: Sequence[Stage]) -> bool:
+    return all(np.ndim(delay.tau) == 0 or len(set(delay.tau)) == 1 for delay in delays)
+
+
+def _cut_before_uneven_delays(run: Sequence[Stage]) -> list[list[Stage]]:
+    """A run takes its delays at its input: one that differs between the axes starts a new run behind a stage that mixes them."""
+    pieces: list[list[Stage]] = [[]]
+    for stage in run:
+        if isinstance(stage, Delay) and not _even([stage]) and any(_couples(before) for before in pieces[-1]):
+            pieces.append([])
+        pieces[-1].append(stage)
+    return pieces
 
 
 def _distribute(stages: list[Stage]) -> tuple[Stage, ...]:

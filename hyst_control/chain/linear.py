@@ -214,6 +214,10 @@ class StateSpace(LinearStage):
             raise InputError(f"A: shapes A {a.shape}, B {b.shape}, C {c.shape}, D {d.shape} do not fit together")
         if self.sample_time is not None:
             require_positive(self.sample_time, "sample_time", "s")
+        # A pole where a constant input never comes to rest: s = 0, or z = 1.
+        at_rest = -a if self.sample_time is None else np.eye(n) - a
+        if n and np.linalg.cond(at_rest) > 1.0 / np.finfo(float).eps:
+            raise InputError("A: the system integrates (a pole at rest) and never comes to rest: remove that pole")
 
     @property
     def discrete(self) -> bool:
