@@ -1,4 +1,4 @@
-"""The signal message against two other implementations of the same wire format: rosbags' and, where present, ROS 2's own."""
+"""The signal message against two other implementations of the wire format: rosbags' and, where present, ROS 2's own."""
 
 from __future__ import annotations
 
@@ -73,7 +73,8 @@ def test_empty_block_round_trips():
     assert label == encoder.label and block.shape == (0, 2)
 
 
-@given(st.lists(st.tuples(st.sampled_from(["t[s],x[um]", "t[s],x[V]", "t[s],x[um],y[um]"]), st.integers(1, 5)), max_size=12))
+@given(st.lists(st.tuples(st.sampled_from(["t[s],x[um]", "t[s],x[V]", "t[s],x[um],y[um]"]), st.integers(1, 5)),
+                max_size=12))
 def test_decoder_with_memory_equals_the_plain_one(messages):
     decoder = Decoder()
     for index, (label, rows) in enumerate(messages):
