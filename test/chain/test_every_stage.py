@@ -63,10 +63,22 @@ EXAMPLES = {
         "input_scale": spread(n, 100.0, 80.0),
         "output_scale": spread(n, 2.0, 0.6),
     },
+    "inverse_multiplicative": lambda n: {
+        "thresholds": spread(n, [1.0, 9.0], [4.0]),
+        "weights": spread(n, [0.5, 0.3], [0.9]),
+        "w0": 0.3,
+        "m1": spread(n, 1e-7, 0.0),
+        "lower": -20.0,
+        "upper": 150.0,
+    },
 }
 """Parameters of every stage for a number of axes, different from axis to axis where they may be."""
 
 VARIANTS = {
+    "inverse_multiplicative, iterated": (
+        "inverse_multiplicative",
+        lambda n: {"thresholds": [1.0, 9.0], "weights": [0.5, 0.3], "lower": 0.0, "upper": spread(n, 90.0, 70.0), "iterations": 3},
+    ),
     "prandtl_ishlinskii, one-sided": (
         "prandtl_ishlinskii",
         lambda n: {"thresholds": [1.0, 6.0], "weights": [0.5, 0.3], "one_sided": True},
@@ -148,7 +160,8 @@ def test_settle_is_where_a_long_constant_input_ends(case, hold):
     settled = started(case, axes, hold).settle(value)
     slow = started(case, axes, hold)
     slow.settle(np.zeros(axes))
-    slow.process(np.linspace(0.0, 1.0, 3000)[:, None] * value)
+    # The rise ends gently: what looks at the rate would else go past the end of it.
+    slow.process((1.0 - np.linspace(1.0, 0.0, 3000)[:, None] ** 6) * value)
     last = slow.process(np.tile(value, (2000, 1)))[-1]
     np.testing.assert_allclose(last, settled, rtol=1e-9, atol=1e-9)
     # And a filter that settled there stays there.
