@@ -1,6 +1,6 @@
 """Monotone curves through (0, 0) for Madelung hysteresis: polynomials and monotone piecewise cubics, in one representation.
 
-A curve is piecewise polynomial: breaks (M + 1,) from 0 to 1 and coefficients (M, degree + 1) in descending powers of the
+A curve is piecewise polynomial: breaks (M + 1,) from exactly 0 to 1 and coefficients (M, degree + 1) in descending powers of the
 distance from the piece's left break.
 """
 
@@ -66,20 +66,24 @@ def knot_curve(knots: Array, values: Array, field: str) -> Curve:
     return Curve(knots, np.ascontiguousarray(PchipInterpolator(knots, values).c.T))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", inline="always")
 def evaluate_curve(x, breaks, coefficients):
     """Value of a piecewise polynomial at x; the end pieces continue beyond the ends."""
-    piece = 0
-    if breaks.size > 2:
-        piece = min(max(np.searchsorted(breaks, x, side="right") - 1, 0), breaks.size - 2)
+    degree = coefficients.shape[1]
+    if breaks.size == 2:
+        value = coefficients[0, 0]
+        for i in range(1, degree):
+            value = value * x + coefficients[0, i]
+        return value
+    piece = min(max(np.searchsorted(breaks, x, side="right") - 1, 0), breaks.size - 2)
     d = x - breaks[piece]
     value = coefficients[piece, 0]
-    for i in range(1, coefficients.shape[1]):
+    for i in range(1, degree):
         value = value * d + coefficients[piece, i]
     return value
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def evaluate_curve_array(x, breaks, coefficients):
     """`evaluate_curve` for an array (N,)."""
     output = np.empty_like(x)
@@ -88,7 +92,7 @@ def evaluate_curve_array(x, breaks, coefficients):
     return output
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def solve_curve(y, breaks, coefficients):
     """The x in [0, 1] at which a rising curve reaches y, by bisection safeguarded Newton to the last digits."""
     low, high = 0.0, 1.0

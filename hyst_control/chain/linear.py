@@ -372,12 +372,12 @@ def _held_input(a: Array, b: Array, time: float) -> tuple[Array, Array]:
     return step - ramp, ramp
 
 
-@njit(cache=True)
-def advance_linear(block, a, b, c, d, bias, whole, state, scratch, history, position, output):
+@njit(cache=True, error_model="numpy")
+def advance_linear(block, a, b, c, d, bias, whole, state, scratch, taps, history, position, output):
     """Run S systems of m inputs each over a block (N, S m); see `Discretised`.
 
     a (S, n, n), b (S, 3, n, m), c (S, m, n), d (S, 2, m, m), bias (S m,), whole (S m,) delay in samples, state (S, n),
-    scratch (n,), history (L, S m) ring of past inputs with its write position; returns the new position.
+    scratch (n,) and taps (3, m) work space, history (L, S m) ring of past inputs with its write position; returns the new position.
     """
     length = history.shape[0]
     systems, n = state.shape
@@ -386,17 +386,20 @@ def advance_linear(block, a, b, c, d, bias, whole, state, scratch, history, posi
         for column in range(block.shape[1]):
             history[position, column] = block[row, column]
         for s in range(systems):
+            for j in range(m):
+                first = position - whole[s * m + j]
+                first = first + length if first < 0 else first
+                second = first - 1 if first > 0 else length - 1
+                third = second - 1 if second > 0 else length - 1
+                taps[0, j] = history[first, s * m + j]
+                taps[1, j] = history[second, s * m + j]
+                taps[2, j] = history[third, s * m + j]
             for i in range(n):
                 value = 0.0
                 for j in range(n):
                     value += a[s, i, j] * state[s, j]
                 for j in range(m):
-                    at = position - whole[s * m + j]
-                    value += (
-                        b[s, 0, i, j] * history[at % length, s * m + j]
-                        + b[s, 1, i, j] * history[(at - 1) % length, s * m + j]
-                        + b[s, 2, i, j] * history[(at - 2) % length, s * m + j]
-                    )
+                    value += b[s, 0, i, j] * taps[0, j] + b[s, 1, i, j] * taps[1, j] + b[s, 2, i, j] * taps[2, j]
                 scratch[i] = value
             for i in range(n):
                 state[s, i] = scratch[i] if abs(scratch[i]) > TINY else 0.0
@@ -405,10 +408,9 @@ def advance_linear(block, a, b, c, d, bias, whole, state, scratch, history, posi
                 for j in range(n):
                     value += c[s, p, j] * state[s, j]
                 for j in range(m):
-                    at = position - whole[s * m + j]
-                    value += d[s, 0, p, j] * history[at % length, s * m + j] + d[s, 1, p, j] * history[(at - 1) % length, s * m + j]
+                    value += d[s, 0, p, j] * taps[0, j] + d[s, 1, p, j] * taps[1, j]
                 output[row, s * m + p] = value
-        position = (position + 1) % length
+        position = position + 1 if position + 1 < length else 0
     return position
 
 
@@ -429,7 +431,7 @@ class LinearFilter(Filter):
             self.c[s, :, :order], self.d[s] = system.C, system.D
         self.bias = np.concatenate([system.bias for system in systems])
         self.whole = whole.astype(np.int64)
-        self.state, self.scratch = np.zeros((count, n)), np.zeros(n)
+        self.state, self.scratch, self.taps = np.zeros((count, n)), np.zeros(n), np.zeros((3, m))
         self.history = np.zeros((int(self.whole.max()) + 3, count * m))
         self.position = 0
 
@@ -461,6 +463,7 @@ class LinearFilter(Filter):
             self.whole,
             self.state,
             self.scratch,
+            self.taps,
             self.history,
             self.position,
             output,

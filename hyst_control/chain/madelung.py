@@ -35,57 +35,76 @@ from hyst_control.chain.stage import (
 from hyst_control.errors import InputError
 
 
-@njit(cache=True)
-def madelung_branches(source, inverse, rising, falling, full, end_slope, stack, stack_depth, last, output, start):
+@njit(cache=True, error_model="numpy")
+def madelung_branches(
+    source, inverse, rising_breaks, rising, falling_breaks, falling, full, end_slope, stack, stack_depth, last, output, start
+):
     """Follow one axis from row `start`; returns the row reached, less than N only when the stack is full.
 
-    source (N,), output (N,) normalised: input → output, or output → input with `inverse`. rising, falling: (breaks,
-    coefficients) of φ_up and φ_dn. full = F; end_slope (2,) slopes dy/du at 0 and 1. stack (capacity, 2) turning points
-    (u, y); stack_depth (1,) and last (3,) = (u, y, direction) are updated.
+    source (N,), output (N,) normalised: input → output, or output → input with `inverse`. rising_breaks, rising and
+    falling_breaks, falling: the curves φ_up and φ_dn. full = F; end_slope (2,) slopes dy/du at 0 and 1. stack (capacity, 2)
+    turning points (u, y); stack_depth (1,) and last (3,) = (u, y, direction) are updated.
     """
     depth_now = stack_depth[0]
     key = 1 if inverse else 0
     top_of_range = full if inverse else 1.0
+    u, y, direction = last[0], last[1], last[2]
+    u_from, y_from, stretch, whole = 0.0, 0.0, 0.0, 0.0
+    moved_to_branch = True
     for row in range(start, source.size):
         raw = source[row]
-        x = min(max(raw, 0.0), top_of_range)
-        if x != last[key]:
-            direction = 1.0 if x > last[key] else -1.0
-            if direction != last[2]:
-                if stack[depth_now - 1, key] != last[key]:
+        x = 0.0 if raw < 0.0 else (top_of_range if raw > top_of_range else raw)
+        before = y if inverse else u
+        if x != before:
+            onward = 1.0 if x > before else -1.0
+            if onward != direction:
+                if stack[depth_now - 1, key] != before:
                     if depth_now == stack.shape[0]:
                         stack_depth[0] = depth_now
+                        last[0], last[1], last[2] = u, y, direction
                         return row
-                    stack[depth_now, 0], stack[depth_now, 1] = last[0], last[1]
+                    stack[depth_now, 0], stack[depth_now, 1] = u, y
                     depth_now += 1
-                last[2] = direction
+                direction = onward
+                moved_to_branch = True
             if x >= top_of_range or x <= 0.0:
-                high = x >= top_of_range
-                stack[0, 0], stack[0, 1] = (0.0, 0.0) if high else (1.0, full)
-                stack[1, 0], stack[1, 1] = (1.0, full) if high else (0.0, 0.0)
+                u, y = (1.0, full) if x > 0.0 else (0.0, 0.0)
+                stack[0, 0], stack[0, 1] = 1.0 - u, full - y
+                stack[1, 0], stack[1, 1] = u, y
                 depth_now = 2
-                last[0], last[1] = stack[1, 0], stack[1, 1]
+                moved_to_branch = True
             else:
-                if direction > 0.0:
-                    while depth_now > 2 and x >= stack[depth_now - 2, key]:
-                        depth_now -= 2
-                else:
-                    while depth_now > 2 and x <= stack[depth_now - 2, key]:
-                        depth_now -= 2
-                u_from, y_from = stack[depth_now - 1, 0], stack[depth_now - 1, 1]
-                u_to, y_to = stack[depth_now - 2, 0], stack[depth_now - 2, 1]
-                breaks, coefficients = rising if direction > 0.0 else falling
-                whole = evaluate_curve(abs(u_to - u_from), breaks, coefficients)
+                while depth_now > 2 and direction * (x - stack[depth_now - 2, key]) >= 0.0:
+                    depth_now -= 2
+                    moved_to_branch = True
+                if moved_to_branch:
+                    u_from, y_from = stack[depth_now - 1, 0], stack[depth_now - 1, 1]
+                    u_to, y_to = stack[depth_now - 2, 0], stack[depth_now - 2, 1]
+                    if direction > 0.0:
+                        whole = evaluate_curve(u_to - u_from, rising_breaks, rising)
+                    else:
+                        whole = evaluate_curve(u_from - u_to, falling_breaks, falling)
+                    stretch = (y_to - y_from) / whole
+                    moved_to_branch = False
                 if inverse:
-                    part = solve_curve(whole * (x - y_from) / (y_to - y_from), breaks, coefficients)
-                    last[0], last[1] = u_from + direction * part, x
+                    if direction > 0.0:
+                        u = u_from + solve_curve((x - y_from) / stretch, rising_breaks, rising)
+                    else:
+                        u = u_from - solve_curve((x - y_from) / stretch, falling_breaks, falling)
+                    y = x
                 else:
-                    part = evaluate_curve(abs(x - u_from), breaks, coefficients)
-                    last[0], last[1] = x, y_from + (y_to - y_from) * part / whole
-        beyond = raw - x
-        slope = end_slope[1] if beyond > 0.0 else end_slope[0]
-        output[row] = last[1 - key] + (beyond / slope if inverse else beyond * slope)
+                    if direction > 0.0:
+                        y = y_from + stretch * evaluate_curve(x - u_from, rising_breaks, rising)
+                    else:
+                        y = y_from + stretch * evaluate_curve(u_from - x, falling_breaks, falling)
+                    u = x
+        value = u if inverse else y
+        if raw != x:
+            slope = end_slope[1] if raw > x else end_slope[0]
+            value += (raw - x) / slope if inverse else (raw - x) * slope
+        output[row] = value
     stack_depth[0] = depth_now
+    last[0], last[1], last[2] = u, y, direction
     return source.size
 
 
@@ -126,8 +145,8 @@ class MadelungFilter(Filter):
                 row = madelung_branches(
                     column,
                     self.inverse,
-                    self.rising[axis],
-                    self.falling[axis],
+                    *self.rising[axis],
+                    *self.falling[axis],
                     self.full[axis],
                     self.end_slope[axis],
                     self.stack[axis],

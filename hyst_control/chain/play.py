@@ -31,7 +31,7 @@ from hyst_control.chain.stage import (
 from hyst_control.errors import InputError
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def play_operators(command, thresholds, release, state, output):
     """Outputs (N, n) of n play operators for a command (N,); `state` (n,) is H at the sample before, and is updated.
 
@@ -49,7 +49,7 @@ def play_operators(command, thresholds, release, state, output):
             output[k, i] = h
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def dynamic_prandtl_ishlinskii(command, previous, rate_factor, thresholds, release, weights, w0, m1, m2, k, b, state, output):
     """Weighted play operators with dynamic weights, all axes (HAMPI paper Eq. 2-6).
 

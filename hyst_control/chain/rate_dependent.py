@@ -29,7 +29,7 @@ from hyst_control.chain.stage import (
 )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def rate_dependent_prandtl_ishlinskii(command, previous, rate_factor, thresholds, weights, w0, beta, state, output):
     """All axes of the model: command, output (N, A); previous, w0, beta (A,); thresholds, weights, state (A, n)."""
     for row in range(command.shape[0]):
