@@ -1,0 +1,223 @@
+"""Inverse multiplicative structure: the command at which a Prandtl-Ishlinskii model's output equals the demand.
+
+The compensator contains the model itself (HAMPI paper §4.2, Eq. 13): the command moves by the difference between the demand v
+and the model's output, u_j+1 = u_j + g (v - Y[u_j]), inside [lower, upper]. The demand is in the model's output unit, so the
+gain g (V per output unit) replaces the paper's 1; with 0 < g dY/du < 2 the difference shrinks at every step, and the default
+g = 1 / max dY/du makes it shrink without overshoot. `iterations: 1` is Eq. 13; more steps are taken within the sample, on
+trial, and only the last one enters the operators' memory; `iterations: 0` solves Y[u] = v to the last digits instead: along u,
+starting from the last command in the direction that the demand asks for, to the first crossing. A few steps track better than
+the exact solution when the first threshold is not 0: it crosses the play after a reversal within one sample, and the plant's
+rate term answers that jump with a spike (published parameters at 50 kHz, 4 um at 10 Hz: 0.08 against 0.17 % NRMSE).
+
+The rate in the dynamic weights is that of the demand, (dv/dt) / s with s the mean slope dY/du: with the rate of u itself the
+loop gain of one sample is m1 sum(H) / sample_time, ten at 50 kHz with the published parameters, and the structure diverges.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numba import njit
+
+from hyst_control.chain.play import check_operators, play_filter
+from hyst_control.chain.stage import Array, Filter, Sampling, Stage, per_axis_scalar, register, require_finite, require_positive
+from hyst_control.errors import InputError
+
+
+@njit(cache=True)
+def trial(u, thresholds, release, weights, w0, rotation, k, b, state):
+    """Output and slope of the model at u without touching its memory; thresholds, release, weights, state (n,)."""
+    total, weighted, active, active_weight = 0.0, 0.0, 0, 0.0
+    for i in range(thresholds.size):
+        h = state[i]
+        if u - thresholds[i] > h:
+            h = u - thresholds[i]
+            active += 1
+            active_weight += weights[i]
+        elif u + release[i] < h:
+            h = u + release[i]
+            active += 1
+            active_weight += weights[i]
+        total += h
+        weighted += weights[i] * h
+    dynamic = rotation + k * u + b
+    return w0 * u + weighted + dynamic * total, w0 + active_weight + dynamic * active + k * total
+
+
+@njit(cache=True)
+def solve_command(v, start, lower, upper, resolution, thresholds, release, weights, w0, rotation, k, b, state):
+    """The u in [lower, upper] nearest to `start`, in the direction of the difference, at which the output is v."""
+    u = min(max(start, lower), upper)
+    y, _ = trial(u, thresholds, release, weights, w0, rotation, k, b, state)
+    if y == v:
+        return u
+    rising = y < v
+    # Bracket: away from `start` in growing steps until the output passes v or the drive ends.
+    near, step = u, 64.0 * resolution
+    while True:
+        far = min(near + step, upper) if rising else max(near - step, lower)
+        y, _ = trial(far, thresholds, release, weights, w0, rotation, k, b, state)
+        if y == v:
+            return far
+        if (y > v) == rising:
+            break
+        if far == upper or far == lower:
+            return far
+        near = far
+        step *= 4.0
+    below, above = (near, far) if rising else (far, near)
+    u = 0.5 * (below + above)
+    for turn in range(200):
+        y, slope = trial(u, thresholds, release, weights, w0, rotation, k, b, state)
+        if y == v:
+            return u
+        if y < v:
+            below = u
+        else:
+            above = u
+        if above - below <= resolution:
+            return 0.5 * (below + above)
+        # Newton ends in a few turns between two kinks; every third turn bisects, so that the bracket always closes.
+        following = u - (y - v) / slope if slope > 0.0 and turn % 3 != 2 else below
+        u = following if below < following < above else 0.5 * (below + above)
+    return u
+
+
+@njit(cache=True)
+def inverse_multiplicative(demand, previous, rate_factor, thresholds, release, weights, w0, m1, m2, k, b, lower, upper, gain,
+                           iterations, state, command, output):
+    """Commands (N, A) for demands (N, A); `previous` (A,) demand, `command` (A,) and `state` (A, n) are updated.
+
+    rate_factor (A,) turns the difference of two demands into the command's rate in V/s; gain (A,) V per output unit.
+    """
+    for row in range(demand.shape[0]):
+        for axis in range(demand.shape[1]):
+            v = demand[row, axis]
+            rate = (v - previous[axis]) * rate_factor[axis]
+            previous[axis] = v
+            rotation = -m1[axis] * rate if rate >= 0.0 else m2[axis] * rate
+            r, q, w, h = thresholds[axis], release[axis], weights[axis], state[axis]
+            u = command[axis]
+            if iterations == 0:
+                resolution = 1e-13 * (upper[axis] - lower[axis])
+                u = solve_command(v, u, lower[axis], upper[axis], resolution, r, q, w, w0[axis], rotation, k[axis], b[axis], h)
+            else:
+                for _ in range(iterations):
+                    y, _slope = trial(u, r, q, w, w0[axis], rotation, k[axis], b[axis], h)
+                    u = min(max(u + gain[axis] * (v - y), lower[axis]), upper[axis])
+            for i in range(r.size):
+                h[i] = max(u - r[i], min(u + q[i], h[i]))
+            command[axis] = u
+            output[row, axis] = u
+
+
+class InverseMultiplicativeFilter(Filter):
+    """Streaming inverse multiplicative structure."""
+
+    def __init__(self, stage: InverseMultiplicative, sampling: Sampling) -> None:
+        axes = sampling.axes
+        self.hold = sampling.hold
+        names = ("m1", "m2", "k", "b", "w0")
+        model = play_filter(stage, sampling, **{name: getattr(stage, name) for name in names})
+        self.thresholds, self.release, self.weights, self.state = model.thresholds, model.release, model.weights, model.state
+        self.coefficients = model.coefficients
+        self.lower, self.upper = (per_axis_scalar(getattr(stage, name), axes, name) for name in ("lower", "upper"))
+        slope = np.empty((3, axes))
+        for axis in range(axes):
+            slope[:, axis] = slope_range(*(field[axis] for field in (self.thresholds, self.release, self.weights)),
+                                         *(values[axis] for values in self.coefficients[0:1] + self.coefficients[3:]),
+                                         self.lower[axis], self.upper[axis])[:3]
+        if np.any(slope[0] <= 0.0):
+            raise InputError("weights: the output does not rise with the command everywhere between "
+                             f"{self.lower.min():g} and {self.upper.max():g} V (least slope {slope[0].min():.3g}): it has no "
+                             "inverse there; narrow lower and upper, or fit the model with positive weights")
+        self.gain = 1.0 / slope[1] if stage.gain is None else per_axis_scalar(stage.gain, axes, "gain")
+        if np.any(self.gain * slope[1] >= 2.0):
+            raise InputError(f"gain: {self.gain.max():g} V per output unit times the greatest slope {slope[1].max():.4g} is 2 or "
+                             f"more and does not converge: take at most {1.0 / slope[1].max():.4g}")
+        self.iterations = stage.iterations
+        self.rate_factor = 1.0 / (sampling.sample_time * slope[2])
+        self.previous, self.command = np.zeros(axes), np.zeros(axes)
+
+    def settle(self, value: Array) -> Array:
+        self.state[:] = 0.0
+        self.previous[:] = value
+        self.command[:] = np.clip(0.0, self.lower, self.upper)
+        block = np.array(value, dtype=float).reshape(1, -1)
+        return self._run(block, 0)[0]
+
+    def process(self, block: Array) -> Array:
+        return self._run(block, self.iterations)
+
+    def _run(self, block: Array, iterations: int) -> Array:
+        output = np.empty_like(block)
+        w0, m1, m2, k, b = self.coefficients
+        inverse_multiplicative(block, self.previous, self.rate_factor, self.thresholds, self.release, self.weights, w0, m1,
+                               m2, k, b, self.lower, self.upper, self.gain, iterations, self.state, self.command, output)
+        return output
+
+
+@register
+@dataclass(frozen=True)
+class InverseMultiplicative(Stage):
+    """Inverse of `modified_prandtl_ishlinskii` for a drive within [lower, upper]; see the module.
+
+    The model's parameters, in its units; lower, upper V; gain V per output unit (default 1 / greatest slope); iterations steps
+    per sample, 0 for the exact solution. Raises `InputError` where the output does not rise with the command, or the gain
+    cannot converge.
+    """
+
+    name: ClassVar[str] = "inverse_multiplicative"
+    thresholds: Any
+    weights: Any
+    lower: Any
+    upper: Any
+    m1: Any = 0.0
+    m2: Any = 0.0
+    k: Any = 0.0
+    b: Any = 0.0
+    w0: Any = 0.0
+    one_sided: bool = False
+    gain: Any = None
+    iterations: int = 4
+
+    def check(self) -> None:
+        check_operators(self.thresholds, self.weights)
+        for field in ("m1", "m2", "k", "b", "w0", "lower", "upper"):
+            require_finite(getattr(self, field), field)
+        if np.any(np.subtract(self.upper, self.lower) <= 0):
+            raise InputError(f"lower: {self.lower} V is not below upper, {self.upper} V")
+        if self.gain is not None:
+            require_positive(self.gain, "gain", "V per output unit")
+        if isinstance(self.iterations, bool) or not isinstance(self.iterations, int) or self.iterations < 0:
+            raise InputError(f"iterations: {self.iterations!r}: a whole number of steps is due, 0 for the exact solution")
+
+    def filter(self, sampling: Sampling) -> Filter:
+        return InverseMultiplicativeFilter(self, sampling)
+
+
+def slope_range(thresholds: Array, release: Array, weights: Array, w0: float, k: float, b: float, lower: float,
+                upper: float) -> tuple[float, float, float, float]:
+    """Least, greatest and mean slope dY/du at rest of one axis over [lower, upper], and the command at the least one.
+
+    The operators that move on a branch are those of the smallest thresholds, so the slope with the first j of them moving is
+    w0 + sum(w_1 … w_j) + j (k u + b) + k sum(H); sum(H) lies between the curve from rest and the descending one. j = 0 is the
+    play of the first operator after a reversal, in which nothing moves: the inverse crosses it, and it counts only where the
+    first threshold is 0 or w0 is not.
+    """
+    finite = np.isfinite(thresholds)
+    r, q, w = thresholds[finite], release[finite], weights[finite]
+    u = np.linspace(lower, upper, 201)
+    rising = np.maximum(u[:, None] - r, np.minimum(0.0, u[:, None] + q)).sum(axis=1)
+    falling = np.minimum(u[:, None] + q, np.maximum(upper - r, 0.0)).sum(axis=1)
+    count = np.arange(1, len(r) + 1)
+    # An operator moves at u only where its threshold has been passed on the way there.
+    reached = (u - min(lower, 0.0))[:, None] >= r
+    slopes = np.stack([w0 + np.cumsum(w) + count * (k * u[:, None] + b) + k * total[:, None] for total in (rising, falling)])
+    least = np.where(reached, slopes, np.inf).min(axis=(0, 2))
+    greatest = float(np.where(reached, slopes, -np.inf).max())
+    zero = np.zeros_like(r)
+    ends = [trial(x, r, q, w, w0, 0.0, k, b, zero)[0] for x in (lower, upper)]
+    return float(least.min()), greatest, float((ends[1] - ends[0]) / (upper - lower)), float(u[np.argmin(least)])

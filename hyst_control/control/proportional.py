@@ -1,0 +1,27 @@
+"""The plainest feedforward: a static gain, what a user has before anything is identified."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Proportional:
+    """feedforward = offset + gain reference; gain (A,) in V per measurement unit, offset (A,) in V."""
+
+    gain: Array
+    offset: Array
+    preview: int = 0
+
+    def settle(self, value: Array) -> Array:
+        """The output at rest at the reference (A,)."""
+        return self.offset + self.gain * value
+
+    def process(self, block: Array) -> Array:
+        """Reference rows (N, A) to feedforward rows (N, A)."""
+        return self.offset + self.gain * block
