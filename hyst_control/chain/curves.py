@@ -36,7 +36,9 @@ def polynomial_curve(coefficients: Array, field: str) -> Curve:
     """
     p = np.append(np.asarray(coefficients, dtype=float), 0.0)
     slope = np.polyder(p)
-    roots = np.roots(slope) if np.any(slope) else np.zeros(0)
+    # A leading coefficient that is next to nothing would put a root near infinity, which the eigenvalue solver refuses.
+    slope = np.where(np.abs(slope) > 1e-14 * np.max(np.abs(slope)), slope, 0.0)
+    roots = np.roots(slope)
     inside = np.sort(roots[np.abs(roots.imag) < 1e-12].real)
     edges = np.concatenate([[0.0], inside[(inside > 0) & (inside < 1)], [1.0]])
     for left, right in zip(edges[:-1], edges[1:], strict=True):

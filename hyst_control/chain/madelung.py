@@ -207,6 +207,8 @@ class Madelung(Stage):
     def check(self) -> None:
         for field in ("ascending", "descending"):
             require_finite(getattr(self, field), field)
+        if self.knots is not None:
+            require_finite(self.knots, "knots")
         require_positive(self.input_scale, "input_scale", "V")
         require_positive(self.output_scale, "output_scale", "(measurement unit)")
         axes = max(len(value) if depth(value) == 2 else 1 for value in (self.ascending, self.descending))
