@@ -1,0 +1,321 @@
+"""The base of every node: schedules, signals in and out by tick, refusal of bad messages, services and diagnostics.
+
+Two schedules, one code path. In `lockstep` a node advances whenever its inputs allow it, the plant being the clock; rows
+have ticks 0, 1, 2, …, each is used once, and what was lost is asked for again by repeating the newest measurement: a node
+that meets rows it knows already repeats its own newest rows. In `timer` a node ticks on the wall clock; the tick is
+floor(monotonic clock / period), a count that all processes of a machine share, so a missed tick is a visible gap.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from numpy.typing import NDArray
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.task import Future
+from std_srvs.srv import SetBool, Trigger
+
+from hyst_control.nodes.messages import Sender, receive
+from hyst_control.nodes.rows import DUPLICATE, GAP, Rows
+from hyst_control.nodes.settings import Setting, declare
+from hyst_control.signal_message import label_for
+
+Array = NDArray[np.float64]
+
+LOCKSTEP, TIMER = "lockstep", "timer"
+KEPT_ROWS, KEPT_BLOCKS = 4096, 8
+LOG_INTERVAL = 5.0  # s, between two log lines about one thing
+
+COMMON = (
+    Setting("schedule", LOCKSTEP, "", "what makes a node tick", choices=(LOCKSTEP, TIMER)),
+    Setting("rate_hz", 1000.0, "Hz", "sample rate of the signals", 1e-3, 1e6),
+    Setting("block", 1, "samples", "samples a message streams, and a tick of the timer covers", 1, 1_000_000),
+    Setting("axes", ("x",), "", "names of the axes"),
+    Setting("unit", "um", "", "unit of reference and measurement", choices=("um", "mrad")),
+    Setting("timeout", 0.1, "s", "age from which an input is stale, under the timer", 1e-4, 1e3, live=True),
+    Setting("message_objects", False, "", "exchange message objects in place of serialized bytes"),
+)
+
+
+class Input:
+    """One subscribed signal: rows by tick, and what is known about its health."""
+
+    def __init__(self, node: SignalNode, topic: str, unit: str, contiguous: bool) -> None:
+        self.node, self.topic = node, topic
+        self.label = label_for(node.axes, unit)
+        self.rows = Rows(contiguous)
+        self.arrived = -math.inf  # s, monotonic clock
+        self._seen_label: str | None = None
+        receive(node, topic, self._receive, lambda reason: node.drop(topic, "unreadable", reason),
+                node.settings.message_objects)
+
+    def _receive(self, label: str, block: Array) -> None:
+        node = self.node
+        if label is not self._seen_label:
+            if label != self.label:
+                node.drop(self.topic, "wrong label", f"its columns are {label!r}, {self.label!r} is due")
+                return
+            self._seen_label = label
+        if not len(block):
+            return
+        if not all(map(math.isfinite, block.ravel().tolist())):
+            node.drop(self.topic, "not finite", "it holds a NaN or an infinity")
+            return
+        tick = tick_of(block, node.period)
+        if tick is None:
+            node.drop(self.topic, "off the clock", f"its times are not successive multiples of the period "
+                                                   f"{node.period:g} s: is rate_hz the same everywhere?")
+            return
+        outcome = self.rows.append(tick, block[:, 1:].copy())  # the message is read-only
+        if outcome is DUPLICATE:
+            node.counts[f"{self.topic}: duplicate"] += 1
+            if node.lockstep:
+                node.repeat(self)
+            return
+        if outcome is GAP:
+            node.drop(self.topic, "out of order", f"tick {self.rows.end} is due, {tick} came")
+            node.out_of_order(self, tick)
+            return
+        self.arrived = time.monotonic()
+        if node.lockstep:
+            node.advance()
+
+    @property
+    def age(self) -> float:
+        """Seconds since the newest rows arrived, infinite before the first ones."""
+        return time.monotonic() - self.arrived
+
+
+class Output:
+    """One published signal; the newest rows, KEPT_ROWS and KEPT_BLOCKS messages at least, are kept to be repeated."""
+
+    def __init__(self, node: SignalNode, topic: str, unit: str) -> None:
+        self._node = node
+        self._columns = len(node.axes) + 1
+        self._sender = Sender(node, topic, label_for(node.axes, unit), node.settings.message_objects)
+        self._kept: deque[Array] = deque()
+        self._kept_rows = 0
+        self.publisher = self._sender.publisher
+
+    def send(self, tick: int, rows: Array) -> None:
+        """Publish rows (N, A) of the ticks tick, tick + 1, …"""
+        count = len(rows)
+        block = np.empty((count, self._columns))
+        period = self._node.period
+        if count == 1:
+            block[0, 0] = tick * period
+        else:
+            block[:, 0] = np.arange(tick, tick + count) * period
+        block[:, 1:] = rows
+        self._sender.send(block)
+        self._kept.append(block)
+        self._kept_rows += count
+        while self._kept_rows - len(self._kept[0]) >= KEPT_ROWS and len(self._kept) > KEPT_BLOCKS:
+            self._kept_rows -= len(self._kept.popleft())
+
+    def repeat(self) -> None:
+        """Publish the newest rows again, as one block."""
+        if self._kept:
+            self._sender.send(np.concatenate(self._kept))
+
+    def repeat_newest(self) -> None:
+        """Publish the newest message again."""
+        if self._kept:
+            self._sender.send(self._kept[-1])
+
+    def clear(self) -> None:
+        """Forget the rows that were kept."""
+        self._kept.clear()
+        self._kept_rows = 0
+
+
+class SignalNode(Node):
+    """A node that turns signals into signals. Subclasses implement `advance` (lockstep) and `tick` (timer)."""
+
+    SETTINGS: tuple[Setting, ...] = ()
+    ends = False
+    """Whether the node finishes by itself."""
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.settings = declare(self, (*COMMON, *self.SETTINGS), self.changed)
+        self.lockstep = self.settings.schedule == LOCKSTEP
+        self.period = 1.0 / self.settings.rate_hz
+        self.axes: tuple[str, ...] = self.settings.axes
+        self.unit: str = self.settings.unit
+        self.enabled = True
+        self.finished = Future()
+        self.inputs: list[Input] = []
+        self.counts: Counter[str] = Counter()
+        self._clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._logged: dict[str, float] = {}
+        self._last_tick: int | None = None
+        self._jitter = _Jitter()
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnosed = (time.monotonic(), 0)
+        self.create_timer(1.0, self._publish_diagnostics, clock=self._clock)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(SetBool, "~/enable", self._on_enable)
+        self.create_service(Trigger, "~/stop", self._on_stop)
+
+    def advance(self) -> None:
+        """Lockstep: use whatever rows are there."""
+
+    def tick(self, tick: int) -> None:
+        """Timer: `block` samples from `tick` on are due."""
+
+    def repeat(self, source: Input) -> None:
+        """Lockstep: `source` was repeated; what followed from it may have been lost."""
+
+    def out_of_order(self, source: Input, tick: int) -> None:
+        """Lockstep: rows of `source` from `tick` on came while earlier ones are missing."""
+
+    def reset(self) -> None:
+        """Forget all state, as after a start."""
+
+    def changed(self, name: str, value: Any) -> None:
+        """A live parameter has a new value."""
+
+    def status(self) -> dict[str, Any]:
+        """More entries for the diagnostics."""
+        return {}
+
+    def close(self) -> None:
+        """Release what the node holds; called on every way out."""
+
+    def input(self, topic: str, unit: str, every_row: bool = True) -> Input:
+        """Subscribe to a signal whose values have this unit; `every_row`: in lockstep, none of its rows may be skipped."""
+        signal = Input(self, topic, unit, contiguous=self.lockstep and every_row)
+        self.inputs.append(signal)
+        return signal
+
+    def output(self, topic: str, unit: str) -> Output:
+        """Publish a signal whose values have this unit."""
+        return Output(self, topic, unit)
+
+    def start_timer(self, phase: float) -> None:
+        """Timer schedule: tick from now on, `phase` of a tick after its beginning: a call a little late is the same tick."""
+        if self.lockstep:
+            return
+        interval = self.period * self.settings.block
+        simulated = self.get_parameter("use_sim_time").value
+        self._now: Callable[[], float] = (lambda: self.get_clock().now().nanoseconds * 1e-9) if simulated \
+            else time.monotonic
+        if not simulated:
+            time.sleep((phase - time.monotonic() / interval) % 1.0 * interval)
+        self.create_timer(interval, self._on_timer, clock=self.get_clock() if simulated else self._clock)
+
+    def every(self, seconds: float, callback: Callable[[], None]) -> None:
+        """Call back at this interval of the steady clock."""
+        self.create_timer(seconds, callback, clock=self._clock)
+
+    def drop(self, topic: str, kind: str, reason: str) -> None:
+        """Count a refused message, and say so once in a while."""
+        self.counts[f"{topic}: {kind}"] += 1
+        self.warn(f"{topic}: {kind}", f"{topic}: message dropped: {reason}")
+
+    def warn(self, key: str, text: str) -> None:
+        """One log line per key and interval."""
+        now = time.monotonic()
+        if now - self._logged.get(key, -math.inf) >= LOG_INTERVAL:
+            self._logged[key] = now
+            self.get_logger().warning(text)
+
+    def finish(self, publisher: Publisher, code: int = 0) -> None:
+        """End the node, with this exit status, once everyone has received what the publisher sent."""
+        if not self.finished.done():
+            publisher.wait_for_all_acked(Duration(seconds=5))
+            self.finished.set_result(code)
+
+    def _on_timer(self) -> None:
+        now = self._now()
+        number = math.floor(now / (self.period * self.settings.block))
+        if self._last_tick is not None:
+            if number <= self._last_tick:
+                self.counts["overruns"] += 1
+                return
+            self.counts["missed ticks"] += number - self._last_tick - 1
+        self._last_tick = number
+        self._jitter.add(now)
+        self.counts["ticks"] += 1
+        self.tick(number * self.settings.block)
+
+    def _on_reset(self, request: Any, response: Any) -> Any:
+        for signal in self.inputs:
+            signal.rows.clear()
+        self.enabled = True
+        self.reset()
+        response.success, response.message = True, "reset"
+        return response
+
+    def _on_enable(self, request: Any, response: Any) -> Any:
+        self.enabled = request.data
+        response.success, response.message = True, "enabled" if request.data else "disabled"
+        return response
+
+    def _on_stop(self, request: Any, response: Any) -> Any:
+        self.enabled = False
+        response.success, response.message = True, "stopped: ~/enable or ~/reset goes on"
+        return response
+
+    def _publish_diagnostics(self) -> None:
+        now, ticks = time.monotonic(), self.counts["ticks"]
+        before, ticks_before = self._diagnosed
+        self._diagnosed = (now, ticks)
+        stale = [signal.topic for signal in self.inputs if not self.lockstep and signal.age > self.settings.timeout]
+        faults = {key: count for key, count in self.counts.items() if key != "ticks" and count}
+        values = {"schedule": self.settings.schedule, "rate [Hz]": f"{(ticks - ticks_before) / (now - before):.1f}",
+                  "ticks": ticks, "jitter [us]": f"{self._jitter.take() * 1e6:.1f}", "stale": ", ".join(stale) or "none",
+                  "enabled": self.enabled, **{f"age of {signal.topic} [s]": f"{signal.age:.4f}" for signal in self.inputs},
+                  **faults, **self.status()}
+        status = DiagnosticStatus(name=f"{self.get_fully_qualified_name()}: loop", hardware_id="hyst_control",
+                                  level=DiagnosticStatus.WARN if stale or not self.enabled else DiagnosticStatus.OK,
+                                  message=f"stale: {', '.join(stale)}" if stale else "running",
+                                  values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+
+class _Jitter:
+    """Standard deviation of the intervals between ticks, in s, since it was last taken."""
+
+    def __init__(self) -> None:
+        self._last: float | None = None
+        self._count, self._sum, self._squares = 0, 0.0, 0.0
+
+    def add(self, now: float) -> None:
+        if self._last is not None:
+            interval = now - self._last
+            self._count += 1
+            self._sum += interval
+            self._squares += interval * interval
+        self._last = now
+
+    def take(self) -> float:
+        count = max(self._count, 1)
+        variance = self._squares / count - (self._sum / count) ** 2
+        self._count, self._sum, self._squares = 0, 0.0, 0.0
+        return math.sqrt(max(variance, 0.0))
+
+
+def tick_of(block: Array, period: float) -> int | None:
+    """Tick of the first row of a block (N, C), or None when its times are not successive multiples of the period (s)."""
+    first = float(block[0, 0]) / period
+    tick = round(first)
+    if abs(first - tick) > 1e-3 or tick < 0:
+        return None
+    rows = len(block)
+    if rows > 1 and np.max(np.abs(block[:, 0] / period - np.arange(tick, tick + rows))) > 1e-3:
+        return None
+    return tick

@@ -1,0 +1,14 @@
+"""What the environment must hold before rclpy is initialised; what the user has set stands."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+
+def prepare() -> None:
+    """Keep DDS traffic on this machine and let ROS from wheels find its packages, unless the user chose otherwise."""
+    if "ROS_LOCALHOST_ONLY" not in os.environ:
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if os.path.isdir(os.path.join(sys.prefix, "share", "ament_index")):
+        os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)

@@ -1,0 +1,108 @@
+"""What the feedforward nodes share: reference rows in, the compensator's rows out, each labelled with its own tick."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hyst_control.control.feedforward import KINDS, build_compensator
+from hyst_control.control.loop import Compensator
+from hyst_control.control.proportional import Proportional
+from hyst_control.errors import InputError
+from hyst_control.model_file import load_model
+from hyst_control.nodes.base import Input, SignalNode
+from hyst_control.nodes.settings import Setting
+
+
+class Feedforward(SignalNode):
+    """Streams `reference` through a compensator to `feedforward` (V).
+
+    A compensator with a preview of q ticks gives row k once row k + q of the reference is there, so the generator's
+    `lead` must be q at least. After a start or reset it is at rest at the first reference it meets.
+    """
+
+    KIND = "proportional"
+
+    def __init__(self, name: str, compensator: Compensator | None = None, **options: Any) -> None:
+        """compensator: used in place of the one that the parameters describe."""
+        self.SETTINGS = (
+            Setting("model", "", "", "model file that the compensator inverts"),
+            Setting("kind", self.KIND, "", "kind of compensator", choices=(*KINDS, "proportional")),
+            Setting("inverse", "zpetc", "", "inverse of the dynamics", choices=("zpetc", "zmetc", "npz_ignore", "none")),
+            Setting("discretisation", "zoh", "", "of the dynamics", choices=("zoh", "tustin")),
+            Setting("preview", True, "", "look ahead where the inverse of the dynamics can; otherwise the command is late"),
+            Setting("iterations", -1, "", "of the inverse of the hysteresis, -1 for the kind's own", -1, 1000),
+            Setting("inverse_model", "", "", "model file with inverse curves identified by themselves"),
+            Setting("limits", (0.0, 0.0), "V", "rating of the drive, lower and upper; equal: the model's valid range"),
+            Setting("gain", (0.0,), "V per unit", "proportional: gain of all axes or of each"),
+            Setting("offset", (0.0,), "V", "proportional: command at reference 0, of all axes or of each"),
+        )
+        super().__init__(name, **options)
+        self._compensator = compensator or self._described()
+        self._compensator.settle(np.zeros(len(self.axes)))  # compiled before the first tick
+        self._compensator.process(np.zeros((1, len(self.axes))))
+        self._next: int | None = None  # tick of the next row out of the compensator
+        self._due = 0
+        self.feedforward = self.output("feedforward", "V")
+        self.reference = self.input("reference", self.unit)
+        self.start_timer(0.3)
+
+    def advance(self) -> None:
+        arrived = self.reference.rows
+        if not arrived.available:
+            return
+        if self._next is None:
+            self._due = arrived.start
+            self._next = self._due - self._compensator.preview
+            rows = arrived.take(arrived.available)
+            self._compensator.settle(rows[0])
+        else:
+            rows = arrived.take(arrived.available)
+        output = self._compensator.process(rows)
+        first = self._next
+        self._next += len(output)
+        if self._next > self._due:  # rows before the first reference are the compensator's filling
+            start = max(first, self._due)
+            self.feedforward.send(start, output[start - first:])
+
+    def tick(self, tick: int) -> None:
+        if self.enabled:
+            arrived = self.reference.rows
+            if arrived.available and self._next is not None:  # missed ticks leave a gap in time, not in the state
+                self._next = arrived.start - self._compensator.preview
+            self.advance()
+
+    def repeat(self, source: Input) -> None:
+        self.feedforward.repeat()
+
+    def reset(self) -> None:
+        self._next = None
+        self.feedforward.clear()
+
+    def status(self) -> dict[str, Any]:
+        return {"preview [ticks]": self._compensator.preview}
+
+    def _described(self) -> Compensator:
+        axes = len(self.axes)
+        if self.settings.kind == "proportional":
+            gain, offset = self.settings.gain, self.settings.offset
+            for name, value in (("gain", gain), ("offset", offset)):
+                if len(value) not in (1, axes):
+                    raise InputError(f"{self.get_name()}: parameter {name}: {len(value)} values for {axes} axes")
+            return Proportional(np.broadcast_to(np.array(gain), axes), np.broadcast_to(np.array(offset), axes))
+        if not self.settings.model:
+            raise InputError(f"{self.get_name()}: parameter model: give the model file to invert, or kind: proportional")
+        model = load_model(self.settings.model)
+        if tuple(model.axes) != self.axes or model.units["measurement"] != self.unit:
+            raise InputError(f"{self.get_name()}: {self.settings.model}: has axes {', '.join(model.axes)} in "
+                             f"{model.units['measurement']}, the node {', '.join(self.axes)} in {self.unit}")
+        given = self.settings
+        try:
+            return build_compensator(
+                model, given.kind, sample_time=self.period, inverse=given.inverse, discretisation=given.discretisation,
+                preview=given.preview, limits=given.limits if given.limits[0] != given.limits[-1] else None,
+                iterations=given.iterations if given.iterations >= 0 else None,
+                inverse_model=load_model(given.inverse_model) if given.inverse_model else None)
+        except InputError as error:
+            raise InputError(f"{self.get_name()}: {given.model}: {error}") from None

@@ -1,0 +1,26 @@
+"""The MHL feedforward node."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hyst_control.nodes.feedforward import Feedforward
+from hyst_control.nodes.run import main as run_main
+
+
+class MhlFeedforward(Feedforward):
+    """A feedforward whose compensator is of the kind `mhl` unless another is asked for."""
+
+    KIND = "mhl"
+
+    def __init__(self, name: str = "mhl_feedforward", **options: Any) -> None:
+        super().__init__(name, **options)
+
+
+def main() -> int:
+    """The executable."""
+    return run_main(MhlFeedforward)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

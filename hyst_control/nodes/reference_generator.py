@@ -1,0 +1,133 @@
+"""The reference generator: streams a signal of `excitation`, or an array from a file, row by row as the plant goes on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from hyst_control.errors import InputError
+from hyst_control.nodes.base import Input, SignalNode
+from hyst_control.nodes.run import main as run_main
+from hyst_control.nodes.settings import Setting
+
+Array = NDArray[np.float64]
+
+FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides")
+
+
+class ReferenceGenerator(SignalNode):
+    """Publishes `reference`: `lead` rows ahead of the newest `measurement` at least, in messages of `block` rows.
+
+    The rows do not depend on the measurement, which only paces them; after its end the signal keeps its last value, or
+    starts again with `repeat`. Parameters that are not settings of the node describe the signal (see `excitation.build`).
+    """
+
+    SETTINGS = (
+        Setting("signal", "rest", "", "kind of signal, a .npy file (rows by axes), or a .yaml file with its description"),
+        Setting("lead", 0, "samples", "rows published ahead, for a feedforward that previews", 0, 10_000_000),
+        Setting("repeat", False, "", "start the signal again at its end"),
+        Setting("retry", 0.2, "s", "time after which the first rows are published again while nobody answers", 1e-3, 60.0),
+    )
+
+    def __init__(self, name: str = "reference_generator", signal: Array | None = None, **options: Any) -> None:
+        """signal: rows (N, A) in place of the parameters' description."""
+        super().__init__(name, automatically_declare_parameters_from_overrides=True, **options)
+        self._signal = self._checked(self._described() if signal is None else signal)
+        self._end = 0
+        self._origin: int | None = None
+        self.reference = self.output("reference", self.unit)
+        self.measurement = self.input("measurement", self.unit, every_row=False)
+        if self.lockstep:
+            self.every(self.settings.retry, self._start_off)
+        self.start_timer(0.1)
+
+    def rows(self, first: int, count: int) -> Array:
+        """Rows (count, A) from tick `first` on."""
+        last = len(self._signal) - 1
+        if first + count <= last + 1:
+            return self._signal[first:first + count]
+        ticks = np.arange(first, first + count)
+        return self._signal[ticks % (last + 1) if self.settings.repeat else np.minimum(ticks, last)]
+
+    def advance(self) -> None:
+        arrived = self.measurement.rows
+        if self._end == 0 and arrived.end > 1:  # restarted in a run under way
+            self._end = max(0, arrived.end - 2 * self.settings.block)
+        if arrived.available:
+            arrived.take(arrived.available)
+        while self._end < arrived.end + self.settings.lead:
+            self._publish()
+
+    def repeat(self, source: Input) -> None:
+        if self._end:
+            first = max(0, (source.rows.end or 0) - 2 * self.settings.block)
+            self.reference.send(first, self.rows(first, self._end - first))
+
+    def tick(self, tick: int) -> None:
+        if not self.enabled:
+            self._origin = None
+            return
+        if self._origin is None:
+            self._origin = tick
+        lead, block = self.settings.lead, self.settings.block
+        self.reference.send(tick + lead, self.rows(tick - self._origin, block))
+
+    def reset(self) -> None:
+        self._end, self._origin = 0, None
+        self.reference.clear()
+
+    def _start_off(self) -> None:
+        if self.measurement.rows.end is None:
+            if self._end:
+                self.reference.repeat()
+            while self._end <= self.settings.lead:
+                self._publish()
+
+    def _publish(self) -> None:
+        block = self.settings.block
+        self.reference.send(self._end, self.rows(self._end, block))
+        self._end += block
+
+    def _described(self) -> Any:
+        from hyst_control import excitation
+
+        signal = self.settings.signal
+        try:
+            if signal.endswith(".npy"):
+                return np.load(signal)
+            if signal.endswith((".yaml", ".yml")):
+                spec = yaml.safe_load(Path(signal).read_text(encoding="utf-8"))
+            else:
+                own = {setting.name for setting in self.SETTINGS} | set(vars(self.settings))
+                spec = {"signal": signal, **{
+                    name: list(parameter.value) if hasattr(parameter.value, "tolist") else parameter.value
+                    for name, parameter in self.get_parameters_by_prefix("").items()
+                    if name not in own and not name.startswith(FOREIGN)}}
+            return excitation.build(spec, self.period, len(self.axes))
+        except OSError as error:
+            raise InputError(f"{self.get_name()}: signal {signal}: {error.strerror}: give an existing file") from None
+        except (ValueError, yaml.YAMLError) as error:
+            raise InputError(f"{self.get_name()}: signal {signal}: {' '.join(str(error).split())}") from None
+
+    def _checked(self, signal: Any) -> Array:
+        rows = np.asarray(signal, dtype=np.float64)
+        rows = rows[:, None] if rows.ndim == 1 else rows
+        if rows.ndim != 2 or rows.shape[1] != len(self.axes) or not len(rows):
+            raise InputError(f"{self.get_name()}: signal of shape {rows.shape}: rows by {len(self.axes)} axes are due")
+        if not np.isfinite(rows).all():
+            row = np.argwhere(~np.isfinite(rows))[0, 0]
+            raise InputError(f"{self.get_name()}: signal: holds NaN or infinity in row {row}")
+        return np.ascontiguousarray(rows)
+
+
+def main() -> int:
+    """The executable."""
+    return run_main(ReferenceGenerator)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,187 @@
+"""The plant node: runs a truth plant or a model file, and is the clock of the loop in lockstep."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from std_msgs.msg import Int64
+
+from hyst_control.control.loop import Plant
+from hyst_control.errors import InputError
+from hyst_control.model_file import Simulator, load_model
+from hyst_control.nodes.base import Input, SignalNode
+from hyst_control.nodes.messages import QUEUE
+from hyst_control.nodes.run import main as run_main
+from hyst_control.nodes.settings import Setting
+from hyst_control.share import config_path
+
+Array = NDArray[np.float64]
+
+MOST_AHEAD = 2048  # ticks that the plant may be ahead of a recorder it waits for
+
+
+class PlantNode(SignalNode):
+    """Takes `command` (V), gives `measurement`.
+
+    Lockstep: measurement[0] first; then for command rows k0 … k1 the measurement rows k0 + 1 … k1 + 1. While no command
+    comes, the newest measurement is repeated every `retry` s: this starts the loop and heals a lost message or a
+    restarted node. With `ticks` the plant ends after as many command rows, having published as many measurement rows.
+    Timer: at each tick the commands of the time since the last one, the newest held on, are run through the plant.
+    """
+
+    SETTINGS = (
+        Setting("plant", "", "", "truth plant: a name in config/plants or a file"),
+        Setting("model", "", "", "model file, run in place of a truth plant"),
+        Setting("seed", 0, "", "seed of the plant's noise", 0, 2**31 - 1),
+        Setting("ticks", 0, "ticks", "length of the run, 0 for endless", 0, 2**52),
+        Setting("start", "rest", "", "settled at 0 V, or at the first command (open loop)",
+                choices=("rest", "first_command")),
+        Setting("retry", 0.2, "s", "time without a command after which the newest measurement is repeated", 1e-3, 60.0),
+        Setting("wait_for_recorder", False, "", "keep within what the recorder has stored"),
+    )
+
+    def __init__(self, name: str = "plant", plant: Plant | None = None, **options: Any) -> None:
+        """plant: used in place of the one that the parameters describe."""
+        super().__init__(name, **options)
+        self.ends = self.settings.ticks > 0
+        self._plant = plant or self._described()
+        rest = np.zeros(len(self.axes))
+        self._plant.reset(rest)  # compiled before the first tick
+        self._plant.step(rest[None])
+        self._tick: int | None = None  # of the newest measurement
+        self._held = rest
+        self._recorded = -1
+        self._repeats = 0
+        self.measurement = self.output("measurement", self.unit)
+        self.command = self.input("command", "V")
+        if self.settings.wait_for_recorder:
+            self.create_subscription(Int64, "recorded", self._on_recorded, QUEUE)
+        self.reset()
+        if self.lockstep:
+            self._seen = self.command.rows.end
+            self.every(self.settings.retry, self._retry)
+        self.start_timer(0.1)
+
+    def advance(self) -> None:
+        rows, length = self.command.rows, self.settings.ticks
+        while rows.available:
+            if self._tick is None:
+                self._settle(self._newest_command())
+            allowed = rows.available if not length else min(rows.available, length - self._tick)
+            if self.settings.wait_for_recorder:
+                allowed = min(allowed, self._recorded + MOST_AHEAD - self._tick if self._recorded >= 0 else 0)
+            if allowed <= 0:
+                return
+            commands = rows.take(allowed)
+            measurements = self._plant.step(commands)
+            first = self._tick + 1
+            self._tick += allowed
+            if length and self._tick == length:
+                if allowed > 1:
+                    self.measurement.send(first, measurements[:-1])
+                self._end()
+                return
+            self.measurement.send(first, measurements)
+
+    def tick(self, tick: int) -> None:
+        rows, period = self.command.rows, self.period
+        if self._tick is None:
+            self._held = np.zeros(len(self.axes))
+            self._tick = tick
+            self.measurement.send(tick, self._plant.reset(self._held)[None])
+            return
+        first = max(self._tick, tick - max(self.settings.block, round(1.0 / period)))  # no more than 1 s is made up for
+        commands = np.empty((tick - first, len(self.axes)))
+        for row in range(len(commands)):
+            newest = rows.newest(first + row)
+            if newest is not None:
+                self._held = newest
+            commands[row] = self._held
+        if self.command.age > self.settings.timeout:
+            self.warn("stale", f"no command for {self.settings.timeout:g} s: the newest one is held")
+        measurements = self._plant.step(commands)
+        count = min(self.settings.block, len(measurements))
+        self.measurement.send(tick - count + 1, measurements[-count:])
+        self._tick = tick
+        if self.settings.ticks and self.counts["ticks"] * self.settings.block >= self.settings.ticks:
+            self.finish(self.measurement.publisher)
+
+    def reset(self) -> None:
+        self._tick = None
+        self.measurement.clear()
+        if self.lockstep:
+            self.command.rows.clear()
+            self.command.rows.end = 0
+            if self.settings.start == "rest":
+                self._settle(np.zeros(len(self.axes)))
+
+    def out_of_order(self, source: Input, tick: int) -> None:
+        if self._repeats >= 5 and self._tick in (None, 0):  # nobody has tick 0 any more: restarted in a run under way
+            self.get_logger().warning(f"a run is under way: going on at tick {tick}")
+            self._tick = None if self.settings.start == "first_command" else tick
+            source.rows.end = tick
+
+    def status(self) -> dict[str, Any]:
+        return {"tick": self._tick, "recorded": self._recorded}
+
+    def _settle(self, command: Array) -> None:
+        first = self._plant.reset(command)
+        self._tick = self.command.rows.start or 0
+        self.measurement.send(self._tick, first[None])
+
+    def _newest_command(self) -> Array:
+        row = self.command.rows.newest(self.command.rows.start)
+        assert row is not None
+        return row
+
+    def _on_recorded(self, message: Int64) -> None:
+        self._recorded = max(self._recorded, message.data)
+        if self.settings.ticks and self._tick == self.settings.ticks:
+            self._end()
+        else:
+            self.advance()
+
+    def _end(self) -> None:
+        if not self.settings.wait_for_recorder or self._recorded >= self.settings.ticks - 1:
+            self.finish(self.measurement.publisher)
+
+    def _retry(self) -> None:
+        if self.finished.done():
+            return
+        if self._seen == (self.command.rows.end, self._tick):
+            self._repeats += 1
+            self.measurement.repeat_newest()
+        else:
+            self._repeats = 0
+        self._seen = (self.command.rows.end, self._tick)
+
+    def _described(self) -> Plant:
+        given, name = self.settings, self.get_name()
+        if bool(given.plant) == bool(given.model):
+            raise InputError(f"{name}: give either the parameter plant or the parameter model")
+        try:
+            if given.model:
+                plant: Any = Simulator(load_model(given.model), self.period)
+            else:
+                from hyst_plant_sim.physics import load_plant
+
+                path = given.plant if Path(given.plant).exists() else config_path(f"plants/{given.plant}.yaml")
+                plant = load_plant(path, seed=given.seed, sample_time=self.period)
+        except ValueError as error:
+            raise InputError(f"{name}: {error}") from None
+        if tuple(plant.axes) != self.axes or plant.units["measurement"] != self.unit:
+            raise InputError(f"{name}: {given.plant or given.model} has axes [{', '.join(plant.axes)}] in "
+                             f"{plant.units['measurement']}: set the parameters axes and unit to them")
+        return plant
+
+
+def main() -> int:
+    """The executable."""
+    return run_main(PlantNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
