@@ -93,8 +93,6 @@ class ReferenceGenerator(SignalNode):
         self._end += block
 
     def _described(self) -> Any:
-        from hyst_control import excitation
-
         signal = self.settings.signal
         try:
             if signal.endswith(".npy"):
@@ -107,6 +105,8 @@ class ReferenceGenerator(SignalNode):
                     name: list(parameter.value) if hasattr(parameter.value, "tolist") else parameter.value
                     for name, parameter in self.get_parameters_by_prefix("").items()
                     if name not in own and not name.startswith(FOREIGN)}}
+            from hyst_control import excitation
+
             return excitation.build(spec, self.period, len(self.axes))
         except OSError as error:
             raise InputError(f"{self.get_name()}: signal {signal}: {error.strerror}: give an existing file") from None

@@ -1,0 +1,55 @@
+"""Fixtures that tests share: a ROS domain and context of their own, and the measured data where it is there."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from hyst_control.nodes import environment
+from hyst_control.nodes.domain import own_domain
+
+environment.prepare()
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture
+def domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """A ROS domain that no other test or run uses meanwhile; logs go to the test's folder."""
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros_log"))
+    with own_domain() as number:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
+        yield number
+
+
+@pytest.fixture
+def ros_context(domain: int) -> Iterator[object]:
+    """A private rclpy context on that domain."""
+    rclpy = pytest.importorskip("rclpy")
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    try:
+        yield context
+    finally:
+        rclpy.try_shutdown(context=context)
+
+
+@pytest.fixture
+def measured_data() -> Path:
+    """The folder with measured records."""
+    return _shared("data", "HYST_DATA")
+
+
+@pytest.fixture
+def conformance() -> Path:
+    """The folder with records that every implementation of the published models must reproduce."""
+    return _shared("conformance", "HYST_CONFORMANCE")
+
+
+def _shared(name: str, variable: str) -> Path:
+    folder = Path(os.environ.get(variable) or ROOT.parent / "shared" / name)
+    if not folder.is_dir():
+        pytest.skip(f"no folder {name}: set {variable} to it")
+    return folder
