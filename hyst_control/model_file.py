@@ -129,7 +129,7 @@ def model_from_document(document: Any) -> Model:
         raise InputError("is not a model file: a mapping with format, version, … is due")
     if document.get("format") != FORMAT:
         raise InputError(f"format: {document.get('format')!r}, a model file says {FORMAT!r}")
-    if document.get("version") != VERSION:
+    if document.get("version") != VERSION or isinstance(document["version"], bool):
         raise InputError(f"version: {document.get('version')!r} is not known here, version {VERSION} is")
     for key in document:
         if key not in KEYS:
@@ -146,8 +146,11 @@ def model_from_document(document: Any) -> Model:
     if hold not in HOLDS:
         raise InputError(f"hold: {hold!r}, one of {', '.join(HOLDS)} is due")
     sample_time = document["sample_time"]
-    if isinstance(sample_time, bool) or not isinstance(sample_time, (int, float)) or not 0 < sample_time < np.inf:
+    if not _numeric(sample_time) or np.ndim(sample_time) or not sample_time > 0:
         raise InputError(f"sample_time: {sample_time!r}, a positive time in s is due")
+    name = document.get("name", "model")
+    if not isinstance(name, str):
+        raise InputError(f"name: {name!r}, a text is due: put it in quotes")
     chain = Chain(stages_from_document(document["chain"], "chain"))
     for index, stage in enumerate(chain.stages):
         try:
@@ -157,7 +160,7 @@ def model_from_document(document: Any) -> Model:
         except MemoryError:
             raise InputError(f"chain[{index}] ({stage.name}): too large for this machine at {sample_time:g} s") from None
     return Model(
-        name=str(document.get("name", "model")),
+        name=name,
         axes=tuple(axes),
         units=_units(document["units"]),
         sample_time=float(sample_time),
@@ -288,7 +291,7 @@ def _tolerance(tolerance: Any) -> dict[str, float]:
 def _numeric(value: Any) -> bool:
     try:
         return not isinstance(value, (bool, str)) and bool(np.all(np.isfinite(np.array(value, dtype=float))))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return False
 
 

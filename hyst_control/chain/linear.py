@@ -29,6 +29,8 @@ from hyst_control.chain.stage import (
 )
 from hyst_control.errors import InputError
 
+LONGEST_DELAY = 1e6
+"""Longest delay in samples: what is held in memory."""
 TINY = 1e-80
 """States below this are 0: a decaying state would else end in subnormal numbers, which processors handle a hundred times slower."""
 
@@ -496,6 +498,10 @@ def linear_filter(run: list[Stage], sampling: Sampling) -> Filter:
         empty = LinearSystem(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), np.zeros(1))
         systems = [empty] * axes
     samples = late / sampling.sample_time
+    if np.any(samples > LONGEST_DELAY):
+        raise InputError(
+            f"tau: {late.max():g} s are {samples.max():.3g} samples of {sampling.sample_time:g} s, {LONGEST_DELAY:.0e} at most"
+        )
     whole = np.floor(samples + 1e-9)
     fraction = np.maximum(samples - whole, 0.0).reshape(len(systems), -1)
     discretised = [discretise(system.balanced(), fraction[s], sampling) for s, system in enumerate(systems)]
