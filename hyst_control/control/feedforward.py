@@ -24,12 +24,20 @@ from numpy.typing import ArrayLike
 
 from hyst_control.chain import Chain, Parallel, Sampling, Stage
 from hyst_control.chain.inverse_multiplicative import InverseMultiplicative, slope_range
-from hyst_control.chain.linear import Delay, LinearStage, RateCorrection, TransferFunction
+from hyst_control.chain.linear import Delay, LinearStage
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.play import ModifiedPrandtlIshlinskii, PrandtlIshlinskii, play_filter
 from hyst_control.chain.stage import Array, per_axis_scalar
 from hyst_control.chain.static import Gain, Offset, Quantization, Saturation
 from hyst_control.control.inverse_dynamics import invert_dynamics
+from hyst_control.control.mhl_inverse import (
+    composite,
+    constant_removed,
+    inverse_rate_correction,
+    inverted,
+    rate_dependent_parts,
+    whole_inverse,
+)
 from hyst_control.control.quasi_static import hysteretic, mean_line, quasi_static_stages
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
@@ -75,7 +83,7 @@ def build_compensator(model: Model, kind: str, *, sample_time: float | None = No
     dynamics, for the kinds that invert them; discretisation: "zoh" (exact, delays included) or "tustin" (as published);
     limits: (lower, upper) V, the drive's rating (the model's valid command range by default); preview: False for the causal
     form; iterations: steps per sample of the inverse multiplicative structure (default 4; 1 is HAMPI paper Eq. 13, 0
-    solves exactly), or passes over the rate correction of `mhl_inverse` (default 4); inverse_model: a model file from the
+    solves exactly), or passes over the rate correction of `mhl_inverse` (default 6); inverse_model: a model file from the
     measurement to V with inverse curves identified by themselves (`mhl`, `mhl_static`); rate_filter: denominator of N(s), None
     for none.
 
@@ -91,20 +99,20 @@ def build_compensator(model: Model, kind: str, *, sample_time: float | None = No
         stages: list[Stage] = [Offset((-offset).tolist()), Gain((1.0 / slope).tolist())]
         return Compensator([*stages, rating], model, sample_time, 0, 0, bounds)
     if kind in ("mhl", "mhl_static"):
-        return Compensator([*mhl_stages(model, kind, inverse_model, rate_filter), rating], model, sample_time, 0, 0, bounds)
+        stages = mhl_stages(model, kind, inverse_model, rate_filter)
+        return Compensator([*stages, rating], model, sample_time, 0, 0, bounds)
 
     before, core, after = split(model)
-    sampling = Sampling(sample_time, len(model.axes), "zoh")
-    ahead = 0
-    stages = []
-    behind, late = dynamics_inverse(after, sampling, inverse, discretisation)
-    ahead += late
-    stages += behind
-    stages += core_inverse(core, kind, model, bounds, iterations)
-    front, late = dynamics_inverse(before, sampling, inverse, discretisation)
-    ahead += late
-    stages += front
-    return Compensator([*stages, rating], model, sample_time, ahead if preview else 0, 0 if preview else ahead, bounds)
+    # A DAC holds the command; behind dynamics the signal is smooth.
+    held = Sampling(sample_time, len(model.axes), "zoh")
+    entering = held.with_hold("foh" if any(isinstance(stage, LinearStage) for stage in before) else "zoh")
+    behind, ahead = dynamics_inverse(after, entering, inverse, discretisation)
+    front, further = dynamics_inverse(before, held, inverse, discretisation)
+    stages = [*behind, *core_inverse(core, after, kind, model, entering, bounds, iterations), *front, rating]
+    ahead += further
+    if inverse != "none" and not any(isinstance(stage, (LinearStage, Delay)) for stage in (*before, *after)):
+        ahead = 1  # Without dynamics the sample still comes one tick after its command.
+    return Compensator(stages, model, sample_time, ahead if preview else 0, 0 if preview else ahead, bounds)
 
 
 def drive_limits(model: Model, limits: tuple[ArrayLike, ArrayLike] | None) -> Array:
@@ -169,15 +177,16 @@ def dynamics_inverse(side: list[Stage], sampling: Sampling, method: str, discret
     return [*stages, inverted.stage], inverted.preview
 
 
-def core_inverse(core: Stage | None, kind: str, model: Model, bounds: Array, iterations: int | None) -> list[Stage]:
-    """Stages that undo the hysteresis."""
-    if core is None:
-        return []
+def core_inverse(core: Stage | None, after: list[Stage], kind: str, model: Model, sampling: Sampling, bounds: Array,
+                 iterations: int | None) -> list[Stage]:
+    """Stages that undo the hysteresis; `after` are the linear stages that follow it in the model."""
     if kind == "mhl_inverse":
         hysteresis, correction = rate_dependent_parts(core)
-        return mhl_inverse_stages(hysteresis, correction, model, 4 if iterations is None else iterations)
+        return whole_inverse(hysteresis, correction, after, sampling, 6 if iterations is None else iterations)
+    if core is None:
+        return []
     if isinstance(core, Madelung):
-        return [inverted_madelung(core)]
+        return [inverted(core)]
     if not isinstance(core, (PrandtlIshlinskii, ModifiedPrandtlIshlinskii)):
         raise InputError(f"kind: {kind!r} inverts prandtl_ishlinskii and modified_prandtl_ishlinskii, not {core.name}")
     own = {item.name: getattr(core, item.name) for item in fields(core)}
@@ -220,80 +229,18 @@ def invertible_range(core: Stage, model: Model, bounds: Array) -> Array:
     return np.stack([bounds[0], upper])
 
 
-def rate_dependent_parts(core: Stage) -> tuple[Madelung, RateCorrection | None]:
-    """H_S and Ψ of an MHL model's rate-dependent part. Raises `InputError` when it is something else."""
-    if isinstance(core, Madelung):
-        return core, None
-    flat = [stage for branch in core.branches for stage in branch] if isinstance(core, Parallel) else []
-    hysteresis = [stage for stage in flat if isinstance(stage, Madelung)]
-    correction = [stage for stage in flat if isinstance(stage, RateCorrection)]
-    if len(hysteresis) != 1 or len(correction) > 1 or len(flat) != len(hysteresis) + len(correction):
-        raise InputError("kind: an MHL compensator needs a madelung stage, alone or in parallel with rate_correction, not "
-                         f"{core.name}")
-    return hysteresis[0], correction[0] if correction else None
-
-
-def inverted_madelung(stage: Madelung) -> Madelung:
-    """The same curves run from output to input, or back."""
-    own = {item.name: getattr(stage, item.name) for item in fields(stage)}
-    return Madelung(**{**own, "inverse": not stage.inverse})
-
-
 def mhl_stages(model: Model, kind: str, inverse_model: Model | None, rate_filter: Sequence[float] | None) -> list[Stage]:
-    """u_ff = H_S^-1[y] + N(s) Ψ'[y], from an identified inverse or from the model (MHL paper Eq. 6-9, §4.4)."""
-    if inverse_model is not None:
-        core = split(inverse_model)[1]
-        if core is None:
-            raise InputError(f"inverse_model: {inverse_model.name} has no madelung stage")
-        hysteresis, correction = rate_dependent_parts(core)
-        before: list[Stage] = []
-    else:
-        _, core, after = split(model)
-        if core is None:
-            raise InputError(f"kind: {kind!r} needs a madelung stage in the model, {model.name} has none: take kind none")
-        direct, forward = rate_dependent_parts(core)
-        hysteresis, correction = inverted_madelung(direct), forward and inverse_rate_correction(direct, forward, len(model.axes))
-        before, _ = dynamics_inverse(after, Sampling(model.sample_time, len(model.axes)), "none", "zoh")
-        if forward is not None:
-            offset = per_axis_scalar(forward.b1, len(model.axes), "b1") / per_axis_scalar(forward.b2, len(model.axes), "b2")
-            before = [*before, Offset((-offset).tolist())] if np.any(offset) else before
-    if kind == "mhl_static" or correction is None:
-        return [*before, hysteresis]
-    lead: list[Stage] = [correction]
-    if rate_filter is not None:
-        lead.append(TransferFunction([float(rate_filter[-1])], [float(value) for value in rate_filter]))
-    return [*before, Parallel(((hysteresis,), tuple(lead)))]
-
-
-def mean_slope(stage: Madelung, axes: int) -> Array:
-    """Output at full input over the input (A,), measurement unit per V."""
-    full = np.array([float(up(np.ones(1))[0]) for up, _ in stage.curves(axes)])
-    return (full * per_axis_scalar(stage.output_scale, axes, "output_scale")
-            / per_axis_scalar(stage.input_scale, axes, "input_scale"))
-
-
-def inverse_rate_correction(stage: Madelung, correction: RateCorrection, axes: int) -> RateCorrection:
-    """Ψ' such that (1/a + Ψ')(a + Ψ) = 1 with a the mean slope of H_S: again a first-order lag driven by the rate.
-
-    1 / (a + k1 s / (k2 s + b2)) - 1 / a = (-k1 / a²) s / ((k2 + k1 / a) s + b2).
-    """
-    a = mean_slope(stage, axes)
-    k1, k2, b2 = (per_axis_scalar(getattr(correction, name), axes, name) for name in ("k1", "k2", "b2"))
-    if np.any(k2 + k1 / a <= 0.0):
-        raise InputError("k1: at high frequency the rate correction outweighs the hysteresis itself: its inverse is unstable")
-    return RateCorrection((-k1 / a**2).tolist(), (k2 + k1 / a).tolist(), 0.0, b2.tolist())
-
-
-def mhl_inverse_stages(stage: Madelung, correction: RateCorrection | None, model: Model, passes: int) -> list[Stage]:
-    """v with H_S[v] + Ψ[v] = w, by v_0 = H_S^-1[w] + Ψ'[w], v_j+1 = H_S^-1[w - Ψ[v_j]]: a chain of chains, no algebraic loop.
-
-    The error shrinks per pass by |Ψ| / a, which is 0.25 at 100 Hz and at most 0.57 with the published parameters.
-    """
-    inverse = inverted_madelung(stage)
-    if correction is None:
-        return [inverse]
+    """The MHL paper's composite feedforward, from an inverse identified by itself or from the model's own curves."""
     axes = len(model.axes)
-    solution: list[Stage] = [Parallel(((inverse,), (inverse_rate_correction(stage, correction, axes),)))]
-    for _ in range(passes):
-        solution = [Parallel(((Gain(1.0),), (*solution, correction, Gain(-1.0)))), inverse]
-    return solution
+    if inverse_model is not None:
+        hysteresis, correction = rate_dependent_parts(split(inverse_model)[1])
+        return composite(hysteresis, correction if kind == "mhl" else None, rate_filter)
+    before, core, after = split(model)
+    if not isinstance(core, (Madelung, Parallel)):
+        raise InputError(f"kind: {kind!r} needs a madelung stage, which the model {model.name} has not: take none, hapi or hampi")
+    direct, forward = rate_dependent_parts(core)
+    stages, _ = dynamics_inverse(after, Sampling(model.sample_time, axes), "none", "zoh")
+    stages += constant_removed(forward, axes)
+    lead = inverse_rate_correction(direct, forward, axes) if forward is not None and kind == "mhl" else None
+    front, _ = dynamics_inverse(before, Sampling(model.sample_time, axes), "none", "zoh")
+    return [*stages, *composite(inverted(direct), lead, rate_filter), *front]

@@ -200,8 +200,9 @@ def _zero_pole_gain(a: Array, b: Array, c: Array, d: Array) -> DiscreteSystem:
     """Zeros (by the pencil of the system matrix, accurate for clustered poles), poles and gain from the response at rest."""
     n = len(a)
     poles = np.linalg.eigvals(a) if n else np.zeros(0)
-    static = float((c @ np.linalg.solve(np.eye(n) - a, b) + d)[0, 0])
-    if static == 0.0 or not np.isfinite(static):
+    rest = np.linalg.solve(np.eye(n) - a, b)
+    static = float((c @ rest + d)[0, 0])
+    if abs(static) <= 1e-9 * float((np.abs(c) @ np.abs(rest) + np.abs(d))[0, 0]):
         raise InputError("dynamics: no static gain: no constant command holds a position; correct the model")
     pencil = np.block([[a, b], [c, d]])
     alpha, beta = eigvals(pencil, block_diag(np.eye(n), np.zeros((1, 1))), homogeneous_eigvals=True)

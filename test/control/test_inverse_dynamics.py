@@ -1,0 +1,165 @@
+"""Approximate inverses of linear dynamics against the HAMPI paper's equations and their defining properties."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy import signal
+
+from hyst_control.chain import Chain, Sampling
+from hyst_control.chain.linear import Delay, TransferFunction
+from hyst_control.control.inverse_dynamics import METHODS, invert_dynamics, invert_system, sampled_systems, tustin_systems
+from hyst_control.errors import InputError
+
+FAST_PART = TransferFunction([-340.48, 340.48 * 1.249e4], [1.0, 8602.0, 5.982e7])  # Eq. 7 without the slow pole-zero pair
+EQUATION_7 = TransferFunction([-340.48, 4249823.6928, 34616124.928], [1.0, 8609.942, 59888317.084, 475090440.0])
+PAPER_SAMPLE_TIME = 5e-5  # what Eq. 9 was computed with, whatever the text says
+
+
+def points(frequencies: np.ndarray, sample_time: float) -> np.ndarray:
+    return np.exp(2j * np.pi * frequencies * sample_time)
+
+
+def test_tustin_gives_equation_9():
+    plant = tustin_systems([FAST_PART], Sampling(PAPER_SAMPLE_TIME, 1))[0]
+    assert plant.gain == pytest.approx(-0.0047, abs=5e-5)
+    np.testing.assert_allclose(np.sort(plant.zeros.real), [-1.0, 1.908], atol=5e-4)
+    np.testing.assert_allclose(np.poly(plant.poles).real, [1.0, -1.537, 0.6566], atol=5e-4)
+
+
+def test_zpetc_gives_equation_11():
+    """(1.908 z^4 - 2.025 z^3 - 1.143 z^2 + 2.133 z - 0.657) / (0.0155 z^4), after two samples of delay."""
+    inverse, preview = invert_system(tustin_systems([FAST_PART], Sampling(PAPER_SAMPLE_TIME, 1))[0], "zpetc")
+    assert preview == 2
+    numerator = np.poly(inverse.zeros).real * inverse.gain
+    np.testing.assert_allclose(numerator * 0.0155, [1.908, -2.025, -1.143, 2.133, -0.657], rtol=0.006, atol=0.002)
+    np.testing.assert_allclose(inverse.poles, np.zeros(4))
+
+
+def test_tustin_of_equation_11_gives_equation_12():
+    inverse, _ = invert_system(tustin_systems([FAST_PART], Sampling(PAPER_SAMPLE_TIME, 1))[0], "zpetc")
+    s = 2j * np.pi * np.array([10.0, 100.0, 500.0, 3000.0])
+    z = (1 + s * PAPER_SAMPLE_TIME / 2) / (1 - s * PAPER_SAMPLE_TIME / 2)
+    published = np.polyval([2.594e-2, 4.818e7, 1.016e12, 8.062e15, 3.593e19], s) / np.polyval([1, 1.6e5, 9.6e9, 2.56e14, 2.56e18], s)
+    # Rounding of the printed digits, -0.0047 first of all, leaves up to 2 %.
+    np.testing.assert_allclose(inverse.response(z), published, rtol=0.02)
+
+
+@pytest.mark.parametrize("sample_time", [2e-5, 5e-5, 1e-4, 2e-4])
+@pytest.mark.parametrize("delay", [0.0, 6.8e-5, 3.3e-4])
+def test_exact_sampling_agrees_with_scipy(sample_time, delay):
+    """Zeros, poles and gain of the held system against scipy's zoh and an explicit whole-sample delay."""
+    whole = round(delay / sample_time) * sample_time
+    plant = sampled_systems([EQUATION_7, Delay(whole)], Sampling(sample_time, 1))[0]
+    num, den, _ = signal.cont2discrete((EQUATION_7.num, EQUATION_7.den), sample_time, "zoh")
+    z = points(np.array([0.1, 10.0, 300.0, 0.4 / sample_time]), sample_time)
+    expected = np.polyval(num.ravel(), z) / np.polyval(den, z) * z ** -round(whole / sample_time)
+    np.testing.assert_allclose(plant.response(z), expected, rtol=1e-7)
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.3e-5, 6.8e-5, 2.5e-4])
+@pytest.mark.parametrize("sample_time", [2e-5, 2e-4])
+def test_zpetc_has_no_phase_error_and_unit_gain_at_rest(sample_time, delay):
+    plant = sampled_systems([Delay(delay), EQUATION_7], Sampling(sample_time, 1))[0]
+    inverse, preview = invert_system(plant, "zpetc")
+    z = points(np.array([1e-3, 1.0, 50.0, 0.1 / sample_time, 0.37 / sample_time]), sample_time)
+    whole = plant.response(z) * inverse.response(z) * z**preview
+    np.testing.assert_allclose(whole.imag, 0.0, atol=1e-9 * np.abs(whole).max())
+    assert np.all(whole.real > 0.0)
+    assert whole[0].real == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("sample_time", [2e-5, 5e-5])
+def test_zmetc_has_no_magnitude_error(sample_time):
+    plant = sampled_systems([EQUATION_7], Sampling(sample_time, 1))[0]
+    inverse, preview = invert_system(plant, "zmetc")
+    z = points(np.array([1.0, 50.0, 500.0, 0.2 / sample_time, 0.45 / sample_time]), sample_time)
+    np.testing.assert_allclose(np.abs(plant.response(z) * inverse.response(z)), 1.0, rtol=1e-9)
+
+
+def test_order_of_the_methods_in_figure_8():
+    """Fig. 8: over 10-500 Hz ZPETC has the least phase error, ZMETC the least magnitude error, NPZ-ignore half of ZMETC's phase."""
+    sampling = Sampling(PAPER_SAMPLE_TIME, 1)
+    plant = tustin_systems([FAST_PART], sampling)[0]
+    z = points(np.linspace(10.0, 500.0, 50), PAPER_SAMPLE_TIME)
+    phase, magnitude = {}, {}
+    for method in METHODS:
+        inverse, preview = invert_system(plant, method)
+        whole = plant.response(z) * inverse.response(z) * z**preview
+        phase[method], magnitude[method] = np.abs(np.angle(whole)).max(), np.abs(np.abs(whole) - 1).max()
+    assert phase["zpetc"] < 1e-9 < phase["npz_ignore"] < phase["zmetc"]
+    assert magnitude["zmetc"] < magnitude["npz_ignore"] < magnitude["zpetc"]
+
+
+@st.composite
+def stable_systems(draw):
+    """Stable proper systems of order 1-4 with zeros anywhere but on the imaginary axis."""
+    sign = draw(st.sampled_from([1.0, -1.0]))
+    poles, zeros = [], []
+    for _ in range(draw(st.integers(1, 2))):
+        w, zeta = draw(st.floats(200.0, 2e4)), draw(st.floats(0.05, 1.5))
+        poles += list(np.roots([1.0, 2 * zeta * w, w * w])) if draw(st.booleans()) else [-w]
+    for _ in range(draw(st.integers(0, len(poles)))):
+        zeros.append(draw(st.floats(100.0, 5e4)) * draw(st.sampled_from([-1.0, 1.0])))
+    den = np.poly(poles).real
+    num = np.atleast_1d(np.poly(zeros).real)
+    return TransferFunction(list(sign * 0.1 * num * den[-1] / num[-1]), list(den))
+
+
+@settings(max_examples=60, deadline=None)
+@given(system=stable_systems(), sample_time=st.sampled_from([2e-5, 1e-4, 3e-4]), delay=st.just(0.0) | st.floats(1e-8, 5e-4),
+       method=st.sampled_from(METHODS))
+def test_inverse_of_any_stable_system_is_stable_and_tracks_slow_references(system, sample_time, delay, method):
+    sampling = Sampling(sample_time, 1)
+    plant = sampled_systems([Delay(delay), system], sampling)[0]
+    assume(np.all(np.abs(plant.zeros - 1.0) > 1e-3))
+    inverse, preview = invert_system(plant, method)
+    assert np.all(np.abs(inverse.poles) < 1.0)
+    z = points(np.array([1e-4 / sample_time]), sample_time)
+    slowest = np.abs(np.concatenate([1 / (1 - plant.zeros), 1 / (1 - plant.poles)])).max()
+    assert abs(plant.response(z) * inverse.response(z) * z**preview - 1.0)[0] < 2e-3 * max(slowest, 1.0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(system=stable_systems(), sample_time=st.sampled_from([2e-5, 1e-4]), delay=st.just(0.0) | st.floats(1e-8, 2e-4),
+       method=st.sampled_from(METHODS), frequency=st.floats(0.001, 0.3))
+def test_stage_in_series_with_the_plant_answers_as_the_polynomials_say(system, sample_time, delay, method, frequency):
+    """Run the inverse and the held plant as filters and compare with |G Ginv| at one frequency, in the time domain."""
+    sampling = Sampling(sample_time, 1)
+    plant = sampled_systems([Delay(delay), system], sampling)[0]
+    assume(np.all(np.abs(plant.zeros - 1.0) > 0.02) and np.all(np.abs(plant.poles) < 0.98))
+    inverse = invert_dynamics([Delay(delay), system], sampling, method)
+    assume(np.all(np.abs(inverse.systems[0].poles) < 0.98))
+    n = np.arange(3000)
+    feed = np.cos(2 * np.pi * frequency * n)[:, None]
+    first = Chain((inverse.stage,)).filter(Sampling(sample_time, 1, "foh"))
+    second = Chain((Delay(delay), system)).filter(sampling)
+    first.settle(feed[0])
+    start = second.settle(first.settle(feed[0]))
+    command = first.process(feed)
+    output = np.concatenate([start[None], second.process(command)[:-1]])[:, 0]
+    z = np.exp(2j * np.pi * frequency)
+    expected = (plant.response(z) * inverse.systems[0].response(z) * z**n).real
+    np.testing.assert_allclose(output[2000:], expected[2000:], atol=1e-6 * max(1.0, np.abs(command).max()))
+
+
+def test_axes_share_the_longest_preview():
+    slow = TransferFunction([[1e4], [1e4]], [[1.0, 1e4], [1.0, 1e4]])
+    inverse = invert_dynamics([Delay([0.0, 3.2e-4]), slow], Sampling(1e-4, 2))
+    alone = invert_dynamics([Delay(3.2e-4), TransferFunction([1e4], [1.0, 1e4])], Sampling(1e-4, 1))
+    assert inverse.preview == alone.preview
+    running = Chain((inverse.stage,)).filter(Sampling(1e-4, 2, "foh"))
+    running.settle(np.zeros(2))
+    step = running.process(np.concatenate([np.zeros((1, 2)), np.ones((20, 2))]))
+    first = [int(np.flatnonzero(step[:, axis])[0]) for axis in range(2)]
+    assert first[0] > first[1], "the axis without delay waits for the other one"
+
+
+@pytest.mark.parametrize(("system", "word"), [
+    (TransferFunction([1.0], [1.0, -5.0]), "stable"),
+    (TransferFunction([1.0, 0.0], [1.0, 5.0]), "static gain"),
+    (TransferFunction([[[1.0], [0.1]], [[0.1], [1.0]]], [1.0, 5.0], coupled=True), "mix the axes"),
+])
+def test_what_has_no_inverse_is_refused(system, word):
+    with pytest.raises(InputError, match=word):
+        invert_dynamics([system], Sampling(1e-4, 2 if system.coupled else 1))
