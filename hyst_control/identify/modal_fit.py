@@ -28,8 +28,12 @@ from hyst_control.chain.stage import Array
 
 CHUNK = 256
 """Lines worked on at once: small enough for the cache, large enough for the matrix product."""
-SLOWEST = -14.0
-"""Least logarithm of a pole's decay per sample: slower is an integrator."""
+SLOWEST = {True: 1.0, False: 0.05}
+"""Least decay of a pole, in line spacings, for periodic records and for others.
+
+A resonance narrower than the spacing falls between the lines of a periodic record, and would fit the noise of a single
+one; other records tell time constants of a few times their length.
+"""
 
 
 @dataclass(frozen=True)
@@ -296,7 +300,9 @@ class Problem:
         self.irreducible = sum(rest for _, rest in compressed)
         self.power = sum(spectra.power for spectra in data)
         self.direct, self.free_delay = direct, free_delay
-        self.model = model
+        slowest = min(SLOWEST[s.periodic] * float(np.diff(s.angle).min()) for s in self.data)
+        self.slowest = float(np.log(slowest))
+        self.model = model = replace(model, poles=np.minimum(model.poles.real, -slowest) + 1j * model.poles.imag)
         self.records = sum(s.command.shape[2] for s in self.data if not s.periodic)
         n, p, m = len(model.poles), *model.feedthrough.shape
         # A delayed command reaches back before the record: as many samples of its output are free as the delay is long.
@@ -361,7 +367,7 @@ class Problem:
         model, part = self.model, self.layout.slices
         n, p, m = len(model.poles), *model.feedthrough.shape
         pole = change[part["pole"]].reshape(n, 2)
-        log_decay = np.clip(np.log(-model.poles.real) + np.clip(pole[:, 0], -2.0, 2.0), SLOWEST, 3.0)
+        log_decay = np.clip(np.log(-model.poles.real) + np.clip(pole[:, 0], -2.0, 2.0), self.slowest, 3.0)
         frequency = np.where(model.poles.imag == 0, 0.0, np.clip(model.poles.imag + pole[:, 1], 1e-7, np.pi))
         c, b = change[part["c"]].reshape(2, n, p), change[part["b"]].reshape(2, n, m)
         feedthrough = model.feedthrough + change[part["D"]].reshape(p, m) if self.direct else model.feedthrough
@@ -379,6 +385,15 @@ class Problem:
             [old + row[0] + 1j * row[1] for old, row in zip(self.transients.modes, t, strict=True)],
             [old + row for old, row in zip(self.transients.edge, d, strict=True)],
         )
+
+    def movable(self, vector: Array) -> np.ndarray:
+        """The parameters (P,) that a step may change: not the decay of a pole that is at its bound and would go
+        beyond.
+        """
+        movable = self.free.copy()
+        at = self.layout.indices("pole", len(self.model.poles), 2)[:, 0]
+        movable[at] &= (np.log(-self.model.poles.real) > self.slowest + 1e-9) | (vector[at] > 0)
+        return movable
 
     def rescale(self) -> None:
         """Share each mode's size between c and b equally: the product alone matters."""
@@ -516,7 +531,7 @@ def refine(problem: Problem, iterations: int = 40, tolerance: float = 1e-5) -> t
         best = problem.model, problem.transients
         gained = 0.0
         for _ in range(8):
-            problem.apply(solve_damped(matrix, vector, problem.free, damping))
+            problem.apply(solve_damped(matrix, vector, problem.movable(vector), damping))
             trial = problem.cost()
             if trial < cost:
                 gained = cost - trial
