@@ -108,7 +108,11 @@ def build_compensator(model: Model, kind: str, *, sample_time: float | None = No
     entering = held.with_hold("foh" if any(isinstance(stage, LinearStage) for stage in before) else "zoh")
     behind, ahead = dynamics_inverse(after, entering, inverse, discretisation)
     front, further = dynamics_inverse(before, held, inverse, discretisation)
-    stages = [*behind, *core_inverse(core, after, kind, model, entering, bounds, iterations), *front, rating]
+    # The hysteresis sees the drive through the static gain of what stands before it.
+    drive = np.sort(quasi_static_stages(before, bounds, held.axes), axis=0)
+    valid = model.valid.get("command")
+    needed = drive if valid is None else np.sort(quasi_static_stages(before, drive_limits(model, None), held.axes), axis=0)
+    stages = [*behind, *core_inverse(core, after, kind, entering, drive, needed[1], iterations), *front, rating]
     ahead += further
     if inverse != "none" and not any(isinstance(stage, (LinearStage, Delay)) for stage in (*before, *after)):
         ahead = 1  # Without dynamics the sample still comes one tick after its command.
@@ -177,9 +181,11 @@ def dynamics_inverse(side: list[Stage], sampling: Sampling, method: str, discret
     return [*stages, inverted.stage], inverted.preview
 
 
-def core_inverse(core: Stage | None, after: list[Stage], kind: str, model: Model, sampling: Sampling, bounds: Array,
+def core_inverse(core: Stage | None, after: list[Stage], kind: str, sampling: Sampling, drive: Array, needed: Array,
                  iterations: int | None) -> list[Stage]:
-    """Stages that undo the hysteresis; `after` are the linear stages that follow it in the model."""
+    """Stages that undo the hysteresis; `after` are the linear stages that follow it in the model, `drive` (2, A) V what enters
+    it, `needed` (A,) V up to where it must be invertible.
+    """
     if kind == "mhl_inverse":
         hysteresis, correction = rate_dependent_parts(core)
         return whole_inverse(hysteresis, correction, after, sampling, 6 if iterations is None else iterations)
@@ -192,41 +198,38 @@ def core_inverse(core: Stage | None, after: list[Stage], kind: str, model: Model
     own = {item.name: getattr(core, item.name) for item in fields(core)}
     if kind == "hapi":
         own = {name: value for name, value in own.items() if name not in ("m1", "m2", "k", "b")}
-    lower, upper = invertible_range(core.__class__(**own), model, bounds)
+    lower, upper = invertible_range(core.__class__(**own), drive, needed)
     return [InverseMultiplicative(**own, lower=lower.tolist(), upper=upper.tolist(),
                                   iterations=4 if iterations is None else iterations)]
 
 
-def invertible_range(core: Stage, model: Model, bounds: Array) -> Array:
-    """The part of the drive (2, A) in V over which the output rises with the command: 0 < dY/du.
+def invertible_range(core: Stage, drive: Array, needed: Array) -> Array:
+    """The part of the drive (2, A) in V over which the output rises with the command, 0 < dY/du.
 
-    Raises `InputError` when that does not cover the model's valid range within the drive.
+    Raises `InputError` when that does not reach up to `needed` (A,) V.
     """
-    axes = len(model.axes)
-    values = {name: per_axis_scalar(getattr(core, name, 0.0), axes, name) for name in ("w0", "k", "b")}
-    running = play_filter(core, Sampling(1.0, axes))
-    valid = drive_limits(model, None) if model.valid.get("command") is not None else bounds
-    needed = np.minimum(valid[1], bounds[1])
-    upper = bounds[1].copy()
+    axes = drive.shape[1]
+    coefficients = np.array([per_axis_scalar(getattr(core, name, 0.0), axes, name) for name in ("w0", "k", "b")])
+    operators = play_filter(core, Sampling(1.0, axes))
+    upper = drive[1].copy()
+
+    def least_slope(axis: int, end: float) -> tuple[float, float, float, float]:
+        return slope_range(operators.thresholds[axis], operators.release[axis], operators.weights[axis], *coefficients[:, axis],
+                           drive[0, axis], end)
+
     for axis in range(axes):
-        operators = running.thresholds[axis], running.release[axis], running.weights[axis]
-        coefficients = [values[name][axis] for name in ("w0", "k", "b")]
-
-        def rises(end: float, operators=operators, coefficients=coefficients, axis=axis) -> bool:
-            return slope_range(*operators, *coefficients, bounds[0, axis], end)[0] > 0.0
-
-        if rises(upper[axis]):
+        if least_slope(axis, upper[axis])[0] > 0.0:
             continue
-        if not rises(needed[axis]):
-            least, _, _, where = slope_range(*operators, *coefficients, bounds[0, axis], needed[axis])
-            raise InputError(f"weights of axis {model.axes[axis]}: the model's output falls while the command rises near "
-                             f"{where:.4g} V (dY/du {least:.3g}): no inverse; narrow the limits or fit it with positive weights")
-        low, high = needed[axis], upper[axis]
-        while high - low > 1e-3 * (bounds[1, axis] - bounds[0, axis]):
+        low, high = min(needed[axis], upper[axis]), upper[axis]
+        least, _, _, where = least_slope(axis, low)
+        if least <= 0.0:
+            raise InputError(f"weights of axis {axis}: the model's output falls while the command rises near {where:.4g} V "
+                             f"(dY/du {least:.3g}): no inverse; narrow the limits or fit it with positive weights")
+        while high - low > 1e-3 * (drive[1, axis] - drive[0, axis]):
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if rises(middle) else (low, middle)
+            low, high = (middle, high) if least_slope(axis, middle)[0] > 0.0 else (low, middle)
         upper[axis] = low
-    return np.stack([bounds[0], upper])
+    return np.stack([drive[0], upper])
 
 
 def mhl_stages(model: Model, kind: str, inverse_model: Model | None, rate_filter: Sequence[float] | None) -> list[Stage]:

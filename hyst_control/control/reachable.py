@@ -10,7 +10,7 @@ from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.stage import Array
 from hyst_control.control.feedforward import core_inverse, drive_limits, dynamics_inverse, split
 from hyst_control.control.mhl_inverse import constant_removed, inverted, rate_dependent_parts
-from hyst_control.control.quasi_static import SLOW, quasi_static
+from hyst_control.control.quasi_static import SLOW, quasi_static, quasi_static_stages
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 
@@ -57,7 +57,10 @@ def quasi_static_command(model: Model, reference: Array, limits: tuple[ArrayLike
         hysteresis, correction = rate_dependent_parts(core)
         stages = [*stages, *constant_removed(correction, axes), inverted(hysteresis)]
     else:
-        stages = [*stages, *core_inverse(core, after, "hampi", model, sampling, bounds, 0)]
+        drive = np.sort(quasi_static_stages(before, bounds, axes), axis=0)
+        needed = drive_limits(model, None) if model.valid.get("command") is not None else bounds
+        needed = np.sort(quasi_static_stages(before, needed, axes), axis=0)[1]
+        stages = [*stages, *core_inverse(core, after, "hampi", sampling, drive, needed, 0)]
     front, _ = dynamics_inverse(before, sampling, "none", "zoh")
     stages += front
     if not stages:

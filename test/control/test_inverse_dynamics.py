@@ -40,7 +40,8 @@ def test_tustin_of_equation_11_gives_equation_12():
     inverse, _ = invert_system(tustin_systems([FAST_PART], Sampling(PAPER_SAMPLE_TIME, 1))[0], "zpetc")
     s = 2j * np.pi * np.array([10.0, 100.0, 500.0, 3000.0])
     z = (1 + s * PAPER_SAMPLE_TIME / 2) / (1 - s * PAPER_SAMPLE_TIME / 2)
-    published = np.polyval([2.594e-2, 4.818e7, 1.016e12, 8.062e15, 3.593e19], s) / np.polyval([1, 1.6e5, 9.6e9, 2.56e14, 2.56e18], s)
+    published = (np.polyval([2.594e-2, 4.818e7, 1.016e12, 8.062e15, 3.593e19], s)
+                 / np.polyval([1.0, 1.6e5, 9.6e9, 2.56e14, 2.56e18], s))
     # Rounding of the printed digits, -0.0047 first of all, leaves up to 2 %.
     np.testing.assert_allclose(inverse.response(z), published, rtol=0.02)
 
