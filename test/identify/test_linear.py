@@ -1,0 +1,134 @@
+"""The family "linear": known systems, simulated by scipy's own discretisation, are found again from any excitation."""
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete, dlsim, dlti
+
+from hyst_control.errors import InputError
+from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.linear import fit
+from hyst_control.model_file import simulate
+
+SAMPLE_TIME = 1e-4
+FREQUENCY, DAMPING, GAIN = 600.0, 0.05, 0.1
+
+
+def plant(command: np.ndarray, whole_delay: int, offset: float = 0.0) -> np.ndarray:
+    """A resonance behind a DAC, at rest at its first command, by scipy; command and result (N, 1)."""
+    w = 2 * np.pi * FREQUENCY
+    a, b, c, d, _ = cont2discrete((*_companion(w),), SAMPLE_TIME, "zoh")
+    late = np.concatenate([np.repeat(command[:1], whole_delay, axis=0), command])[: len(command)]
+    _, response, _ = dlsim(dlti(a, b, c, d, dt=SAMPLE_TIME), late - late[0])
+    return response + GAIN * command[0] + offset
+
+
+def _companion(w: float):
+    return (
+        np.array([[0.0, 1.0], [-w * w, -2 * DAMPING * w]]),
+        np.array([[0.0], [GAIN * w * w]]),
+        np.array([[1.0, 0.0]]),
+        np.zeros((1, 1)),
+    )
+
+
+def sweep(samples: int = 6000) -> np.ndarray:
+    t = np.arange(samples) * SAMPLE_TIME
+    return (10 + 5 * np.sin(2 * np.pi * (5 * t + 1500 * t**2 / (2 * t[-1]))))[:, None]
+
+
+def step(samples: int = 4000) -> np.ndarray:
+    return np.where(np.arange(samples) > 500, 20.0, 10.0)[:, None]
+
+
+def dataset(command: np.ndarray, noise: float = 1e-3, delay: int = 2, name: str = "record") -> Dataset:
+    rng = np.random.default_rng(len(command) + delay)
+    measurement = plant(command, delay, offset=3.0) + noise * rng.normal(size=command.shape)
+    return Dataset(name, command, measurement, SAMPLE_TIME, ("x",), "um", "zoh")
+
+
+def entries(report: dict) -> dict[str, dict]:
+    return {row["name"]: row for row in report["parameters"]}
+
+
+@pytest.mark.parametrize("command", [sweep(), step()], ids=["sweep", "step"])
+def test_frequency_damping_delay_and_gain_are_found_within_their_errors(command):
+    found = fit([dataset(command)])
+    rows = entries(found.report)
+    for name, true in (("frequency[0]", FREQUENCY), ("damping[0]", DAMPING)):
+        assert abs(rows[name]["value"] - true) < 5 * rows[name]["standard_error"] + 1e-4 * true
+    held = simulate(found.model, step())
+    truth = plant(step(), 2, offset=3.0)
+    assert np.sqrt(np.mean((held - truth) ** 2)) < 2e-3 * np.ptp(truth)
+
+
+def test_a_model_of_one_kind_of_record_predicts_another():
+    found = fit([dataset(sweep(), name="sweep"), dataset(step(), name="step"), dataset(sweep(5000), name="other")])
+    command = 10 + np.cumsum(np.random.default_rng(5).normal(size=(3000, 1)) * 0.1, axis=0)
+    truth = plant(command, 2, offset=3.0)
+    assert np.max(np.abs(simulate(found.model, command) - truth)) < 5e-3 * np.ptp(truth)
+    assert found.report["states"] == 2
+    assert found.model.noise["sigma"][0] == pytest.approx(1e-3, rel=0.2)
+
+
+def test_two_axes_that_couple_become_one_state_space():
+    rng = np.random.default_rng(3)
+    a = np.zeros((4, 4))
+    for at, (w, z) in enumerate(((2 * np.pi * 400, 0.03), (2 * np.pi * 900, 0.02))):
+        a[2 * at : 2 * at + 2, 2 * at : 2 * at + 2] = [[0, w], [-w, -2 * z * w]]
+    b = np.array([[0, 0], [900.0, 300.0], [0, 0], [-500.0, 1200.0]])
+    c = np.array([[1.0, 0, 0.4, 0], [-0.3, 0, 1.0, 0]])
+    ad, bd, cd, dd, _ = cont2discrete((a, b, c, np.zeros((2, 2))), SAMPLE_TIME, "zoh")
+    records = []
+    for index in range(3):
+        command = rng.normal(size=(4000, 2))
+        command[0] = 0.0
+        _, response, _ = dlsim(dlti(ad, bd, cd, dd, dt=SAMPLE_TIME), command)
+        records.append(
+            Dataset(f"r{index}", command, response + 1e-4 * rng.normal(size=response.shape), SAMPLE_TIME, ("x", "y"), "mrad")
+        )
+    found = fit(records[:2])
+    assert [stage.name for stage in found.model.chain.stages][-1] == "state_space"
+    error = simulate(found.model, records[2].command) - records[2].measurement
+    assert np.all(error.std(axis=0) < 1.5e-4)
+    frequencies = sorted(row["value"] for name, row in entries(found.report).items() if name.startswith("frequency"))
+    assert np.allclose(frequencies, [400, 900], rtol=1e-3)
+
+
+def test_axes_that_do_not_couple_become_transfer_functions():
+    one, other = dataset(sweep()), dataset(sweep(), delay=5)
+    both = Dataset(
+        "both",
+        np.hstack([one.command, other.command[::-1]]),
+        np.hstack([one.measurement, plant(other.command[::-1], 5)]),
+        SAMPLE_TIME,
+        ("x", "y"),
+        "um",
+    )
+    found = fit([both], coupled=False)
+    assert "transfer_function" in [stage.name for stage in found.model.chain.stages]
+    error = simulate(found.model, both.command) - both.measurement
+    assert np.all(error.std(axis=0) < 5e-3 * both.range)
+
+
+def test_every_pole_is_stable_even_from_noise_alone():
+    rng = np.random.default_rng(0)
+    data = Dataset("noise", rng.normal(size=(2000, 1)), rng.normal(size=(2000, 1)), SAMPLE_TIME, ("x",), "um")
+    found = fit([data], order=6, delay=0.0)
+    den = next(stage for stage in found.model.chain.stages if stage.name == "transfer_function").den
+    assert np.all(np.roots(den).real < 0)
+
+
+@pytest.mark.parametrize(
+    "records, words",
+    [
+        ([], "none given"),
+        ([Dataset("still", np.zeros((100, 1)), np.zeros((100, 1)), 1e-3, ("x",), "um")], "never moves"),
+        ([Dataset("short", np.ones((8, 1)), np.ones((8, 1)), 1e-3, ("x",), "um")], "too few"),
+        ([dataset(step(100)), Dataset("slow", step(100), step(100), 1e-3, ("x",), "um")], "sample time"),
+        ([Dataset("broken", step(100) * np.nan, step(100), 1e-3, ("x",), "um")], "not finite"),
+    ],
+)
+def test_unusable_records_are_refused_in_one_line(records, words):
+    with pytest.raises(InputError, match=words) as caught:
+        fit(records)
+    assert "\n" not in str(caught.value)
