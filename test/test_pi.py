@@ -62,6 +62,13 @@ def test_resume_continues_from_the_given_command():
     np.testing.assert_allclose(command, [1.25, -2.0], atol=1e-12)
 
 
+def test_without_integral_action_saturation_leaves_nothing_behind():
+    running = PI(1.0, 0.0, 1e-3, 0.0, 50.0, 1000.0).start(1)
+    running.reset(np.zeros(1))
+    zero, ahead = np.zeros((60, 1)), np.full((60, 1), 40.0)
+    assert running.step(zero, zero, ahead)[0][-1, 0] == 40.0
+
+
 def test_ramp_reaches_its_target_at_the_rate_and_stays():
     running = PI(0.0, 0.0, 1e-3, 0.0, 100.0).start(1)
     running.reset(np.array([1.0]))

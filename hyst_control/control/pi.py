@@ -8,7 +8,7 @@ For every tick k and axis, with e = reference - measurement:
     command_k   = wanted_k clamped to [lower, upper] and to command_{k-1} -+ slew_limit T
     integral_k += (command_k - wanted_k) min(1, T / tracking_time)        (back-calculation)
 
-(backward Euler; Astrom and Hagglund, PID Controllers, 1995, section 3.5).
+(backward Euler; Astrom and Hagglund, PID Controllers, 1995, section 3.5). Without ki the integral stays 0.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class RunningPI:
         self.description = description
         self.axes = axes
         tracking_time = description.tracking_time or (description.kp / description.ki if description.ki else 0.0)
-        share = min(1.0, description.sample_time / tracking_time) if tracking_time else 1.0
+        share = 0.0 if not description.ki else min(1.0, description.sample_time / tracking_time) if tracking_time else 1.0
         step = description.slew_limit * description.sample_time if description.slew_limit else np.inf
         self._constants = np.array([description.kp, description.ki * description.sample_time, description.lower,
                                     description.upper, step, share])
@@ -85,10 +85,13 @@ class RunningPI:
         self.saturated = 0
 
     def resume(self, command: Array, reference: Array, measurement: Array, feedforward: Array) -> None:
-        """Take over without a jump: with these inputs (A,) the next command is `command` (A,) in V."""
+        """Take over without a jump: with these inputs (A,) the next command is `command` (A,) in V.
+
+        Without integral action nothing would lead back from there: then only the slew limit holds.
+        """
         kp, ki_step = self._constants[:2]
         error = reference - measurement
-        self._state[0] = np.asarray(command, dtype=float) - feedforward - (kp + ki_step) * error
+        self._state[0] = np.asarray(command, dtype=float) - feedforward - (kp + ki_step) * error if ki_step else 0.0
         self._state[1] = command
 
     def step(self, reference: Array, measurement: Array, feedforward: Array) -> tuple[Array, Array]:

@@ -35,6 +35,7 @@ Array = NDArray[np.float64]
 LOCKSTEP, TIMER = "lockstep", "timer"
 KEPT_ROWS, KEPT_BLOCKS = 4096, 8
 LOG_INTERVAL = 5.0  # s, between two log lines about one thing
+REPEAT_INTERVAL = 0.02  # s, between two repetitions, so that duplicates do not multiply
 
 COMMON = (
     Setting("schedule", LOCKSTEP, "", "what makes a node tick", choices=(LOCKSTEP, TIMER)),
@@ -54,7 +55,7 @@ class Input:
         self.node, self.topic = node, topic
         self.label = label_for(node.axes, unit)
         self.rows = Rows(contiguous)
-        self.arrived = -math.inf  # s, monotonic clock
+        self.arrived = self._repeated = -math.inf  # s, monotonic clock
         self._seen_label: str | None = None
         receive(node, topic, self._receive, lambda reason: node.drop(topic, "unreadable", reason),
                 node.settings.message_objects)
@@ -79,7 +80,8 @@ class Input:
         outcome = self.rows.append(tick, block[:, 1:].copy())  # the message is read-only
         if outcome is DUPLICATE:
             node.counts[f"{self.topic}: duplicate"] += 1
-            if node.lockstep:
+            if node.lockstep and time.monotonic() - self._repeated > REPEAT_INTERVAL:
+                self._repeated = time.monotonic()
                 node.repeat(self)
             return
         if outcome is GAP:
@@ -234,7 +236,7 @@ class SignalNode(Node):
     def finish(self, publisher: Publisher, code: int = 0) -> None:
         """End the node, with this exit status, once everyone has received what the publisher sent."""
         if not self.finished.done():
-            publisher.wait_for_all_acked(Duration(seconds=5))
+            publisher.wait_for_all_acked(Duration(seconds=2))
             self.finished.set_result(code)
 
     def _on_timer(self) -> None:

@@ -55,8 +55,8 @@ class ReferenceGenerator(SignalNode):
 
     def advance(self) -> None:
         arrived = self.measurement.rows
-        if self._end == 0 and arrived.end > 1:  # restarted in a run under way
-            self._end = max(0, arrived.end - 2 * self.settings.block)
+        if arrived.end > self._end:  # first measurement, or restarted in a run under way: nobody lacks earlier rows
+            self._end = arrived.end - 1
         if arrived.available:
             arrived.take(arrived.available)
         while self._end < arrived.end + self.settings.lead:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from loop_case import assert_same_bits, offline, parameters, recorded
-
-pytest.importorskip("rclpy")
 from rclpy.parameter import Parameter
 
 from hyst_control.nodes.pipeline import DEFAULT, NODES

@@ -1,0 +1,257 @@
+"""What the nodes refuse, and what the command does then: messages are sent to one node and its answers read."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import rclpy
+from loop_case import MODEL, RATE, parameters, recorded
+from rclpy.experimental import EventsExecutor
+from rclpy.parameter import Parameter
+from rclpy.task import Future
+from std_srvs.srv import Trigger
+
+from hyst_control.errors import InputError
+from hyst_control.nodes.feedforward import Feedforward
+from hyst_control.nodes.messages import Sender, receive
+from hyst_control.nodes.pi_feedback import PiFeedback
+from hyst_control.nodes.processes import Processes
+from hyst_control.nodes.recorder import Recorder
+from hyst_control.nodes.reference_generator import ReferenceGenerator
+from hyst_control.nodes.run import spin
+from hyst_plant_sim.node import PlantNode
+
+PERIOD = 1e-3
+
+
+class Bench:
+    """Nodes under test on one executor, and a node that talks to them."""
+
+    def __init__(self, context) -> None:
+        self.context, self.executor = context, EventsExecutor(context=context)
+        self.probe = rclpy.create_node("probe", context=context)
+        self.executor.add_node(self.probe)
+        self.nodes = [self.probe]
+        self.heard: dict[str, list[np.ndarray]] = {}
+
+    def add(self, make, /, **settings):
+        overrides = [Parameter(name, value=value) for name, value in settings.items()]
+        node = make(context=self.context, parameter_overrides=overrides)
+        self.executor.add_node(node)
+        self.nodes.append(node)
+        return node
+
+    def listen(self, *topics):
+        for topic in topics:
+            rows = self.heard.setdefault(topic, [])
+            receive(self.probe, topic, lambda label, block, rows=rows: rows.append(block.copy()), pytest.fail)
+
+    def sender(self, topic, label):
+        sender = Sender(self.probe, topic, label)
+        self.until(lambda: sender.publisher.get_subscription_count() > 0)
+        return sender
+
+    def until(self, condition, timeout=20.0):
+        end = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < end, "condition not met in time"
+            spin(self.executor, Future(), 0.005)
+
+    def rows(self, topic):
+        return np.concatenate(self.heard[topic]) if self.heard[topic] else np.zeros((0, 2))
+
+    def close(self):
+        for node in self.nodes:
+            node.destroy_node()
+        self.executor.shutdown()
+
+
+@pytest.fixture
+def bench(ros_context):
+    bench = Bench(ros_context)
+    try:
+        yield bench
+    finally:
+        bench.close()
+
+
+def row(tick, *values):
+    return np.array([[tick * PERIOD, *values]])
+
+
+def test_bad_messages_are_dropped_counted_and_leave_no_trace(bench):
+    node = bench.add(Feedforward_named, kind="proportional", gain=[10])
+    bench.listen("feedforward")
+    good, wrong_unit = bench.sender("reference", "t[s],x[um]"), bench.sender("reference", "t[s],x[mrad]")
+    wide = bench.sender("reference", "t[s],x[um],y[um]")
+    bench.until(lambda: node.feedforward.publisher.get_subscription_count() > 0)
+    good.send(row(0, 1.0))
+    good.send(row(1, np.nan))
+    good.send(row(1, np.inf))
+    wrong_unit.send(row(1, 1.0))
+    wide.send(row(1, 1.0, 2.0))
+    good.send(row(1.4, 1.0))
+    good.send(row(5, 1.0))
+    good.send(row(0, 7.0))
+    good.send(row(1, 3.0))
+    bench.until(lambda: node.counts["reference: duplicate"] == 1 and len(bench.rows("feedforward")) >= 3)
+    np.testing.assert_allclose(bench.rows("feedforward"), [[0.0, 10.0], [0.0, 10.0], [1e-3, 30.0]])
+    assert {key: count for key, count in node.counts.items() if count} == {
+        "reference: not finite": 2, "reference: wrong label": 2, "reference: off the clock": 1,
+        "reference: out of order": 1, "reference: duplicate": 1}
+
+
+def Feedforward_named(**options):
+    return Feedforward("feedforward", **options)
+
+
+def test_timer_stale_inputs_take_the_command_to_its_safe_value_and_back_without_a_jump(bench):
+    settings = dict(schedule="timer", rate_hz=200, kp=1.0, ki=200, upper=50, slew_limit=4000, safe_rate=400,
+                    safe_command=[2.0], timeout=0.25)
+    bench.add(PiFeedback, **settings)
+    bench.listen("command")
+    senders = {topic: bench.sender(topic, label) for topic, label in
+               [("reference", "t[s],x[um]"), ("measurement", "t[s],x[um]"), ("feedforward", "t[s],x[V]")]}
+    period = 1 / 200
+
+    def feed():
+        tick = int(time.monotonic() / period)
+        measurement = bench.rows("command")[-1, 1] / 8 if bench.heard["command"] else 0.0
+        for topic, value in [("reference", 5.0), ("measurement", measurement), ("feedforward", 30.0)]:
+            senders[topic].send(np.array([[tick * period, value]]))
+
+    fed = bench.probe.create_timer(period, feed)
+    bench.until(lambda: len(bench.rows("command")) and abs(bench.rows("command")[-1, 1] - 40.0) < 0.1)
+    fed.cancel()
+    before = len(bench.rows("command"))
+    bench.until(lambda: bench.rows("command")[-1, 1] == 2.0)
+    after = len(bench.rows("command"))
+    fed.reset()
+    bench.until(lambda: abs(bench.rows("command")[-1, 1] - 40.0) < 0.1)
+    command = bench.rows("command")
+    ticks = np.rint(command[:, 0] / period)
+    assert np.all(np.diff(ticks) >= 1)
+    slope = np.abs(np.diff(command[:, 1])) / period
+    assert slope.max() <= 4000 * (1 + 1e-9)
+    assert np.diff(command[before:after, 1]).min() >= -400 * period * (1 + 1e-9)
+    assert command[:, 1].max() <= 50.0
+
+
+def test_stop_service_ramps_down_and_reset_returns(bench):
+    node = bench.add(PiFeedback, feedback=False, upper=50, start="first_command", safe_rate=1000, safe_command=[1])
+    bench.listen("command")
+    sender = bench.sender("feedforward", "t[s],x[V]")
+    bench.until(lambda: node.command.publisher.get_subscription_count() > 0)
+    client = bench.probe.create_client(Trigger, "pi_feedback/stop")
+    sender.send(row(0, 4.5))
+    bench.until(lambda: len(bench.rows("command")) == 1)
+    bench.until(client.service_is_ready)
+    called = client.call_async(Trigger.Request())
+    bench.until(called.done)
+    assert called.result().success
+    for tick in range(1, 6):
+        sender.send(row(tick, 4.5))
+    bench.until(lambda: len(bench.rows("command")) == 6)
+    np.testing.assert_allclose(bench.rows("command")[:, 1], [4.5, 3.5, 2.5, 1.5, 1.0, 1.0])
+
+
+def test_timer_loop_runs_on_the_clock_that_all_share(bench, tmp_path):
+    common = dict(schedule="timer", rate_hz=200, timeout=1.0)
+    bench.listen("measurement")
+    nodes = [bench.add(ReferenceGenerator_of(np.full((10, 1), 3.0)), lead=4, **common),
+             bench.add(Feedforward_named, kind="proportional", gain=[10], **common),
+             bench.add(PiFeedback, feedback=True, upper=100, **common),
+             bench.add(PlantNode, model=MODEL, **common),
+             bench.add(Recorder, output=str(tmp_path / "bag"), **common)]
+    bench.until(lambda: len(bench.rows("measurement")) > 120)
+    for node in nodes:
+        node.close()
+    measurement = bench.rows("measurement")
+    ticks = measurement[:, 0] * 200
+    np.testing.assert_allclose(ticks, np.rint(ticks), atol=1e-6)
+    assert abs(measurement[-1, 0] - time.monotonic()) < 2.0
+    assert np.all(np.diff(ticks) >= 1)
+    assert measurement[-1, 1] > 1.0
+
+
+def ReferenceGenerator_of(signal):
+    return lambda **options: ReferenceGenerator(signal=signal, **options)
+
+
+@pytest.mark.parametrize("kind, settings, words", [
+    (PlantNode, {}, "plant"), (PlantNode, {"model": "nowhere.yaml"}, "nowhere.yaml"),
+    (PlantNode, {"model": MODEL, "axes": ["x", "y"]}, "axes"), (PiFeedback, {"upper": -1.0}, "upper"),
+    (PiFeedback, {"kp": "fast"}, "kp"), (PiFeedback, {"kp": -1}, "kp"), (Recorder, {}, "output"),
+    (PiFeedback, {"schedule": "sometimes"}, "lockstep"), (ReferenceGenerator, {"signal": "nowhere.npy"}, "nowhere.npy"),
+])
+def test_bad_parameters_are_refused_in_one_line(ros_context, kind, settings, words):
+    with pytest.raises(InputError, match=words) as caught:
+        kind(context=ros_context, parameter_overrides=[Parameter(key, value=value) for key, value in settings.items()])
+    assert "\n" not in str(caught.value)
+
+
+def test_live_change_is_checked_and_applied_and_the_rest_is_read_only(bench):
+    node = bench.add(PiFeedback)
+
+    def change(name, value):
+        return node.set_parameters([Parameter(name, value=value)])[0]
+
+    assert change("timeout", 1).successful and node.settings.timeout == 1.0
+    assert not change("timeout", -1.0).successful and node.settings.timeout == 1.0
+    assert not change("timeout", "soon").successful
+    assert "read-only" in change("kp", 3.0).reason
+
+
+def test_bad_parameter_of_a_process_gives_one_line_and_status_2(tmp_path, domain):
+    with Processes(tmp_path, domain) as processes:
+        processes.start("plant", {"model": "nowhere.yaml"})
+        with pytest.raises(InputError, match=r"plant ended with status 2: plant: nowhere\.yaml"):
+            processes.wait("plant", timeout=60)
+
+
+def test_killed_feedforward_and_feedback_cost_time_only(tmp_path, domain):
+    """kill -9 in a run under way, then a new process: the run ends with every tick of every topic recorded once."""
+    count = 6000
+    settings = parameters(tmp_path, count, plant={"retry": 0.1}, recorder={"merge": 64})
+    with Processes(tmp_path / "log", domain) as processes:
+        for name in settings:
+            processes.start(name, settings[name])
+        bag = tmp_path / "bag" / "bag_0.mcap"
+        victims = ["hampi_feedforward", "pi_feedback", "reference_generator"]
+        for number, victim in enumerate(victims):
+            grown = (number + 1) * 80_000
+            end = time.monotonic() + 60
+            while not (bag.exists() and bag.stat().st_size > grown):
+                assert time.monotonic() < end and processes.running["plant"].poll() is None
+                time.sleep(0.02)
+            processes.running[victim].kill()
+            processes.running[victim].wait()
+            processes.start(victim, settings[victim])
+        processes.wait("plant", "recorder", timeout=60)
+    for topic, rows in recorded(tmp_path / "bag").items():
+        np.testing.assert_array_equal(rows[:, 0], np.arange(count) * (1 / RATE), err_msg=topic)
+
+
+def test_interrupt_and_terminate_end_a_node_without_a_traceback(tmp_path, domain):
+    for name, number in (("pi_feedback", 2), ("hampi_feedforward", 15)):
+        with Processes(tmp_path / name, domain) as processes:
+            process = processes.start(name, {"kind": "proportional"})
+            probe = subprocess.run([sys.executable, "-c", WAIT_FOR_NODE, name], timeout=60)
+            assert probe.returncode == 0
+            process.send_signal(number)
+            assert process.wait(10) == 0
+            assert "Traceback" not in processes.log(name).read_text()
+
+
+WAIT_FOR_NODE = """
+import sys, time
+import rclpy
+rclpy.init()
+node = rclpy.create_node("waiting")
+while sys.argv[1] not in node.get_node_names():
+    time.sleep(0.05)
+"""
