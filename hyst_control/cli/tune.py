@@ -1,0 +1,41 @@
+"""Tune the PI feedback from a model to given stability margins, and report what the loop then does.
+
+examples:
+  hyst tune config/models/fsm_mhl.yaml --sample-time 2e-4
+  hyst tune hampi.yaml --gain-margin 8 --phase-margin 55 --loop-delay 1 --json tuning.json
+"""
+
+from __future__ import annotations
+
+import argparse
+
+NAME = "tune"
+HELP = "tune the PI feedback from a model to stability margins"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("model", metavar="MODEL.yaml", help="model file")
+    parser.add_argument("--sample-time", type=float, metavar="S", help="of the loop, in s (default: the model's)")
+    parser.add_argument("--gain-margin", type=float, default=6.0, metavar="DB", help="at least, in dB (default 6)")
+    parser.add_argument("--phase-margin", type=float, default=45.0, metavar="DEG", help="at least, in degrees (default 45)")
+    parser.add_argument("--peak-sensitivity", type=float, default=2.0, metavar="MS", help="at most (default 2)")
+    parser.add_argument("--loop-delay", type=int, default=0, metavar="TICKS",
+                        help="further ticks in the loop: 0 in lockstep (default), about 1 on wall-clock timers")
+    parser.add_argument("--gain-spread", type=float, default=0.1, help="of the plant, relative (default 0.1)")
+    parser.add_argument("--mode-spread", type=float, default=0.2, help="of the first resonance, relative (default 0.2)")
+    parser.add_argument("--json", metavar="OUT.json", help="result table to write")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from hyst_control.control.tuning import tune
+    from hyst_control.model_file import load_model
+
+    model = load_model(arguments.model)
+    result = tune(model, sample_time=arguments.sample_time, gain_margin=arguments.gain_margin, phase_margin=arguments.phase_margin,
+                  peak_sensitivity=arguments.peak_sensitivity, loop_delay=arguments.loop_delay,
+                  gain_spread=arguments.gain_spread, mode_spread=arguments.mode_spread)
+    table = result.table(model)
+    if arguments.json:
+        table.write(arguments.json)
+    print(table.text())
+    return 0

@@ -1,0 +1,206 @@
+"""Automatic tuning of the PI feedback to stability margins, from a model's linear part as the loop samples it.
+
+The loop is L(z) = P(z) z^-d (kp + ki T z / (z - 1)): P exact for the held command, delays included, d further ticks where the
+loop carries them (a loop closed over topics on wall-clock timers carries about one). Among all (kp, ki) that keep the margins for
+every case of plant gain and first resonance, the one with the greatest ki is taken: it has the least integral of the error after
+a load step (Astrom and Hagglund, Advanced PID Control, 2006, §4.6 and §6.3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.chain import Chain
+from hyst_control.chain.stage import Array
+from hyst_control.control.linearised import hysteresis_slopes, linearised, sampled_response, with_first_mode
+from hyst_control.control.loop import run_loop
+from hyst_control.control.pi import PI
+from hyst_control.errors import InputError
+from hyst_control.model_file import Model, Simulator
+from hyst_control.tables import Table
+
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Stability of one loop: gain_margin dB, phase_margin degrees, peak_sensitivity (max |1 / (1 + L)|), crossover and
+    bandwidth Hz (-3 dB of L / (1 + L), half the sampling rate when it stays above)."""
+
+    gain_margin: float
+    phase_margin: float
+    peak_sensitivity: float
+    crossover: float
+    bandwidth: float
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Result: gains kp (V per measurement unit) and ki (V per measurement unit and s), margins of the model as it is and the
+    worst over the spread, settling_time s of a step into 2 %, overshoot in per cent."""
+
+    kp: float
+    ki: float
+    sample_time: float
+    nominal: Margins
+    worst: Margins
+    settling_time: float
+    overshoot: float
+
+    def controller(self, lower: float, upper: float, slew_limit: float = 0.0) -> PI:
+        """The tuned controller within limits in V and V/s."""
+        return PI(self.kp, self.ki, self.sample_time, lower, upper, slew_limit)
+
+    def table(self, model: Model) -> Table:
+        """The result as rows, for the command line and the JSON."""
+        table, unit = Table("tune"), model.units["measurement"]
+        where = f"{model.name} at {1.0 / self.sample_time:g} Hz"
+        table.add("PI feedback", where, "controller", "kp", f"V/{unit}", self.kp)
+        table.add("PI feedback", where, "controller", "ki", f"V/({unit} s)", self.ki)
+        for subject, case in (("nominal", self.nominal), ("worst case", self.worst)):
+            for quantity, symbol in (("gain_margin", "dB"), ("phase_margin", "deg"), ("peak_sensitivity", ""), ("crossover", "Hz"),
+                                     ("bandwidth", "Hz")):
+                table.add("PI feedback", where, subject, quantity, symbol, getattr(case, quantity))
+        table.add("PI feedback", where, "nominal", "settling_time", "s", self.settling_time)
+        table.add("PI feedback", where, "nominal", "overshoot", "%", self.overshoot)
+        return table
+
+
+def tune(model: Model, *, sample_time: float | None = None, gain_margin: float = 6.0, phase_margin: float = 45.0,
+         peak_sensitivity: float = 2.0, loop_delay: int = 0, gain_spread: float = 0.1, mode_spread: float = 0.2) -> Tuning:
+    """PI gains for a model, one pair for all axes.
+
+    sample_time s (the model's by default); gain_margin dB; phase_margin degrees; loop_delay: further ticks in the loop;
+    gain_spread, mode_spread: relative spread of the plant's gain and of its first resonance, over which the margins hold too.
+    The hysteresis enters with its greatest slope, so that no part of a loop has less margin.
+    Raises `InputError` when no controller keeps the margins.
+    """
+    sample_time = float(sample_time or model.sample_time)
+    if not (gain_margin > 0 and 0 < phase_margin < 90 and peak_sensitivity > 1 and loop_delay >= 0
+            and 0 <= gain_spread < 1 and 0 <= mode_spread < 1):
+        raise InputError("margins: gain margin above 0 dB, phase margin between 0 and 90 degrees, peak sensitivity above 1, "
+                         "spreads from 0 to below 1 are due")
+    z = np.exp(1j * np.geomspace(1e-5, 1.0, 1500) * np.pi)
+    plants = _plants(model, sample_time, loop_delay, gain_spread, mode_spread, z)
+    static = np.abs(plants[:, 0]).max()
+    if np.any(plants[:, 0].real <= 0.0):
+        raise InputError("chain: the output falls when the command rises at rest: PI gains are positive; invert the axis")
+    best = (0.0, 0.0)
+    limits = 10.0 ** (gain_margin / 20.0), np.radians(phase_margin), peak_sensitivity
+    # Integral action alone, and proportional-to-integral times from a tenth of a sample to ten thousand.
+    for time in [0.0, *(sample_time * np.geomspace(0.1, 1e4, 51))]:
+        shape = (time + sample_time * z / (z - 1.0)) / (static * sample_time)
+        scale = _largest_scale(plants * shape, *limits, above=best[1] * static * sample_time)
+        gains = scale * time / (static * sample_time), scale / (static * sample_time)
+        if gains[1] > best[1]:
+            best = gains
+    if best[1] == 0.0:
+        raise InputError("margins: no PI controller keeps them for this model: ask for less, or sample faster")
+    kp, ki = float(best[0]), float(best[1])
+    controller = kp + ki * sample_time * z / (z - 1.0)
+    axes = len(model.axes)
+    nominal = [margins(plant * controller, z, sample_time) for plant in plants[:axes]]
+    cases = [margins(plant * controller, z, sample_time) for plant in plants]
+    settling, overshoot = step_response(model, kp, ki, sample_time)
+    return Tuning(kp, ki, sample_time, _worst(nominal), _worst(cases), settling, overshoot)
+
+
+def _plants(model: Model, sample_time: float, loop_delay: int, gain_spread: float, mode_spread: float, z: Complex) -> Complex:
+    """Responses (cases · A, F) of every axis, the model as it is first."""
+    axes = len(model.axes)
+    _, greatest = hysteresis_slopes(model)
+    stages = linearised(model, greatest)
+    responses = []
+    for mode, gain in product((1.0, 1.0 - mode_spread, 1.0 + mode_spread), (1.0, 1.0 - gain_spread, 1.0 + gain_spread)):
+        response = gain * sampled_response(with_first_mode(stages, axes, mode), axes, sample_time, z)
+        responses.append(response[:, np.arange(axes), np.arange(axes)].T * z**-loop_delay)
+    return np.concatenate(responses)
+
+
+def _largest_scale(loops: Complex, gain_margin: float, phase_margin: float, peak_sensitivity: float, above: float) -> float:
+    """The largest factor on loops (M, F) up to which all of them keep the margins; 0 when it is not larger than `above`."""
+    ultimate = _crossing_180(loops).max()
+    highest = 1.0 / (max(ultimate, 1e-12) * gain_margin)
+
+    def kept(scale: float) -> bool:
+        scaled = scale * loops
+        return 1.0 / np.abs(1.0 + scaled).min() <= peak_sensitivity and _phase_margin(scaled).min() >= phase_margin
+
+    if highest <= above:
+        return 0.0
+    last = 0.0
+    for scale in highest * np.geomspace(1e-2, 1.0, 25):
+        if not kept(scale):
+            break
+        last = float(scale)
+    else:
+        return last
+    high = float(scale)
+    if last == 0.0 or high <= above:
+        return 0.0
+    for _ in range(8):
+        middle = 0.5 * (last + high)
+        last, high = (middle, high) if kept(middle) else (last, middle)
+    return last
+
+
+def _crossing_180(loops: Complex) -> Array:
+    """The greatest |L| (M,) where each of loops (M, F) crosses the negative real axis; 0 where it never does."""
+    real, imaginary = loops.real, loops.imag
+    change = imaginary[:, :-1] - imaginary[:, 1:]
+    share = imaginary[:, :-1] / np.where(change == 0.0, 1.0, change)
+    at = real[:, :-1] + share * (real[:, 1:] - real[:, :-1])
+    crossed = (imaginary[:, :-1] * imaginary[:, 1:] <= 0.0) & (at < 0.0)
+    # At half the sampling rate L is real, whatever its sign.
+    return np.maximum(np.where(crossed, -at, 0.0).max(axis=1), -real[:, -1].clip(max=0.0))
+
+
+def _phase_margin(loops: Complex) -> Array:
+    """Least distance (M,) in rad of the phase from -180 degrees where |L| of loops (M, F) crosses 1; pi where it never does."""
+    size, turn = np.log(np.abs(loops)), np.angle(loops[:, 1:] / loops[:, :-1])
+    change = size[:, :-1] - size[:, 1:]
+    phase = np.angle(loops[:, :-1]) + turn * size[:, :-1] / np.where(change == 0.0, 1.0, change)
+    distance = np.abs(np.mod(phase, 2.0 * np.pi) - np.pi)
+    return np.where(size[:, :-1] * size[:, 1:] <= 0.0, distance, np.pi).min(axis=1)
+
+
+def margins(loop: Complex, z: Complex, sample_time: float) -> Margins:
+    """Margins of a loop that is stable, from its response (F,) at z = exp(j w T)."""
+    frequency = np.angle(z) / (2.0 * np.pi * sample_time)
+    crossing = float(_crossing_180(loop[None])[0])
+    above = np.flatnonzero(np.abs(loop) >= 1.0)
+    closed = np.abs(loop / (1.0 + loop))
+    below = np.flatnonzero(closed < np.sqrt(0.5))
+    return Margins(gain_margin=-20.0 * float(np.log10(crossing)) if crossing > 0.0 else np.inf,
+                   phase_margin=float(np.degrees(_phase_margin(loop[None])[0])),
+                   peak_sensitivity=float(1.0 / np.abs(1.0 + loop).min()),
+                   crossover=float(frequency[above[-1]]) if len(above) else 0.0,
+                   bandwidth=float(frequency[below[0]]) if len(below) else 0.5 / sample_time)
+
+
+def _worst(cases: list[Margins]) -> Margins:
+    return Margins(min(case.gain_margin for case in cases), min(case.phase_margin for case in cases),
+                   max(case.peak_sensitivity for case in cases), min(case.crossover for case in cases),
+                   min(case.bandwidth for case in cases))
+
+
+def step_response(model: Model, kp: float, ki: float, sample_time: float) -> tuple[float, float]:
+    """Time in s until the linear loop's step stays within 2 %, and its overshoot in per cent; worst axis, feedback alone."""
+    axes = len(model.axes)
+    mean, _ = hysteresis_slopes(model)
+    plant = Simulator(model.with_stages(Chain(linearised(model, mean)).stages), sample_time)
+    controller = PI(kp, ki, sample_time, -1e300, 1e300).start(axes)
+    length = 200
+    while True:
+        output: Array = run_loop(np.ones((length, axes)), None, controller, plant)["measurement"]
+        outside = np.flatnonzero(np.any(np.abs(output - 1.0) > 0.02, axis=1))
+        last = int(outside[-1]) if len(outside) else 0
+        if last < 0.5 * length or length >= 200_000:
+            break
+        length *= 4
+    settling = (last + 1) * sample_time if last < length - 1 else np.nan
+    return float(settling), float(100.0 * max(output.max() - 1.0, 0.0))

@@ -1,0 +1,132 @@
+"""Tuning against closed-form loops, simulated responses, and the nonlinear models with their spread."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hyst_control.chain import Chain
+from hyst_control.chain.linear import Delay, TransferFunction
+from hyst_control.chain.static import Gain
+from hyst_control.control.linearised import hysteresis_slopes, linearised, sampled_response, with_first_mode
+from hyst_control.control.loop import run_loop
+from hyst_control.control.pi import PI
+from hyst_control.control.tuning import margins, tune
+from hyst_control.errors import InputError
+from hyst_control.model_file import Model, Simulator, load_model
+
+MODELS = Path(__file__).resolve().parents[2] / "config" / "models"
+HAMPI, MHL = load_model(MODELS / "pea_hampi.yaml"), load_model(MODELS / "fsm_mhl.yaml")
+SAMPLE_TIME = 1e-3
+
+
+def plain(*stages) -> Model:
+    return Model(name="plain", axes=("x",), units={"command": "V", "measurement": "um"}, sample_time=SAMPLE_TIME,
+                 chain=Chain(stages))
+
+
+@pytest.mark.parametrize("k", [0.2, 0.5, 1.0, 1.4])
+def test_margins_of_an_integrator_with_one_sample_of_delay(k):
+    """L = k / (z - 1): gain margin 2 / k, crossover where 2 sin(w / 2) = k with margin 90 - w / 2, peak 2 / (2 - k)."""
+    z = np.exp(1j * np.geomspace(1e-5, 1.0, 6000) * np.pi)
+    found = margins(k / (z - 1.0), z, SAMPLE_TIME)
+    crossover = 2 * np.arcsin(k / 2)
+    assert found.gain_margin == pytest.approx(20 * np.log10(2 / k), abs=1e-6)
+    assert found.phase_margin == pytest.approx(90 - np.degrees(crossover / 2), abs=0.02)
+    assert found.peak_sensitivity == pytest.approx(2 / (2 - k), rel=1e-6)
+    assert found.crossover == pytest.approx(crossover / (2 * np.pi * SAMPLE_TIME), rel=2e-3)
+
+
+def test_static_plant_gets_at_least_the_integrator_that_its_margins_allow():
+    """For a pure gain g the integrator k = g ki T = 1 meets 6 dB, 60 degrees and a peak of 2; a proportional part may add to it."""
+    result = tune(plain(Gain(0.1)), gain_margin=20 * np.log10(2), gain_spread=0.0, mode_spread=0.0)
+    assert 0.1 * result.ki * SAMPLE_TIME >= 0.99
+    assert result.worst.gain_margin >= 6.02 and result.worst.phase_margin >= 45.0 and result.worst.peak_sensitivity <= 2.001
+
+
+@pytest.mark.parametrize("model", [HAMPI, MHL], ids=["pea", "fsm"])
+@pytest.mark.parametrize("sample_time", [5e-5, 2e-4])
+def test_sampled_response_is_the_spectrum_of_the_simulated_impulse_response(model, sample_time):
+    axes = len(model.axes)
+    stages = linearised(model, np.full(axes, 0.7))
+    simulator = Simulator(model.with_stages(stages), sample_time)
+    rest = simulator.reset(np.zeros(axes))
+    n = 1 << 15
+    impulse = np.zeros((n, axes))
+    impulse[0] = 1.0
+    measured = np.concatenate([rest[None], simulator.step(impulse)[:-1]])
+    lines = np.array([3, 50, 700, n // 5])
+    spectrum = np.fft.fft(measured, axis=0)[lines]
+    response = sampled_response(stages, axes, sample_time, np.exp(2j * np.pi * lines / n))
+    np.testing.assert_allclose(response[:, np.arange(axes), np.arange(axes)], spectrum, rtol=3e-3)
+
+
+def test_first_mode_moves_and_stiffness_stays():
+    stages = (Delay(1e-4), TransferFunction([3e6], [1.0, 200.0, 1e6]), TransferFunction([4e8], [1.0, 9000.0, 4e8]))
+    w = 2 * np.pi * np.linspace(20.0, 400.0, 2000) * SAMPLE_TIME
+    before, after = (np.abs(sampled_response(each, 1, SAMPLE_TIME, np.exp(1j * w)))[:, 0, 0]
+                     for each in (stages, with_first_mode(stages, 1, 1.2)))
+    assert w[np.argmax(after)] / w[np.argmax(before)] == pytest.approx(1.2, abs=0.01)
+    assert after[0] == pytest.approx(before[0], rel=0.02)
+    assert after.max() == pytest.approx(before.max(), rel=0.05), "the damping ratio stays"
+
+
+def test_hysteresis_slopes_of_a_classical_model():
+    stage = HAMPI.chain.stages[0].__class__([0.0, 10.0, 20.0], [0.5, 0.3, 0.2])
+    model = Model(name="m", axes=("x",), units={"command": "V", "measurement": "um"}, sample_time=1e-3, chain=Chain((stage,)),
+                  valid={"command": [0.0, 100.0]})
+    mean, greatest = hysteresis_slopes(model)
+    assert greatest[0] == pytest.approx(1.0, rel=1e-6)
+    assert 0.85 < mean[0] <= 1.0
+
+
+@pytest.mark.parametrize(("model", "sample_time", "stroke"), [(HAMPI, 1e-4, 2.0), (MHL, 2e-4, 0.5)], ids=["pea", "fsm"])
+def test_margins_hold_on_the_nonlinear_model_with_its_spread(model, sample_time, stroke):
+    """With 10 % of gain and 20 % of the first mode either way, the loop settles, and still does at twice the gain (6 dB)."""
+    axes = len(model.axes)
+    result = tune(model, sample_time=sample_time)
+    assert result.worst.gain_margin >= 6.0 and result.worst.phase_margin >= 45.0
+    reference = np.full((int(0.06 / sample_time), axes), stroke)
+    before = next(i for i, stage in enumerate(model.chain.stages) if isinstance(stage, TransferFunction))
+    for gain in (0.9, 1.1):
+        for mode in (0.8, 1.2):
+            linear = with_first_mode(model.chain.stages[before:], axes, mode)
+            spread = model.with_stages([*model.chain.stages[:before], *linear, Gain(gain)])
+            for factor, tolerance in ((1.0, 0.005), (1.95, 0.05)):
+                controller = PI(factor * result.kp, factor * result.ki, sample_time, 0.0, 100.0).start(axes)
+                signals = run_loop(reference, None, controller, Simulator(spread, sample_time))
+                tail = signals["measurement"][-50:] - stroke
+                assert np.abs(tail).max() < tolerance * stroke, (gain, mode, factor)
+
+
+def test_more_delay_costs_bandwidth():
+    fast, slow = (tune(MHL, loop_delay=ticks) for ticks in (0, 2))
+    assert slow.ki < fast.ki and slow.nominal.crossover < fast.nominal.crossover
+    assert slow.worst.gain_margin >= 6.0 and slow.worst.phase_margin >= 45.0
+
+
+def test_settling_time_is_that_of_the_simulated_step():
+    """First-order closed loop: for a pure gain, k = g ki T, the error falls by 1 - k a tick."""
+    from hyst_control.control.tuning import step_response
+
+    settling, overshoot = step_response(plain(Gain(0.1)), 0.0, 0.25 / 0.1 / SAMPLE_TIME, SAMPLE_TIME)
+    ticks = int(np.ceil(np.log(0.02) / np.log(0.75)))
+    assert settling == pytest.approx(ticks * SAMPLE_TIME, abs=1e-9)
+    assert overshoot == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("model", "options", "word"), [
+    (plain(Gain(-0.1)), {}, "falls"),
+    (plain(Gain(0.1)), {"phase_margin": 95.0}, "phase margin"),
+])
+def test_what_cannot_be_tuned_is_refused(model, options, word):
+    with pytest.raises(InputError, match=word):
+        tune(model, **options)
+
+
+def test_command_line_prints_and_writes_the_table(tmp_path, capsys):
+    from hyst_control.cli import main
+
+    assert main(["tune", str(MODELS / "fsm_mhl.yaml"), "--json", str(tmp_path / "out.json")]) == 0
+    assert "phase_margin" in capsys.readouterr().out and (tmp_path / "out.json").stat().st_size > 100
+    assert main(["tune", str(tmp_path / "absent.yaml")]) == 2
