@@ -40,9 +40,10 @@ OFFERED_QOS = [{"history": "keep_last", "depth": 5000, "reliability": "reliable"
 class BagWriter:
     """An open bag of Float64MultiArray topics; use it as a context manager or call `close`."""
 
-    def __init__(self, path: str | Path) -> None:
-        """path: the directory to create. Raises `InputError` when it exists or cannot be created."""
+    def __init__(self, path: str | Path, custom_data: dict[str, str] | None = None) -> None:
+        """path: the directory to create; custom_data: what metadata.yaml is to say besides. Raises `InputError` when it exists or cannot be created."""
         self.path = Path(path)
+        self._custom_data = custom_data
         try:
             self.path.mkdir(parents=True)
             self._file = open(self.path / f"{self.path.name}_0.mcap", "wb")
@@ -108,7 +109,7 @@ class BagWriter:
                    "message_count": count} for topic, count in self._counts.items()]
         document = {"version": 9, "storage_identifier": "mcap", **span, "topics_with_message_count": topics,
                     "compression_format": "", "compression_mode": "", "relative_file_paths": [file],
-                    "files": [{"path": file, **span}], "custom_data": None, "ros_distro": "jazzy"}
+                    "files": [{"path": file, **span}], "custom_data": self._custom_data, "ros_distro": "jazzy"}
         # one text per value, as rosbag2 writes it: its reader knows no YAML anchors
         return {"rosbag2_bagfile_information": _copied(document)}
 

@@ -9,24 +9,30 @@ from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset, Fit
 
 PRANDTL_FAMILIES = ("pi", "hapi", "rdpi", "hampi")
+FAMILIES = (*PRANDTL_FAMILIES, "linear")
 
 
 def identify(datasets: Sequence[Dataset], family: str, method: str = "joint", **options: Any) -> Fit:
     """Identify a model of `family`: from all records at once ("joint"), or in its paper's sequence ("paper").
 
-    Raises `InputError` for an unknown family, and where the records cannot tell the model.
+    Raises `InputError` for an unknown family or method, and where the records cannot tell the model.
     """
+    if family not in FAMILIES:
+        raise InputError(f"model: {family!r} is not a model family: one of {', '.join(FAMILIES)} is due")
     if method not in ("joint", "paper"):
         raise InputError(f"method: {method!r} is not known: joint or paper is due")
     if family in PRANDTL_FAMILIES:
         from hyst_control.identify import hammerstein, paper_hampi
 
-        if method == "paper":
-            if family not in ("hapi", "hampi"):
-                raise InputError(f"method: paper is a sequence for hapi, hampi and mhl, not for {family}: use joint")
+        if method == "joint":
+            return hammerstein.fit(datasets, family, hammerstein.Options(**options))
+        if family in ("hapi", "hampi"):
             return paper_hampi.fit(datasets, family, hammerstein.Options(**options))
-        return hammerstein.fit(datasets, family, hammerstein.Options(**options))
-    raise InputError(f"model: {family!r} is not a model family: one of {', '.join(PRANDTL_FAMILIES)} is due")
+    if method == "paper":
+        raise InputError(f"method: paper is a sequence for hapi and hampi, not for {family}: use joint")
+    from hyst_control.identify import linear
+
+    return linear.fit(datasets, **options)
 
 
-__all__ = ["Dataset", "Fit", "identify"]
+__all__ = ["FAMILIES", "Dataset", "Fit", "identify"]

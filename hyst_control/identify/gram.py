@@ -18,12 +18,14 @@ from hyst_control.chain.stage import Array, Sampling
 from hyst_control.identify.dynamics import Structure
 
 BLOCK = 4096
+HELD_OUT_BLOCKS = 90
+"""A record is cut into at least this many blocks."""
 TINY = 1e-80
 """States below this are 0: a decaying state would else end in subnormal numbers, which processors handle a hundred times slower."""
 NUISANCES = {"none": 0, "offset": 1, "linear": 2}
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def filtered_regressors(command, shift, rate_factor, center, thresholds, release, rate_gain, dynamic, a, b, c, d, whole,
                         theta, pa, pb, pc, pd, pwhole, operators, previous, ring, combined, position, state, scratch, tangent,
                         output):
@@ -92,6 +94,22 @@ def filtered_regressors(command, shift, rate_factor, center, thresholds, release
     return position
 
 
+@njit(cache=True, error_model="numpy")
+def gram_product(block):
+    """block' block of a tall block (N, K): without BLAS, whose threads spin for longer than such a product takes."""
+    rows, columns = block.shape
+    product = np.zeros((columns, columns))
+    for row in range(rows):
+        for i in range(columns):
+            value = block[row, i]
+            for j in range(i, columns):
+                product[i, j] += value * block[row, j]
+    for i in range(columns):
+        for j in range(i):
+            product[i, j] = product[j, i]
+    return product
+
+
 @dataclass(frozen=True)
 class Operators:
     """The play operators of one axis: thresholds (n,) V; rate_gain s: thresholds widen to r + rate_gain |du/dt| (RDPI)."""
@@ -154,7 +172,7 @@ def gram_matrices(windows: Sequence[Window], operators: Operators, structure: St
         passing = _Pass(window, operators, structure, parameters, theta, step)
         n = len(window.command)
         place = np.r_[0:columns + size, columns + size + window.group * extra + np.arange(extra), total - 1]
-        length = max(min(BLOCK, n // 20), 1)
+        length = max(min(BLOCK, n // HELD_OUT_BLOCKS), 1)
         for begin in range(0, n, length):
             end = min(begin + length, n)
             raw = passing.block(begin, end)
@@ -168,9 +186,9 @@ def gram_matrices(windows: Sequence[Window], operators: Operators, structure: St
             for power in range(extra):
                 block[:, columns + size + power] = (share - 0.5) ** power
             block[:, -1] = window.measurement[begin + used.start:end]
-            # Every third tenth of a record is held out of the choice between structures.
-            part = 1 if int(10 * share[0]) % 3 == 2 else 0
-            product = block.T @ block
+            # Every third block is held out of the choice between structures: little of every experiment in the record.
+            part = 1 if begin // length % 3 == 2 else 0
+            product = gram_product(block)
             grams[part][np.ix_(place, place)] += product
             rows[part] += len(block)
             blocks.append(np.zeros((total, total)))

@@ -20,7 +20,7 @@ from hyst_control.identify.varpro import Problem, Solution, solve
 from hyst_control.identify.windows import stretches, whole_records
 
 FAMILIES = ("pi", "hapi", "rdpi", "hampi")
-SELECTION_ROWS = 150_000
+SELECTION_ROWS = 100_000
 WORTHWHILE = 0.03
 """A factor of G is kept when it lowers the held-out mean square error by more than this share."""
 
@@ -84,7 +84,7 @@ def fit_axis(datasets: Sequence[Dataset], axis: int, family: str, options: Optio
         chosen = solve(problem, structure, structure.start(1.0))
         return AxisFit(solve(problem, structure, structure.start(1.0), everything=True), operators, chosen.held_out)
     chosen = choose_structure(replace(problem, windows=stretches(windows, SELECTION_ROWS)), options.structure)
-    final = solve(problem, chosen.structure, chosen.parameters, chosen.theta, passes=6, everything=True)
+    final = solve(problem, chosen.structure, chosen.parameters, chosen.theta, passes=4, everything=True)
     return AxisFit(final, operators, chosen.held_out)
 
 

@@ -1,0 +1,46 @@
+"""`hyst`: one command, a subcommand per job. Every module of this package is a subcommand; each only parses and calls.
+
+A subcommand module has `NAME`, `HELP`, `add_arguments(parser)` and `run(arguments)`, which returns the exit status or None. It
+imports what it needs within `run`, so that `hyst --help` is quick.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from pkgutil import iter_modules
+
+from hyst_control.errors import InputError
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of all subcommands."""
+    top = argparse.ArgumentParser(prog="hyst", description="Excite, record, identify, control and diagnose piezo stages and fast "
+                                  "steering mirrors.", epilog="`hyst COMMAND --help` explains a command.")
+    commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for module in sorted(iter_modules(__path__), key=lambda found: found.name):
+        command = import_module(f"{__name__}.{module.name}")
+        sub = commands.add_parser(command.NAME, help=command.HELP, description=command.__doc__,
+                                  formatter_class=argparse.RawDescriptionHelpFormatter)
+        command.add_arguments(sub)
+        sub.set_defaults(run=command.run)
+    return top
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a subcommand. Exit status 0 when it finished, 2 on unusable input (one line says what, where and what to do)."""
+    arguments = parser().parse_args(argv)
+    try:
+        return arguments.run(arguments) or 0
+    except InputError as error:
+        print(f"hyst {arguments.command}: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"hyst {arguments.command}: {where}{error.strerror or error}: check the path and its permissions", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"hyst {arguments.command}: interrupted", file=sys.stderr)
+        return 130

@@ -1,0 +1,313 @@
+"""Identification of Madelung hysteresis from slow loops: the curves f0, g0 of any record, nested loops included.
+
+The curves are polynomials (MHL paper Eq. 1, 2) or monotone piecewise cubics. Closure is built into the parameters, and
+monotony into the search as linear inequalities, so that every fit is a model that loads and has an inverse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hyst_control.chain import Chain, Stage
+from hyst_control.chain.madelung import Madelung
+from hyst_control.chain.stage import Array
+from hyst_control.chain.static import Gain, Offset
+from hyst_control.errors import InputError
+from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.gram import NUISANCES, Window
+from hyst_control.identify.report import command_bandwidth, noise_sigma, record_rows
+from hyst_control.identify.simulation_error import Parametrisation, Solution, minimise
+from hyst_control.identify.windows import whole_records
+from hyst_control.model_file import Model
+
+LEAST_SLOPE = 5e-3
+"""Smallest slope of a curve relative to its mean slope: what rises this much everywhere has an inverse."""
+GRID = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 65))
+"""Where a polynomial's slope is held above the least one: closest together at the ends, as its turns are."""
+
+
+@dataclass(frozen=True)
+class Curves:
+    """A pair of curves as a parameter vector, in units of the full output: polynomials, or cubics through values at `knots`.
+
+    Polynomials: p_n … p_1, then q_n … q_2; q_1 follows from closure. Cubics: the ascending values behind the first knot, then
+    the descending ones between the first and the last, where both meet.
+    """
+
+    degree: int = 5
+    knots: Array | None = None
+
+    def __post_init__(self) -> None:
+        if self.knots is None and not 1 <= self.degree <= 12:
+            raise InputError(f"degree: {self.degree}, 1 to 12 is due")
+        if self.knots is not None:
+            knots = np.array(self.knots, dtype=float)
+            if knots.ndim != 1 or len(knots) < 3 or knots[0] != 0 or knots[-1] != 1 or np.any(np.diff(knots) <= 0):
+                raise InputError("knots: at least three, strictly increasing from 0 to 1, are due")
+
+    @property
+    def count(self) -> int:
+        """Parameters of the ascending curve; the descending one has one fewer."""
+        return self.degree if self.knots is None else len(self.knots) - 1
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return 2 * self.count - 1
+
+    def full(self, vector: Array) -> float:
+        """The output at the upper end."""
+        return float(np.sum(vector[: self.count]) if self.knots is None else vector[self.count - 1])
+
+    def pair(self, vector: Array) -> tuple[Array, Array]:
+        """Ascending and descending curve as the stage has them, scaled to end at 1."""
+        up, down = vector[: self.count], vector[self.count : self.size]
+        full = self.full(vector)
+        if self.knots is None:
+            up = up / full
+            down = np.append(down / full, up.sum() - np.sum(down / full))
+            return up, down
+        return np.concatenate([[0.0], up / full]), np.concatenate([[0.0], down / full, [1.0]])
+
+    def stage(self, vector: Array, input_scale: float, output_scale: float, inverse: bool = False) -> Madelung:
+        """The stage of a vector; output_scale is the measurement at which the vector's full output is 1."""
+        up, down = self.pair(vector)
+        return Madelung(up, down, input_scale, output_scale * self.full(vector), self.knots, inverse)
+
+    def start(self, bulge: float = 0.15) -> Array:
+        """A pair to begin with: parabolas x (1 ± bulge (1 - x)), the ascending one below."""
+        if self.knots is not None:
+            x = np.asarray(self.knots, dtype=float)
+            return np.concatenate([(x - bulge * x * (1 - x))[1:], (x + bulge * x * (1 - x))[1:-1]])
+        if self.degree == 1:
+            return np.ones(1)
+        up, down = np.zeros(self.degree), np.zeros(self.degree)
+        up[-2:], down[-2:] = (bulge, 1.0 - bulge), (-bulge, 1.0 + bulge)
+        return np.concatenate([up, down[:-1]])
+
+    def constraints(self) -> Array:
+        """Matrix (C, size) whose product with a vector is not negative where both curves rise."""
+        rows: list[Array] = []
+        if self.knots is not None:
+            steps = np.diff(self.knots)
+            up = np.eye(self.size)[: self.count]
+            down = np.vstack([np.eye(self.size)[self.count :], up[-1]])
+            for values in (up, down):
+                rows.append(np.diff(values, axis=0, prepend=np.zeros((1, self.size))) - LEAST_SLOPE * steps[:, None] * up[-1])
+            return np.concatenate(rows)
+        powers = np.arange(self.degree, 0, -1)
+        slope = powers * GRID[:, None] ** (powers - 1)
+        full = np.concatenate([np.ones(self.degree), np.zeros(self.degree - 1)])
+        up = np.hstack([slope, np.zeros((len(GRID), self.degree - 1))])
+        # q_1 = Σ p - Σ q, and its slope is 1 everywhere.
+        down = np.hstack([np.ones((len(GRID), self.degree)), slope[:, :-1] - 1.0])
+        return np.concatenate([up, down]) - LEAST_SLOPE * full
+
+
+def fit(
+    datasets: Sequence[Dataset],
+    *,
+    degree: int = 5,
+    knots: Sequence[float] | None = None,
+    input_scale: float | None = None,
+    nuisance: str = "offset",
+) -> Fit:
+    """Identify `madelung` and the sensor's zero from slow records, all together, each axis on its own.
+
+    degree of the polynomials, or knots of the piecewise cubics; input_scale in V, the largest command unless given. nuisance:
+    what each record may add, "none", "offset" or "linear"; the mean offset becomes the model's `offset` stage.
+    Raises `InputError` when the records cannot tell a model.
+    """
+    check(datasets)
+    curves = Curves(degree, None if knots is None else np.array(knots, dtype=float))
+    axes = [fit_axis(whole_records(datasets, axis), curves, input_scale, nuisance) for axis in range(len(datasets[0].axes))]
+    return assemble(datasets, axes, "joint")
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """Curves of one axis in units of output_scale, the sign of the response, and the zero of the measurement."""
+
+    curves: Curves
+    solution: Solution
+    input_scale: float
+    output_scale: float
+    sign: float
+    offset: float
+
+    @property
+    def stage(self) -> Madelung:
+        """The axis' hysteresis."""
+        return self.curves.stage(self.solution.parameters, self.input_scale, self.output_scale)
+
+
+def fit_axis(windows: Sequence[Window], curves: Curves, input_scale: float | None, nuisance: str, inverse: bool = False) -> AxisFit:
+    """Identify one axis. With `inverse` command and measurement have changed places, and so has the start."""
+    scale = full_scale(windows, input_scale)
+    sign = response_sign(windows)
+    travel = max(float(np.ptp(window.measurement)) / float(np.ptp(window.command)) for window in windows) * scale
+    turned = [replace(window, measurement=sign * window.measurement) for window in windows]
+
+    def stages(vector: Array) -> list[Stage]:
+        return [curves.stage(vector, scale, travel)]
+
+    lhs = curves.constraints()
+    problem = Parametrisation(stages, lhs, np.zeros(len(lhs)))
+    start = curves.start(-0.15 if inverse else 0.15)
+    solution = minimise(turned, problem, start, nuisance=nuisance, passes=40, tolerance=1e-6, everything=True)
+    return AxisFit(curves, solution, scale, travel, sign, sign * mean_offset(solution, windows, nuisance))
+
+
+def fit_inverse(stage: Madelung, curves: Curves | None = None) -> Madelung:
+    """Curves of their own for the inverse, fitted to the major loop of a model of one axis (MHL paper Table 1, right).
+
+    The result runs from output to command; it is not the closed-form inverse but near it, as the paper's is.
+    """
+    curves = curves or Curves()
+    full = float(stage.output_scale) * float(stage.curves(1)[0][0](np.ones(1))[0])
+    x = np.linspace(0.0, 1.0, 401)
+    up, down = (float(stage.output_scale) * curve(x) for curve in stage.curves(1)[0])
+    demand, command = np.concatenate([up, down[::-1]]), float(stage.input_scale) * np.concatenate([x, x[::-1]])
+    window = Window(demand, command, 1.0, "foh", 0, 0)
+    found = fit_axis([window], curves, full, "none", inverse=True)
+    vector = found.solution.parameters / curves.full(found.solution.parameters)
+    return curves.stage(vector, full, float(stage.input_scale))
+
+
+def check(datasets: Sequence[Dataset]) -> None:
+    """Raise `InputError` unless the records share their axes and unit, something moves, and no command is negative."""
+    from hyst_control.identify.hammerstein import check as check_records
+
+    check_records(datasets)
+    for data in datasets:
+        lowest = float(data.command.min())
+        if lowest < -0.01 * float(data.command.max()):
+            raise InputError(
+                f"{data.name}: the command goes down to {lowest:g} V: Madelung curves begin at 0 V; use a family of play operators"
+            )
+
+
+def full_scale(windows: Sequence[Window], given: float | None) -> float:
+    """The command (V) at the upper end of the major loop: the largest one of the records unless given."""
+    largest = max(float(window.command.max()) for window in windows)
+    if given is None:
+        return largest
+    if not given > 0:
+        raise InputError(f"input_scale: {given!r} V, a positive voltage is due")
+    return float(given)
+
+
+def response_sign(windows: Sequence[Window]) -> float:
+    """1 where the measurement rises with the command, else -1."""
+    covariance = sum(float((w.command - w.command.mean()) @ (w.measurement - w.measurement.mean())) for w in windows)
+    return -1.0 if covariance < 0 else 1.0
+
+
+def mean_offset(solution: Solution, windows: Sequence[Window], nuisance: str) -> float:
+    """Mean of the records' offsets, each with the weight of its rows."""
+    extra = NUISANCES[nuisance]
+    if not extra:
+        return 0.0
+    rows = np.zeros(max(window.group for window in windows) + 1)
+    for window in windows:
+        rows[window.group] += len(window.command) - window.skip
+    return float(np.average(solution.nuisances[::extra], weights=np.maximum(rows, 1e-9)))
+
+
+def merged(stages: Sequence[Madelung]) -> Madelung:
+    """The hysteresis of several axes as one stage."""
+    if len(stages) == 1:
+        return stages[0]
+    fields = ("ascending", "descending", "input_scale", "output_scale")
+    return Madelung(*([getattr(stage, field) for stage in stages] for field in fields), knots=stages[0].knots)
+
+
+def curve_errors(curves: Curves, vector: Array, covariance: Array) -> tuple[list[dict[str, Any]], float]:
+    """Rows {"name", "value", "standard_error"} of the curves' coefficients, and the tolerance of the curves as a whole.
+
+    Coefficients of a polynomial are known together far better than one by one. The tolerance is the relative error which,
+    drawn independently per coefficient, scatters the curves as much as the data leave them uncertain.
+    """
+
+    def coefficients(at: Array) -> Array:
+        return np.concatenate(curves.pair(at))
+
+    nominal = coefficients(vector)
+    jacobian = np.array([(coefficients(vector + 1e-6 * unit) - nominal) / 1e-6 for unit in np.eye(curves.size)]).T
+    spread = jacobian @ covariance[: curves.size, : curves.size] @ jacobian.T
+    errors = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    half = len(nominal) // 2
+    names = [f"{name}[{i}]" for name in ("ascending", "descending") for i in range(half)]
+    rows = [
+        {"name": name, "value": float(value), "standard_error": float(error), "unit": ""}
+        for name, value, error in zip(names, nominal, errors, strict=True)
+    ]
+    if curves.knots is None:
+        basis = GRID[:, None] ** np.arange(half, 0, -1)
+        certain = [np.trace(basis @ spread[part, part] @ basis.T) for part in (slice(0, half), slice(half, None))]
+        independent = [np.sum((basis * nominal[part]) ** 2) for part in (slice(0, half), slice(half, None))]
+        return rows, float(np.sqrt(max(sum(certain), 0.0) / sum(independent)))
+    used = nominal > 0
+    return rows, float(np.sqrt(np.mean((errors[used] / nominal[used]) ** 2)))
+
+
+def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) -> Fit:
+    """Model and report of a static fit."""
+    first = datasets[0]
+    stages: list[Stage] = [merged([axis.stage for axis in axes])]
+    if any(axis.sign < 0 for axis in axes):
+        stages.append(Gain([axis.sign for axis in axes]))
+    if any(axis.offset for axis in axes):
+        stages.append(Offset([axis.offset for axis in axes] if len(axes) > 1 else axes[0].offset))
+    model = Model(
+        name="madelung",
+        axes=first.axes,
+        units={"command": "V", "measurement": first.unit},
+        sample_time=first.sample_time,
+        hold=first.hold,
+        chain=Chain(tuple(stages)),
+        valid={
+            "command": [min(float(data.command.min()) for data in datasets), max(float(data.command.max()) for data in datasets)],
+            "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
+        },
+    )
+    rows, residuals = record_rows(model, datasets)
+    parameters, tolerances = [], []
+    for axis, name in zip(axes, first.axes, strict=True):
+        found, tolerance = curve_errors(axis.curves, axis.solution.parameters, axis.solution.covariance)
+        parameters += [{**row, "axis": name} for row in found]
+        tolerances.append(tolerance)
+    tolerance = float(np.round(np.median(tolerances), 6))
+    sigma = noise_sigma(residuals)
+    model = replace(
+        model,
+        tolerance={"ascending": tolerance, "descending": tolerance},
+        noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
+    )
+    report = {
+        "family": "madelung",
+        "method": method,
+        "unit": first.unit,
+        "records": rows,
+        "parameters": parameters,
+        "notes": range_notes(datasets, axes),
+    }
+    return Fit(model, report)
+
+
+def range_notes(datasets: Sequence[Dataset], axes: Sequence[Any]) -> list[str]:
+    """What of the curves the records do not reach, with the excitation that would show it."""
+    notes = []
+    for index, (axis, name) in enumerate(zip(axes, datasets[0].axes, strict=True)):
+        low = min(float(data.command[:, index].min()) for data in datasets) / axis.input_scale
+        high = max(float(data.command[:, index].max()) for data in datasets) / axis.input_scale
+        if low > 0.05 or high < 0.95:
+            notes.append(
+                f"axis {name}: the records span {100 * low:.0f} to {100 * high:.0f} % of 0 to {axis.input_scale:g} V: the curves "
+                "beyond are a continuation; record a slow loop over the whole drive"
+            )
+    return notes

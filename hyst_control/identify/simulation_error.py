@@ -1,0 +1,264 @@
+"""Least squares on the simulation error of any chain, with linear inequality constraints on its parameters.
+
+The chain itself is run, so what is fitted is what the model file will do. Derivatives are differences between chains of
+neighbouring parameters, streamed side by side over the records block by block; what a step needs is kept as Gram matrices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from scipy.linalg import solve_triangular
+from scipy.optimize import nnls
+
+from hyst_control.chain import Chain, Sampling, Stage
+from hyst_control.chain.stage import Array
+from hyst_control.identify.gram import HELD_OUT_BLOCKS, NUISANCES, Grams, Window
+from hyst_control.identify.least_squares import covariance
+from hyst_control.identify.windows import turning_points
+
+BLOCK = 4096
+STEP = 1e-5
+"""Difference of neighbouring parameters, which are all of order one."""
+PRIOR = 1e-10
+"""Weight of the prior on every parameter relative to the strongest one: decides only what the data do not show at all."""
+
+
+@dataclass(frozen=True)
+class Parametrisation:
+    """What is fitted: the chain of a parameter vector (P,) of order one, and lhs · parameters >= rhs.
+
+    `limit` moves a vector to the nearest one that makes sense, for bounds that are not linear.
+    """
+
+    stages: Callable[[Array], Sequence[Stage]]
+    lhs: Array
+    rhs: Array
+    limit: Callable[[Array], Array] = staticmethod(lambda vector: vector)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Parameters (P,), nuisances, the mean square errors fitted and held out, and Gram matrices of [derivatives, nuisances, error]."""
+
+    parameters: Array
+    nuisances: Array
+    fitted: float
+    held_out: float
+    grams: Grams
+    passes: int
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (P, P) of the parameters, errors of the model included."""
+        size = len(self.parameters)
+        return covariance(self.grams.blocks, np.concatenate([np.zeros(size), self.nuisances]))[:size, :size]
+
+
+def minimise(
+    windows: Sequence[Window],
+    parametrisation: Parametrisation,
+    start: Array,
+    *,
+    nuisance: str = "linear",
+    passes: int = 12,
+    tolerance: float = 1e-4,
+    everything: bool = False,
+) -> Solution:
+    """Damped Gauss-Newton from `start`, which must satisfy the constraints. Never worse than the start.
+
+    With `everything` the rows held out for choosing between structures are fitted too. A pass with derivatives is made at
+    every parameter vector that lowered the cost; whether one does is tried by a pass without.
+    """
+    groups = max(window.group for window in windows) + 1
+    origin = start = parametrisation.limit(np.asarray(start, dtype=float))
+    grams = gram_matrices(windows, parametrisation, start, nuisance, groups, derivatives=True)
+    best = _solution(start, grams, everything, 1, derivatives=True)
+    damping, passed = 1e-3, 1
+    while passed < passes:
+        gram = grams.fitted + grams.held_out if everything else grams.fitted
+        step = _step(gram, parametrisation, best.parameters, origin, damping)
+        # Shortened as a whole, so that it stays between two vectors that satisfy the constraints.
+        step /= max(1.0, float(np.max(np.abs(step))))
+        trial = parametrisation.limit(best.parameters + step)
+        trial_grams = gram_matrices(windows, parametrisation, trial, nuisance, groups, derivatives=False)
+        found = _solution(trial, trial_grams, everything, passed, derivatives=False)
+        if not found.fitted < best.fitted:
+            if damping > 1e4 or np.max(np.abs(step)) < 1e-8:
+                break
+            damping *= 10.0
+            continue
+        improvement = 1.0 - found.fitted / best.fitted
+        passed += 1
+        grams = gram_matrices(windows, parametrisation, trial, nuisance, groups, derivatives=True)
+        best = replace(found, grams=grams, passes=passed)
+        damping = max(0.1 * damping, 1e-9)
+        if improvement < tolerance:
+            break
+    return replace(best, grams=grams)
+
+
+def gram_matrices(
+    windows: Sequence[Window], parametrisation: Parametrisation, parameters: Array, nuisance: str, groups: int, *, derivatives: bool
+) -> Grams:
+    """Gram matrices of [derivatives (P), nuisances per record, error], fitted and held out; every third block is held out."""
+    size, extra = len(parameters) * derivatives, NUISANCES[nuisance]
+    total = size + extra * groups + 1
+    grams, rows, blocks = np.zeros((2, total, total)), [0, 0], []
+    vectors = [parameters, *(parameters + STEP * unit for unit in np.eye(len(parameters))[:size])]
+    chains = [Chain(tuple(parametrisation.stages(vector))) for vector in vectors]
+    for window in windows:
+        place = np.r_[0:size, size + window.group * extra + np.arange(extra), total - 1]
+        running = [Streamed(chain, window) for chain in chains]
+        n = len(window.command)
+        length = max(min(BLOCK, n // HELD_OUT_BLOCKS), 1)
+        for begin in range(0, n, length):
+            end = min(begin + length, n)
+            simulated = np.stack([stream.rows(begin, end) for stream in running], axis=1)
+            used = slice(max(window.skip - begin, 0), end - begin)
+            if used.start >= used.stop:
+                continue
+            block = np.empty((used.stop - used.start, size + extra + 1))
+            block[:, :size] = (simulated[used, 1:] - simulated[used, :1]) / STEP
+            share = window.begin + window.share * np.arange(begin + used.start, end) / n
+            for power in range(extra):
+                block[:, size + power] = (share - 0.5) ** power
+            block[:, -1] = window.measurement[begin + used.start : end] - simulated[used, 0]
+            part = 1 if begin // length % 3 == 2 else 0
+            blocks.append(np.zeros((total, total)))
+            blocks[-1][np.ix_(place, place)] = block.T @ block
+            grams[part] += blocks[-1]
+            rows[part] += len(block)
+    return Grams(grams[0], grams[1], (rows[0], rows[1]), np.array(blocks))
+
+
+class Streamed:
+    """A chain of one axis running over a window: rows (N,) of the measurement, aligned with the window's own."""
+
+    def __init__(self, chain: Chain, window: Window) -> None:
+        before = np.zeros(0) if window.memory is None else window.memory
+        # Under zoh the measurement at a tick answers the command of the interval before; under foh that of the same instant.
+        late = window.hold == "zoh"
+        signal = np.concatenate([before, window.command])
+        self.signal = np.concatenate([signal[:1], signal[:-1]] if late else [signal]).reshape(-1, 1)
+        self.first = len(before)
+        self.filter = chain.filter(Sampling(window.sample_time, 1, window.hold))
+        self.filter.settle(self.signal[0])
+        self.filter.process(self.signal[: self.first])
+
+    def rows(self, begin: int, end: int) -> Array:
+        """Simulated measurement of the window's rows begin…end, which must follow the ones before."""
+        return self.filter.process(self.signal[self.first + begin : self.first + end])[:, 0]
+
+
+def _solution(parameters: Array, grams: Grams, everything: bool, passes: int, *, derivatives: bool) -> Solution:
+    """The nuisances that suit the error best, and the mean squares that are left."""
+    first = len(parameters) if derivatives else 0
+    chosen = grams.fitted + grams.held_out if everything else grams.fitted
+    inner = chosen[first:-1, first:-1]
+    nuisances = np.linalg.lstsq(inner, chosen[first:-1, -1], rcond=1e-12)[0] if len(inner) else np.zeros(0)
+    vector = np.append(nuisances, -1.0)
+
+    def mean_square(gram: Array, rows: int) -> float:
+        return max(float(vector @ gram[first:, first:] @ vector), 0.0) / max(rows, 1)
+
+    rows = sum(grams.rows) if everything else grams.rows[0]
+    return Solution(parameters, nuisances, mean_square(chosen, rows), mean_square(grams.held_out, grams.rows[1]), grams, passes)
+
+
+def _step(gram: Array, parametrisation: Parametrisation, present: Array, origin: Array, damping: float) -> Array:
+    size = len(present)
+    normal, gradient = gram[:-1, :-1].copy(), gram[:-1, -1].copy()
+    diagonal = np.diag(normal).copy()
+    strongest = float(np.max(diagonal[:size]))
+    index = np.arange(size)
+    normal[index, index] += damping * diagonal[:size] + PRIOR * strongest
+    gradient[:size] += PRIOR * strongest * (origin - present)
+    others = np.arange(size, len(normal))
+    normal[others, others] += 1e-12 * diagonal[others] + 1e-300
+    lhs = np.zeros((len(parametrisation.lhs), len(normal)))
+    lhs[:, :size] = parametrisation.lhs
+    return constrained_minimum(normal, gradient, lhs, parametrisation.rhs - parametrisation.lhs @ present)[:size]
+
+
+def constrained_minimum(normal: Array, gradient: Array, lhs: Array, rhs: Array) -> Array:
+    """The x (K,) that minimises x' normal x / 2 - gradient' x with lhs x >= rhs; normal (K, K) positive definite.
+
+    Turned into a least distance problem and solved by nonnegative least squares (Lawson & Hanson, Solving Least Squares
+    Problems, 1974, chapter 23).
+    """
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    normal, gradient, lhs = normal * scale[:, None] * scale, gradient * scale, lhs * scale
+    lower = np.linalg.cholesky(normal + 1e-14 * np.eye(len(normal)))
+    free = solve_triangular(lower.T, solve_triangular(lower, gradient, lower=True))
+    missing = rhs - lhs @ free
+    if not len(missing) or np.all(missing <= 1e-14):
+        return free * scale
+    g = solve_triangular(lower, lhs.T, lower=True).T
+    size = np.linalg.norm(g, axis=1)
+    g, missing = g / size[:, None], missing / size
+    matrix = np.vstack([g.T, missing])
+    target = np.append(np.zeros(len(normal)), 1.0)
+    weights, _ = nnls(matrix, target, maxiter=50 * matrix.shape[1])
+    residual = matrix @ weights - target
+    move = -residual[:-1] / residual[-1]
+    return (free + solve_triangular(lower.T, move)) * scale
+
+
+@njit(cache=True)
+def surviving_turns(values):
+    """What Madelung's rules remember of a signal (N,): the indices of the turning points that no later excursion has passed."""
+    kept = np.empty(values.size, dtype=np.int64)
+    count = 0
+    for k in range(values.size):
+        if count >= 2 and (values[k] - values[kept[count - 1]]) * (values[kept[count - 1]] - values[kept[count - 2]]) >= 0.0:
+            count -= 1
+        kept[count] = k
+        count += 1
+        # The pair before the last point is wiped out when the last one lies past its beginning.
+        while count >= 4 and (values[k] - values[kept[count - 3]]) * (values[k] - values[kept[count - 2]]) >= 0.0:
+            count -= 2
+            kept[count - 1] = k
+    return kept[:count]
+
+
+def short_stretches(windows: Sequence[Window], rows: int, length: float, settle: float) -> list[Window]:
+    """About `rows` rows in stretches of `length` s spread evenly over the windows; the windows themselves if they have no more.
+
+    A stretch knows the turning points before it that still matter; its first `settle` s, the transients, do not count.
+    """
+    total = sum(len(window.command) for window in windows)
+    if total <= rows:
+        return list(windows)
+    chosen: list[Window] = []
+    for window in windows:
+        n = len(window.command)
+        size = min(int(length / window.sample_time), n)
+        count = max(int(round(n * rows / total / size)), 1)
+        if count * size >= n or window.memory is not None:
+            chosen.append(window)
+            continue
+        turns = turning_points(window.command)
+        for begin in np.unique(np.linspace(0, n - size, count).astype(int)):
+            end = begin + size
+            earlier = np.concatenate([[0.0], window.command[turns[turns < begin]]]) if begin else None
+            memory = None if earlier is None else earlier[surviving_turns(earlier)]
+            skip = min(max(int(settle / window.sample_time) if begin else 0, window.skip - begin), size - 1)
+            part = slice(begin, end)
+            chosen.append(
+                Window(
+                    window.command[part],
+                    window.measurement[part],
+                    window.sample_time,
+                    window.hold,
+                    skip,
+                    window.group,
+                    window.begin + window.share * begin / n,
+                    window.share * size / n,
+                    memory,
+                )
+            )
+    return chosen
