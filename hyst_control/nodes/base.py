@@ -25,6 +25,7 @@ from rclpy.publisher import Publisher
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
+from hyst_control.errors import InputError
 from hyst_control.nodes.messages import Sender, receive
 from hyst_control.nodes.rows import DUPLICATE, GAP, Rows
 from hyst_control.nodes.settings import Setting, declare
@@ -141,12 +142,53 @@ class Output:
         self._kept_rows = 0
 
 
-class SignalNode(Node):
-    """A node that turns signals into signals. Subclasses implement `advance` (lockstep) and `tick` (timer)."""
+class EndingNode(Node):
+    """A node that may end by itself, with an exit status, and answers services of its own."""
 
     SETTINGS: tuple[Setting, ...] = ()
     ends = False
-    """Whether the node finishes by itself."""
+    """Whether the node ends by itself."""
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.finished = Future()
+        self._clock = Clock(clock_type=ClockType.STEADY_TIME)
+
+    def close(self) -> None:
+        """Release what the node holds; called on every way out."""
+
+    def every(self, seconds: float, callback: Callable[[], None]) -> Any:
+        """Call back at this interval of the steady clock."""
+        return self.create_timer(seconds, callback, clock=self._clock)
+
+    def once(self, callback: Callable[[], None]) -> None:
+        """Call back once, as soon as the node spins."""
+        def call() -> None:
+            timer.cancel()
+            callback()
+
+        timer = self.every(1e-3, call)
+
+    def service(self, name: str, action: Callable[[], str]) -> None:
+        """Offer `~/name` (std_srvs/Trigger): the action's text is the answer, an `InputError` the reason why it failed."""
+        def answer(request: Any, response: Any) -> Any:
+            try:
+                response.success, response.message = True, action()
+            except InputError as error:
+                response.success, response.message = False, str(error)
+            return response
+
+        self.create_service(Trigger, f"~/{name}", answer)
+
+    def finish(self, publisher: Publisher, code: int = 0) -> None:
+        """End the node, with this exit status, once everyone has received what the publisher sent."""
+        if not self.finished.done():
+            publisher.wait_for_all_acked(Duration(seconds=2))
+            self.finished.set_result(code)
+
+
+class SignalNode(EndingNode):
+    """A node that turns signals into signals. Subclasses implement `advance` (lockstep) and `tick` (timer)."""
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
@@ -156,19 +198,17 @@ class SignalNode(Node):
         self.axes: tuple[str, ...] = self.settings.axes
         self.unit: str = self.settings.unit
         self.enabled = True
-        self.finished = Future()
         self.inputs: list[Input] = []
         self.counts: Counter[str] = Counter()
-        self._clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._logged: dict[str, float] = {}
         self._last_tick: int | None = None
         self._jitter = _Jitter()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._diagnosed = (time.monotonic(), 0)
-        self.create_timer(1.0, self._publish_diagnostics, clock=self._clock)
-        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.every(1.0, self._publish_diagnostics)
+        self.service("reset", self._reset)
+        self.service("stop", self._stop)
         self.create_service(SetBool, "~/enable", self._on_enable)
-        self.create_service(Trigger, "~/stop", self._on_stop)
 
     def advance(self) -> None:
         """Lockstep: use whatever rows are there."""
@@ -192,9 +232,6 @@ class SignalNode(Node):
         """More entries for the diagnostics."""
         return {}
 
-    def close(self) -> None:
-        """Release what the node holds; called on every way out."""
-
     def input(self, topic: str, unit: str, every_row: bool = True) -> Input:
         """Subscribe to a signal whose values have this unit; `every_row`: in lockstep, none of its rows may be skipped."""
         signal = Input(self, topic, unit, contiguous=self.lockstep and every_row)
@@ -217,10 +254,6 @@ class SignalNode(Node):
             time.sleep((phase - time.monotonic() / interval) % 1.0 * interval)
         self.create_timer(interval, self._on_timer, clock=self.get_clock() if simulated else self._clock)
 
-    def every(self, seconds: float, callback: Callable[[], None]) -> None:
-        """Call back at this interval of the steady clock."""
-        self.create_timer(seconds, callback, clock=self._clock)
-
     def drop(self, topic: str, kind: str, reason: str) -> None:
         """Count a refused message, and say so once in a while."""
         self.counts[f"{topic}: {kind}"] += 1
@@ -232,12 +265,6 @@ class SignalNode(Node):
         if now - self._logged.get(key, -math.inf) >= LOG_INTERVAL:
             self._logged[key] = now
             self.get_logger().warning(text)
-
-    def finish(self, publisher: Publisher, code: int = 0) -> None:
-        """End the node, with this exit status, once everyone has received what the publisher sent."""
-        if not self.finished.done():
-            publisher.wait_for_all_acked(Duration(seconds=2))
-            self.finished.set_result(code)
 
     def _on_timer(self) -> None:
         now = self._now()
@@ -252,22 +279,20 @@ class SignalNode(Node):
         self.counts["ticks"] += 1
         self.tick(number * self.settings.block)
 
-    def _on_reset(self, request: Any, response: Any) -> Any:
+    def _reset(self) -> str:
         for signal in self.inputs:
             signal.rows.clear()
         self.enabled = True
         self.reset()
-        response.success, response.message = True, "reset"
-        return response
+        return "reset"
+
+    def _stop(self) -> str:
+        self.enabled = False
+        return "stopped: ~/enable or ~/reset goes on"
 
     def _on_enable(self, request: Any, response: Any) -> Any:
         self.enabled = request.data
         response.success, response.message = True, "enabled" if request.data else "disabled"
-        return response
-
-    def _on_stop(self, request: Any, response: Any) -> Any:
-        self.enabled = False
-        response.success, response.message = True, "stopped: ~/enable or ~/reset goes on"
         return response
 
     def _publish_diagnostics(self) -> None:

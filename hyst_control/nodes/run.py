@@ -15,7 +15,7 @@ from rclpy.task import Future
 
 from hyst_control.errors import InputError
 from hyst_control.nodes import environment
-from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.base import EndingNode
 
 FOREVER = 1e6  # s
 
@@ -25,7 +25,7 @@ def spin(executor: Any, future: Future, timeout: float = FOREVER) -> None:
     executor.spin_until_future_complete(future, timeout_sec=timeout)
 
 
-def run(nodes: Sequence[SignalNode], context: Context, timeout: float = FOREVER) -> int | None:
+def run(nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER) -> int | None:
     """Spin the nodes on one executor until all that end by themselves have ended; the greatest of their exit statuses.
 
     None when that took longer than the timeout (s). The nodes are closed and destroyed whatever happens.
@@ -49,7 +49,7 @@ def run(nodes: Sequence[SignalNode], context: Context, timeout: float = FOREVER)
         executor.shutdown()
 
 
-def close(nodes: Sequence[SignalNode]) -> None:
+def close(nodes: Sequence[EndingNode]) -> None:
     """Close and destroy nodes, also when one of them fails to."""
     for node in nodes:
         try:
@@ -58,10 +58,10 @@ def close(nodes: Sequence[SignalNode]) -> None:
             node.destroy_node()
 
 
-def main(*factories: Callable[[], SignalNode], args: Sequence[str] | None = None) -> int:
+def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None) -> int:
     """Body of an executable: 0 when it ended by itself or was interrupted, 2 on bad input, told in one line."""
     environment.prepare()
-    nodes: list[SignalNode] = []
+    nodes: list[EndingNode] = []
     try:
         rclpy.init(args=args)
         for factory in factories:
