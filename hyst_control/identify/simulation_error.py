@@ -42,7 +42,7 @@ class Parametrisation:
 
 @dataclass(frozen=True)
 class Solution:
-    """Parameters (P,), nuisances, the mean square errors fitted and held out, and Gram matrices of [derivatives, nuisances, error]."""
+    """Parameters (P,), nuisances, mean square errors fitted and held out, Gram matrices of [derivatives, nuisances, error]."""
 
     parameters: Array
     nuisances: Array
