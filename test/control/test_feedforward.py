@@ -131,6 +131,17 @@ def test_input_delay_is_compensated(delay):
     assert with_delay < 1.2 * without + 0.05
 
 
+@pytest.mark.parametrize("delay", [0.0, 5e-5, 1e-4, 2.5e-4])
+def test_a_model_without_dynamics_is_followed_sample_by_sample(delay):
+    """Hysteresis and a delay alone: a held command has arrived at the end of its interval whatever part of one it is late."""
+    stage = PrandtlIshlinskii([0.0, 4.0, 15.0], [0.3, 0.2, 0.1])
+    model = static_model(stage).with_stages([stage, Delay(delay)] if delay else [stage])
+    reference = sine(5, 5.0, 12.0, 1e-4, periods=2)
+    compensator = build_compensator(model, "hapi", iterations=0)
+    assert compensator.preview == 1 + int(delay / 1e-4 + 1e-9)
+    np.testing.assert_allclose(track(model, compensator, reference)[5:], reference[5:], atol=1e-9)
+
+
 def test_gain_and_offset_on_either_side_are_undone():
     model = HAMPI.with_stages([Gain(2.0), Offset(1.0), *HAMPI.chain.stages, Gain(-3.0), Offset(0.7)])
     reference = sine(20, 3.0, -6.0, 2e-5) + 0.7
