@@ -12,8 +12,9 @@ from std_msgs.msg import Int64
 from hyst_control.control.loop import Plant
 from hyst_control.errors import InputError
 from hyst_control.model_file import Simulator, load_model
-from hyst_control.nodes.base import Input, SignalNode
+from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.messages import QUEUE
+from hyst_control.nodes.ports import Input
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.settings import Setting
 from hyst_control.share import config_path

@@ -10,13 +10,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from numpy.typing import NDArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
@@ -26,17 +24,11 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from hyst_control.errors import InputError
-from hyst_control.nodes.messages import Sender, receive
-from hyst_control.nodes.rows import DUPLICATE, GAP, Rows
+from hyst_control.nodes.ports import Input, Output
 from hyst_control.nodes.settings import Setting, declare
-from hyst_control.signal_message import label_for
-
-Array = NDArray[np.float64]
 
 LOCKSTEP, TIMER = "lockstep", "timer"
-KEPT_ROWS, KEPT_BLOCKS = 4096, 8
 LOG_INTERVAL = 5.0  # s, between two log lines about one thing
-REPEAT_INTERVAL = 0.02  # s, between two repetitions, so that duplicates do not multiply
 
 COMMON = (
     Setting("schedule", LOCKSTEP, "", "what makes a node tick", choices=(LOCKSTEP, TIMER)),
@@ -47,99 +39,6 @@ COMMON = (
     Setting("timeout", 0.1, "s", "age from which an input is stale, under the timer", 1e-4, 1e3, live=True),
     Setting("message_objects", False, "", "exchange message objects in place of serialized bytes"),
 )
-
-
-class Input:
-    """One subscribed signal: rows by tick, and what is known about its health."""
-
-    def __init__(self, node: SignalNode, topic: str, unit: str, contiguous: bool) -> None:
-        self.node, self.topic = node, topic
-        self.label = label_for(node.axes, unit)
-        self.rows = Rows(contiguous)
-        self.arrived = self._repeated = -math.inf  # s, monotonic clock
-        self._seen_label: str | None = None
-        receive(node, topic, self._receive, lambda reason: node.drop(topic, "unreadable", reason),
-                node.settings.message_objects)
-
-    def _receive(self, label: str, block: Array) -> None:
-        node = self.node
-        if label is not self._seen_label:
-            if label != self.label:
-                node.drop(self.topic, "wrong label", f"its columns are {label!r}, {self.label!r} is due")
-                return
-            self._seen_label = label
-        if not len(block):
-            return
-        if not all(map(math.isfinite, block.ravel().tolist())):
-            node.drop(self.topic, "not finite", "it holds a NaN or an infinity")
-            return
-        tick = tick_of(block, node.period)
-        if tick is None:
-            node.drop(self.topic, "off the clock", f"its times are not successive multiples of the period "
-                                                   f"{node.period:g} s: is rate_hz the same everywhere?")
-            return
-        outcome = self.rows.append(tick, block[:, 1:].copy())  # the message is read-only
-        if outcome is DUPLICATE:
-            node.counts[f"{self.topic}: duplicate"] += 1
-            if node.lockstep and time.monotonic() - self._repeated > REPEAT_INTERVAL:
-                self._repeated = time.monotonic()
-                node.repeat(self)
-            return
-        if outcome is GAP:
-            node.drop(self.topic, "out of order", f"tick {self.rows.end} is due, {tick} came")
-            node.out_of_order(self, tick)
-            return
-        self.arrived = time.monotonic()
-        if node.lockstep:
-            node.advance()
-
-    @property
-    def age(self) -> float:
-        """Seconds since the newest rows arrived, infinite before the first ones."""
-        return time.monotonic() - self.arrived
-
-
-class Output:
-    """One published signal; the newest rows, KEPT_ROWS and KEPT_BLOCKS messages at least, are kept to be repeated."""
-
-    def __init__(self, node: SignalNode, topic: str, unit: str) -> None:
-        self._node = node
-        self._columns = len(node.axes) + 1
-        self._sender = Sender(node, topic, label_for(node.axes, unit), node.settings.message_objects)
-        self._kept: deque[Array] = deque()
-        self._kept_rows = 0
-        self.publisher = self._sender.publisher
-
-    def send(self, tick: int, rows: Array) -> None:
-        """Publish rows (N, A) of the ticks tick, tick + 1, …"""
-        count = len(rows)
-        block = np.empty((count, self._columns))
-        period = self._node.period
-        if count == 1:
-            block[0, 0] = tick * period
-        else:
-            block[:, 0] = np.arange(tick, tick + count) * period
-        block[:, 1:] = rows
-        self._sender.send(block)
-        self._kept.append(block)
-        self._kept_rows += count
-        while self._kept_rows - len(self._kept[0]) >= KEPT_ROWS and len(self._kept) > KEPT_BLOCKS:
-            self._kept_rows -= len(self._kept.popleft())
-
-    def repeat(self) -> None:
-        """Publish the newest rows again, as one block."""
-        if self._kept:
-            self._sender.send(np.concatenate(self._kept))
-
-    def repeat_newest(self) -> None:
-        """Publish the newest message again."""
-        if self._kept:
-            self._sender.send(self._kept[-1])
-
-    def clear(self) -> None:
-        """Forget the rows that were kept."""
-        self._kept.clear()
-        self._kept_rows = 0
 
 
 class EndingNode(Node):
@@ -334,15 +233,3 @@ class _Jitter:
         variance = self._squares / count - (self._sum / count) ** 2
         self._count, self._sum, self._squares = 0, 0.0, 0.0
         return math.sqrt(max(variance, 0.0))
-
-
-def tick_of(block: Array, period: float) -> int | None:
-    """Tick of the first row of a block (N, C), or None when its times are not successive multiples of the period (s)."""
-    first = float(block[0, 0]) / period
-    tick = round(first)
-    if abs(first - tick) > 1e-3 or tick < 0:
-        return None
-    rows = len(block)
-    if rows > 1 and np.max(np.abs(block[:, 0] / period - np.arange(tick, tick + rows))) > 1e-3:
-        return None
-    return tick

@@ -11,7 +11,8 @@ from hyst_control.control.loop import Compensator
 from hyst_control.control.proportional import Proportional
 from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
-from hyst_control.nodes.base import Input, SignalNode
+from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.ports import Input
 from hyst_control.nodes.settings import Setting
 
 

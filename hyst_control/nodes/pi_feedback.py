@@ -8,7 +8,8 @@ import numpy as np
 
 from hyst_control.control.pi import PI
 from hyst_control.errors import InputError
-from hyst_control.nodes.base import TIMER, Input, SignalNode
+from hyst_control.nodes.base import TIMER, SignalNode
+from hyst_control.nodes.ports import Input
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.settings import Setting
 

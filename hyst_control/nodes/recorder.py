@@ -11,8 +11,9 @@ from std_msgs.msg import Int64
 
 from hyst_control.bag_writer import BagWriter
 from hyst_control.errors import InputError
-from hyst_control.nodes.base import SignalNode, tick_of
+from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.messages import QUEUE, receive
+from hyst_control.nodes.ports import tick_of
 from hyst_control.nodes.rows import DUPLICATE
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.settings import Setting

@@ -10,7 +10,8 @@ import yaml
 from numpy.typing import NDArray
 
 from hyst_control.errors import InputError
-from hyst_control.nodes.base import Input, SignalNode
+from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.ports import Input
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.settings import Setting
 
