@@ -12,6 +12,8 @@ rate term answers that jump with a spike (published parameters at 50 kHz, 4 um a
 The rate in the dynamic weights is that of the demand, (dv/dt) / s: with the rate of u itself the loop gain of one sample is
 m1 sum(H) / sample_time, ten at 50 kHz with the published parameters, and the structure diverges. s is a slope dY/du midway
 between the mean one and the greatest, because the rate counts most in the middle of a branch, where most operators move.
+The rate's share of the slope is held below half of the mean slope, n |w_r| <= s_mean / 2, so that a step of the demand does not
+throw the command to its limits for a sample.
 """
 
 from __future__ import annotations
@@ -87,11 +89,12 @@ def solve_command(v, start, lower, upper, resolution, thresholds, release, weigh
 
 
 @njit(cache=True)
-def inverse_multiplicative(demand, previous, rate_factor, thresholds, release, weights, w0, m1, m2, k, b, lower, upper, gain,
-                           iterations, state, command, output):
+def inverse_multiplicative(demand, previous, rate_factor, most, thresholds, release, weights, w0, m1, m2, k, b, lower, upper,
+                           gain, iterations, state, command, output):
     """Commands (N, A) for demands (N, A); `previous` (A,) demand, `command` (A,) and `state` (A, n) are updated.
 
-    rate_factor (A,) turns the difference of two demands into the command's rate in V/s; gain (A,) V per output unit.
+    rate_factor (A,) turns the difference of two demands into the command's rate in V/s; most (A,) bounds |w_r|; gain (A,) V per
+    output unit.
     """
     for row in range(demand.shape[0]):
         for axis in range(demand.shape[1]):
@@ -99,6 +102,7 @@ def inverse_multiplicative(demand, previous, rate_factor, thresholds, release, w
             rate = (v - previous[axis]) * rate_factor[axis]
             previous[axis] = v
             rotation = -m1[axis] * rate if rate >= 0.0 else m2[axis] * rate
+            rotation = min(max(rotation, -most[axis]), most[axis])
             r, q, w, h = thresholds[axis], release[axis], weights[axis], state[axis]
             u = command[axis]
             if iterations == 0:
@@ -140,6 +144,7 @@ class InverseMultiplicativeFilter(Filter):
                              f"more and does not converge: take at most {1.0 / slope[1].max():.4g}")
         self.iterations = stage.iterations
         self.rate_factor = 2.0 / (sampling.sample_time * (slope[1] + slope[2]))
+        self.most = 0.5 * slope[2] / np.isfinite(self.thresholds).sum(axis=1)
         self.previous, self.command = np.zeros(axes), np.zeros(axes)
 
     def settle(self, value: Array) -> Array:
@@ -155,8 +160,9 @@ class InverseMultiplicativeFilter(Filter):
     def _run(self, block: Array, iterations: int) -> Array:
         output = np.empty_like(block)
         w0, m1, m2, k, b = self.coefficients
-        inverse_multiplicative(block, self.previous, self.rate_factor, self.thresholds, self.release, self.weights, w0, m1,
-                               m2, k, b, self.lower, self.upper, self.gain, iterations, self.state, self.command, output)
+        inverse_multiplicative(block, self.previous, self.rate_factor, self.most, self.thresholds, self.release, self.weights,
+                               w0, m1, m2, k, b, self.lower, self.upper, self.gain, iterations, self.state, self.command,
+                               output)
         return output
 
 

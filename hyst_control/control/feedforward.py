@@ -27,6 +27,7 @@ from hyst_control.chain.inverse_multiplicative import InverseMultiplicative, slo
 from hyst_control.chain.linear import Delay, LinearStage
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.play import ModifiedPrandtlIshlinskii, PrandtlIshlinskii, play_filter
+from hyst_control.chain.rate_dependent import RateDependentPrandtlIshlinskii
 from hyst_control.chain.stage import Array, per_axis_scalar
 from hyst_control.chain.static import Gain, Offset, Quantization, Saturation
 from hyst_control.control.inverse_dynamics import invert_dynamics
@@ -193,6 +194,8 @@ def core_inverse(core: Stage | None, after: list[Stage], kind: str, sampling: Sa
         return []
     if isinstance(core, Madelung):
         return [inverted(core)]
+    if isinstance(core, RateDependentPrandtlIshlinskii) and kind == "hapi":
+        core = PrandtlIshlinskii(core.thresholds, core.weights, w0=core.w0)
     if not isinstance(core, (PrandtlIshlinskii, ModifiedPrandtlIshlinskii)):
         raise InputError(f"kind: {kind!r} inverts prandtl_ishlinskii and modified_prandtl_ishlinskii, not {core.name}")
     own = {item.name: getattr(core, item.name) for item in fields(core)}

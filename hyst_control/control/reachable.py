@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from hyst_control.chain import Chain, Parallel, Sampling
 from hyst_control.chain.madelung import Madelung
+from hyst_control.chain.rate_dependent import RateDependentPrandtlIshlinskii
 from hyst_control.chain.stage import Array
 from hyst_control.control.feedforward import core_inverse, drive_limits, dynamics_inverse, split
 from hyst_control.control.mhl_inverse import constant_removed, inverted, rate_dependent_parts
@@ -60,7 +61,9 @@ def quasi_static_command(model: Model, reference: Array, limits: tuple[ArrayLike
         drive = np.sort(quasi_static_stages(before, bounds, axes), axis=0)
         needed = drive_limits(model, None) if model.valid.get("command") is not None else bounds
         needed = np.sort(quasi_static_stages(before, needed, axes), axis=0)[1]
-        stages = [*stages, *core_inverse(core, after, "hampi", sampling, drive, needed, 0)]
+        # At rest a rate-dependent model is its classical part, k u + b of the modified one stay.
+        kind = "hapi" if isinstance(core, RateDependentPrandtlIshlinskii) else "hampi"
+        stages = [*stages, *core_inverse(core, after, kind, sampling, drive, needed, 0)]
     front, _ = dynamics_inverse(before, sampling, "none", "zoh")
     stages += front
     if not stages:

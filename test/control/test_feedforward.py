@@ -12,6 +12,7 @@ from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.inverse_multiplicative import InverseMultiplicative, slope_range
 from hyst_control.chain.linear import Delay, TransferFunction
 from hyst_control.chain.play import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
+from hyst_control.chain.rate_dependent import RateDependentPrandtlIshlinskii
 from hyst_control.chain.static import Gain, Offset
 from hyst_control.control.feedforward import KINDS, build_compensator, split
 from hyst_control.control.loop import feedforward_rows
@@ -188,6 +189,30 @@ def test_drive_is_held_back_from_where_the_published_model_turns_over():
     compensator = build_compensator(HAMPI, "hampi", limits=(0.0, 150.0))
     command = compensator.settle(np.array([50.0]))
     assert 80.0 < command[0] < 130.0
+
+
+def test_a_step_of_the_reference_does_not_throw_the_command_to_its_limits():
+    """50 kHz: the rate of a 1 um step would ask for 150 V for one sample."""
+    without_rate = HAMPI.with_stages([replace(HAMPI.chain.stages[0], m1=0.0, m2=0.0), *HAMPI.chain.stages[1:]])
+    step = np.concatenate([np.full((5, 1), 2.0), np.full((200, 1), 3.0)])
+    highest = []
+    for model in (without_rate, HAMPI):
+        compensator = build_compensator(model, "hampi", limits=(0.0, 150.0), inverse="none")
+        compensator.settle(step[0])
+        highest.append(compensator.process(step).max())
+    assert highest[0] < highest[1] < highest[0] + 5.0
+
+
+def test_rate_dependent_model_is_inverted_at_rest():
+    """RDPI slowly driven is a classical model; its compensator `hapi` follows a slow reference on it."""
+    stage = RateDependentPrandtlIshlinskii([0.0, 4.0, 15.0], [0.3, 0.2, 0.1], beta=1e-6)
+    model = static_model(stage)
+    reference = sine(0.5, 5.0, 12.0, 1e-3, periods=2)
+    check_reachable(model, reference)
+    compensator = build_compensator(model, "hapi", sample_time=1e-3, iterations=0)
+    assert np.abs(track(model, compensator, reference) - reference)[5:].max() < 1e-4
+    with pytest.raises(InputError, match="rate_dependent"):
+        build_compensator(model, "hampi")
 
 
 def test_reference_outside_the_stroke_is_refused_with_the_interval():
