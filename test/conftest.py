@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from hyst_control.nodes import environment
-from hyst_control.nodes.domain import own_domain
+from hyst_control.launch import environment
+from hyst_control.launch.domain import own_domain
 
 environment.prepare()
 ROOT = Path(__file__).resolve().parent.parent

@@ -9,6 +9,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from hyst_control import excitation
 from hyst_control.errors import InputError
 from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.ports import Input
@@ -106,8 +107,6 @@ class ReferenceGenerator(SignalNode):
                     name: list(parameter.value) if hasattr(parameter.value, "tolist") else parameter.value
                     for name, parameter in self.get_parameters_by_prefix("").items()
                     if name not in own and not name.startswith(FOREIGN)}}
-            from hyst_control import excitation
-
             return excitation.build(spec, self.period, len(self.axes))
         except OSError as error:
             raise InputError(f"{self.get_name()}: signal {signal}: {error.strerror}: give an existing file") from None

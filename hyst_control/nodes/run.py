@@ -14,7 +14,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.task import Future
 
 from hyst_control.errors import InputError
-from hyst_control.nodes import environment
+from hyst_control.launch import environment
 from hyst_control.nodes.base import EndingNode
 
 FOREVER = 1e6  # s

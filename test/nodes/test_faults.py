@@ -16,10 +16,10 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from hyst_control.errors import InputError
+from hyst_control.launch.processes import Processes
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.messages import Sender, receive
 from hyst_control.nodes.pi_feedback import PiFeedback
-from hyst_control.nodes.processes import Processes
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_control.nodes.run import spin

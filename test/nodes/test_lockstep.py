@@ -7,8 +7,8 @@ import pytest
 from loop_case import assert_same_bits, offline, parameters, recorded
 from rclpy.parameter import Parameter
 
+from hyst_control.launch.processes import Processes
 from hyst_control.nodes.pipeline import DEFAULT, NODES
-from hyst_control.nodes.processes import Processes
 from hyst_control.nodes.run import run
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import yaml
 
 from hyst_control.errors import InputError
-from hyst_control.nodes import environment
+from hyst_control.launch import environment
 
 MODULES = {
     "reference_generator": "hyst_control.nodes.reference_generator",

@@ -1,0 +1,1 @@
+"""Starting nodes as processes on a ROS domain of their own; imports no ROS itself."""
