@@ -9,6 +9,7 @@ floor(monotonic clock / period), a count that all processes of a machine share, 
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -37,6 +38,8 @@ COMMON = (
     Setting("axes", ("x",), "", "names of the axes"),
     Setting("unit", "um", "", "unit of reference and measurement", choices=("um", "mrad")),
     Setting("timeout", 0.1, "s", "age from which an input is stale, under the timer", 1e-4, 1e3, live=True),
+    Setting("realtime_priority", 0, "", "SCHED_FIFO priority of the process, 0 for the ordinary scheduler", 0, 99),
+    Setting("cpu", -1, "", "core that the process is pinned to, -1 for any", -1, 1023),
     Setting("message_objects", False, "", "exchange message objects in place of serialized bytes"),
 )
 
@@ -97,6 +100,7 @@ class SignalNode(EndingNode):
         self.axes: tuple[str, ...] = self.settings.axes
         self.unit: str = self.settings.unit
         self.enabled = True
+        self._set_scheduler()
         self.inputs: list[Input] = []
         self.counts: Counter[str] = Counter()
         self._logged: dict[str, float] = {}
@@ -165,6 +169,16 @@ class SignalNode(EndingNode):
             self._logged[key] = now
             self.get_logger().warning(text)
 
+    def _set_scheduler(self) -> None:
+        """Real-time priority and core, where asked for; a system that does not allow them costs latency, nothing else."""
+        try:
+            if self.settings.cpu >= 0:
+                os.sched_setaffinity(0, {self.settings.cpu})
+            if self.settings.realtime_priority:
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(self.settings.realtime_priority))
+        except OSError as error:
+            self.get_logger().warning(f"realtime_priority, cpu: {error.strerror}: running without; see ulimit -r and nproc")
+
     def _on_timer(self) -> None:
         now = self._now()
         number = math.floor(now / (self.period * self.settings.block))
@@ -195,7 +209,8 @@ class SignalNode(EndingNode):
         return response
 
     def _publish_diagnostics(self) -> None:
-        now, ticks = time.monotonic(), self.counts["ticks"]
+        now = time.monotonic()
+        ticks = max((signal.rows.end or 0 for signal in self.inputs), default=0) if self.lockstep else self.counts["ticks"]
         before, ticks_before = self._diagnosed
         self._diagnosed = (now, ticks)
         stale = [signal.topic for signal in self.inputs if not self.lockstep and signal.age > self.settings.timeout]

@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from loop_case import MODEL, RATE, parameters, recorded
 from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter
@@ -176,6 +177,22 @@ def test_timer_loop_runs_on_the_clock_that_all_share(bench, tmp_path):
     assert abs(measurement[-1, 0] - time.monotonic()) < 2.0
     assert np.all(np.diff(ticks) >= 1)
     assert measurement[-1, 1] > 1.0
+
+
+def test_diagnostics_tell_rate_drops_and_saturation(bench):
+    bench.add(PiFeedback, feedback=False, upper=5, start="first_command")
+    heard = []
+    bench.probe.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+    sender = bench.sender("feedforward", "t[s],x[V]")
+    sender.send(row(0, 7.0))
+    sender.send(row(1, np.nan))
+
+    def told():
+        return {value.key: value.value for message in heard for status in message.status for value in status.values}
+
+    bench.until(lambda: told().get("saturated samples") == "1" and told().get("feedforward: not finite") == "1")
+    assert told()["schedule"] == "lockstep" and {"rate [Hz]", "jitter [us]", "stale", "age of feedforward [s]"} <= set(told())
+    assert heard[-1].status[0].name == "/pi_feedback: loop"
 
 
 def ReferenceGenerator_of(signal):
