@@ -7,8 +7,8 @@ The path of a command, each part in continuous time, stepped at 400 kHz or finer
    and adds w_i times its position; r_i fill (0, r_max] evenly, w_i follow a density that falls off exponentially. The sum Y0 is
    bent by a single-valued saturation Y = Y0 - β Y0² / stroke.
 3. drag: domain walls move against viscous drag that grows with the polarisation P already reached, more while it rises than
-   while it falls: P' = (Y - P) / T(Y), T = T_rise Y / stroke or T_fall Y / stroke. Slow loops do not show it; fast ones turn
-   and widen, the more the higher the drive.
+   while it falls: P' = (Y - P) / T(Y), T = T_rise or T_fall times Y / (Y + drag_level). Slow loops do not show it; fast ones
+   turn and widen, the more the higher the drive.
 4. mechanics: one flexure mode, and a viscoelastic share that arrives late (the slow pole-zero pair of HAMPI paper Eq. 7).
 5. sensor: first-order low-pass, white noise.
 """
@@ -48,6 +48,7 @@ class PeaParameters:
     saturation: float
     drag_rise: float
     drag_fall: float
+    drag_level: float
     mode_frequency: float
     mode_damping: float
     slow_share: float
@@ -61,7 +62,7 @@ class PeaParameters:
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value) or value < 0:
                 raise PlantError(f"{field.name}: {value!r}: a number that is not negative is due")
         for name in ("amplifier_cutoff", "elastic_slope", "slip_range", "slip_decay", "stroke", "mode_frequency", "slow_time",
-                     "sensor_cutoff"):
+                     "sensor_cutoff", "drag_level"):
             if getattr(self, name) == 0:
                 raise PlantError(f"{name}: must be positive")
 
@@ -91,8 +92,8 @@ class Pea:
         self._phi, self._from, self._to = exact.ramp_step(self._a, self._b, self.internal_step)
         self._late = int(round(p.delay / self.internal_step))
         self._past = np.zeros(-(-self._late // self.substeps) + 1)
-        self._constants = np.array([self._follow, p.elastic_slope, p.saturation / p.stroke, p.drag_rise / p.stroke,
-                                    p.drag_fall / p.stroke, self.internal_step])
+        self._constants = np.array([self._follow, p.elastic_slope, p.saturation / p.stroke, p.drag_rise, p.drag_fall,
+                                    p.drag_level, self.internal_step])
         self.reset(np.zeros(1))
 
     def reset(self, command: Array) -> Array:
@@ -121,7 +122,7 @@ class Pea:
 
 @njit(cache=True, error_model="numpy")
 def _advance(commands, past, late, substeps, constants, slack, weights, phi, ramp_from, ramp_to, read, state, slip, linear, output):
-    follow, elastic, bend, rise, fall, step = constants
+    follow, elastic, bend, rise, fall, level, step = constants
     voltage, polarisation = state
     order = linear.size
     fresh = np.empty(order)
@@ -143,7 +144,7 @@ def _advance(commands, past, late, substeps, constants, slack, weights, phi, ram
                 slip[i] = position
                 bare += weights[i] * position
             wanted = bare - bend * bare * bare
-            time = (rise if wanted > polarisation else fall) * abs(wanted)
+            time = (rise if wanted > polarisation else fall) * abs(wanted) / (abs(wanted) + level)
             before = polarisation
             if time > 1e-3 * step:
                 polarisation += (wanted - polarisation) * (1.0 - np.exp(-step / time))
