@@ -432,6 +432,9 @@ class LinearFilter(Filter):
             self.a[s, :order, :order], self.b[s, :, :order] = system.A, system.B
             self.c[s, :, :order], self.d[s] = system.C, system.D
         self.bias = np.concatenate([system.bias for system in systems])
+        # State and output at rest, for a unit input; the states that fill up a shorter system stay 0.
+        self.rest = np.stack([np.linalg.solve(np.eye(n) - a, b.sum(axis=0)) for a, b in zip(self.a, self.b, strict=True)])
+        self.static_gain = self.c @ self.rest + self.d.sum(axis=1)
         self.whole = whole.astype(np.int64)
         self.state, self.scratch, self.taps = np.zeros((count, n)), np.zeros(n), np.zeros((3, m))
         self.history = np.zeros((int(self.whole.max()) + 3, count * m))
@@ -439,19 +442,11 @@ class LinearFilter(Filter):
 
     def settle(self, value: Array) -> Array:
         value = np.asarray(value, dtype=float)
-        count, n, _ = self.a.shape
-        u = value.reshape(count, -1)
+        u = value.reshape(len(self.a), -1, 1)
         self.history[:] = value
         self.position = 0
-        output = np.empty_like(u)
-        for s in range(count):
-            used = np.any(self.a[s] != 0, axis=1) | np.any(self.b[s] != 0, axis=(0, 2))
-            self.state[s] = 0.0
-            if np.any(used):
-                matrix = np.eye(int(used.sum())) - self.a[s][np.ix_(used, used)]
-                self.state[s, used] = np.linalg.solve(matrix, self.b[s].sum(axis=0)[used] @ u[s])
-            output[s] = self.c[s] @ self.state[s] + self.d[s].sum(axis=0) @ u[s]
-        return output.reshape(-1) + self.bias
+        self.state[:] = (self.rest @ u)[:, :, 0]
+        return (self.static_gain @ u).reshape(-1) + self.bias
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)

@@ -164,19 +164,20 @@ class MadelungFilter(Filter):
 
 def mirrored(down: Curve) -> Curve:
     """φ_dn(d) = F - g0(1 - d) as a curve of its own."""
-    breaks = 1.0 - down.breaks[::-1]
-    pieces = []
+    count, order = down.coefficients.shape
     full = float(down(np.ones(1))[0])
-    for piece in range(len(down.breaks) - 2, -1, -1):
+    coefficients = np.empty((count, order))
+    for piece in range(count):
+        # A piece of g0 in the distance from its right end, by repeated synthetic division, with the sign of odd powers changed.
         width = down.breaks[piece + 1] - down.breaks[piece]
-        shifted = np.poly1d(down.coefficients[piece])(np.poly1d([-1.0, width]))
-        flipped = np.zeros(down.coefficients.shape[1])
-        flipped[len(flipped) - len(shifted.coeffs) :] = -shifted.coeffs
-        flipped[-1] += full
-        pieces.append(flipped)
-    coefficients = np.array(pieces)
+        shifted = down.coefficients[piece].copy()
+        for end in range(order, 1, -1):
+            for i in range(1, end):
+                shifted[i] += width * shifted[i - 1]
+        coefficients[count - 1 - piece] = -shifted * (-1.0) ** np.arange(order - 1, -1, -1)
+    coefficients[:, -1] += full
     coefficients[0, -1] = 0.0
-    return Curve(np.ascontiguousarray(breaks), coefficients)
+    return Curve(np.ascontiguousarray(1.0 - down.breaks[::-1]), coefficients)
 
 
 def end_slope(curve: Curve, x: float) -> float:

@@ -24,7 +24,7 @@ STAGES = {
     "knots": Madelung([0.0, 0.15, 0.4, 1.0], [0.0, 0.4, 0.8, 1.0], 100.0, 2.0, knots=[0.0, 0.3, 0.6, 1.0]),
 }
 RANGE = {name: stage.output_scale * float(stage.curves(1)[0][0](np.ones(1))[0]) for name, stage in STAGES.items()}
-voltages = st.lists(st.floats(0.0, 100.0), min_size=1, max_size=60)
+voltages = st.lists(st.integers(0, 10_000).map(lambda i: i / 100.0), min_size=1, max_size=60)
 
 
 def run(stage, u) -> np.ndarray:
