@@ -90,20 +90,18 @@ def _files(path: Path) -> list[Path]:
 
 
 def _finished(path: Path, files: list[Path]) -> Iterator[tuple[str, int, bytes]]:
-    from rosbags.highlevel import AnyReader, AnyReaderError
-    from rosbags.rosbag2 import ReaderError
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.rosbag2 import Reader, ReaderError
 
     if path.is_file():
         yield from _bare_file(path)
         return
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        with Reader(path) as reader:
             connections = [connection for connection in reader.connections if connection.msgtype == MESSAGE_TYPE]
             if connections:
                 for connection, time, raw in reader.messages(connections):
                     yield connection.topic, time, raw
-    except (AnyReaderError, ReaderError) as error:
+    except ReaderError as error:
         raise InputError(f"{path}: {_first_line(error)}: the bag cannot be read; record again or repair it") from None
     except (KeyError, ValueError, TypeError, OSError, AssertionError) as error:
         raise InputError(f"{path}: is damaged ({_first_line(error) or type(error).__name__}): record again or repair it") from None

@@ -34,8 +34,8 @@ class Result:
         report = self.fit.report
         lines = [f"{report['family']} ({report['method']}), {', '.join(report.get('structure', []))}"]
         for row in report["records"]:
-            lines.append(f"  {row['name']}  {row['axis']}: NRMSE {row['nrmse']:.3f} % of range, NME {row['nme']:.3f} %, "
-                         f"RMSE {row['rmse']:.4g} {row['unit']} over {row['samples']} samples")
+            lines.append(f"  {row['name']}  {row['axis']}: NRMSE {row['nrmse']:.3f} % of range ({row['nrmse_centered']:.3f} % with the "
+                         f"means removed), NME {row['nme']:.3f} %, RMSE {row['rmse']:.4g} {row['unit']} over {row['samples']} samples")
         if "held_out_nrmse" in report:
             lines.append("  held-out blocks: NRMSE " + ", ".join(f"{value:.3f} %" for value in report["held_out_nrmse"]))
         lines += [f"  note: {note}" for note in report["notes"]]

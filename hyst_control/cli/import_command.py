@@ -1,0 +1,43 @@
+"""Turn recordings of other tools into bags: CSV, white-space tables (.gz too), .npy, .npz and MATLAB .mat files.
+
+examples:
+  hyst import Model_Vi_Do.dat --output model.bag --columns "command=1[V],measurement=5[um]" --rate 200 --rows 5: --hold foh
+  hyst import run.csv --output run.bag --columns "command=drive[mV],measurement=pos[nm]" --rate 20e3
+  hyst import run.mat --output fsm.bag --columns "command=ux+uy[V],measurement=tx+ty[rad]" --rate 5000
+Columns are numbered from 1, or named by the header or the file's own arrays; several axes are joined with +.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+NAME = "import"
+HELP = "turn CSV, NPY, NPZ or MAT recordings into bags"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="FILE", help="the recording")
+    parser.add_argument("--output", metavar="BAG", required=True, help="bag to write, which must not exist")
+    parser.add_argument("--columns", required=True, help="topic=column[unit], separated by commas")
+    parser.add_argument("--rate", type=float, required=True, help="sample rate in Hz")
+    parser.add_argument("--rows", default=":", help="first:end, counted from 0 (default all)")
+    parser.add_argument("--hold", choices=("zoh", "foh"), default="zoh", help="zoh: a DAC held the command; foh: a smooth source "
+                        "was sampled")
+    parser.add_argument("--variable", help="array of an .npz or .mat file")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from hyst_control.errors import InputError
+    from hyst_control.importing import import_table, parse_columns, write_bag
+
+    try:
+        first, _, last = arguments.rows.partition(":")
+        rows = (int(first or 0), int(last) if last else None)
+    except ValueError:
+        raise InputError(f"rows: {arguments.rows!r}: first:end, whole numbers, is due") from None
+    record = import_table(arguments.file, parse_columns(arguments.columns), arguments.rate, rows, arguments.hold, arguments.variable)
+    write_bag(arguments.output, record)
+    for topic, signal in record.signals.items():
+        print(f"{topic}: {len(signal.time)} samples, {', '.join(signal.axes)} in {signal.unit}")
+    print(f"written: {arguments.output}")
+    return 0
