@@ -8,6 +8,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,12 +24,21 @@ ROWS = 200_000
 REPEATS = 9
 
 
-def run() -> list[dict[str, object]]:
-    """Result-table rows: kernel_rate (samples/s) of every kernel, subjects `hyst` and `c`, the best of several runs each.
+@dataclass(frozen=True)
+class KernelRate:
+    """Samples per second of one kernel; subject "hyst" or "c"."""
+
+    case: str
+    subject: str
+    rate: float
+
+
+def run() -> list[KernelRate]:
+    """Rates of every kernel and of its C counterpart, the best of several runs each.
 
     The runs of the two alternate, so that a drifting machine speed meets both. Raises `InputError` without gcc.
     """
-    rows: list[dict[str, object]] = []
+    rows: list[KernelRate] = []
     with tempfile.TemporaryDirectory() as folder:
         library = compiled_library(Path(folder))
         for case, own, other in (prandtl_ishlinskii(library), linear(library), madelung(library)):
@@ -42,8 +52,7 @@ def run() -> list[dict[str, object]]:
                     call()
                     seconds.append(time.perf_counter() - begin)
             for subject, seconds in zip(("hyst", "c"), times, strict=True):
-                rows.append({"table": "kernels", "case": case, "subject": subject, "quantity": "kernel_rate", "unit": "samples/s",
-                             "value": ROWS / min(seconds), "published": None, "n": REPEATS, "ci95": None})
+                rows.append(KernelRate(case, subject, ROWS / min(seconds)))
     return rows
 
 

@@ -101,7 +101,10 @@ def test_slow_loops_return_to_their_turning_point():
 
 
 def test_stroke_and_lag_are_those_of_the_papers_actuator():
-    """About 14-15 um at 140 V; the lag beyond that of slow loops is near HAMPI paper Table 1's measured 7.65, 27.5, 49.1 degrees."""
+    """About 14-15 um at 140 V; the lag beyond that of slow loops is near HAMPI paper Table 1's measured 7.65, 27.5, 49.1 degrees.
+
+    The half sample by which a held command is late is not the actuator's, and is taken off.
+    """
     truth = plant(noise=0.0)
     assert 13.0 < np.ptp(run(truth, loop(1.0, 140.0, 1))) < 16.0
 
@@ -112,11 +115,11 @@ def test_stroke_and_lag_are_those_of_the_papers_actuator():
         design = np.stack([np.ones(half), np.cos(angle), np.sin(angle)], axis=1)
         _, c, s = np.linalg.lstsq(design, np.stack([run(truth, command)[-half:], command[-half:, 0]], axis=1), rcond=None)[0]
         phase = np.degrees(np.arctan2(s, c))
-        return phase[0] - phase[1]
+        return float((phase[0] - phase[1] + 180.0) % 360.0 - 180.0)
 
     slow = lag(1.0)
     for frequency, published in ((100.0, 7.65), (300.0, 27.5), (500.0, 49.1)):
-        assert lag(frequency) - slow == pytest.approx(published, abs=4.0)
+        assert lag(frequency) - slow - 180.0 * frequency * STEP == pytest.approx(published, abs=2.5)
 
 
 @pytest.mark.parametrize("change, words", [

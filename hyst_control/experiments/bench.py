@@ -1,0 +1,57 @@
+"""`hyst bench`: speed of kernels and bags on this machine, as a result table."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from hyst_control.bag_reader import read_bag
+from hyst_control.bag_writer import BagWriter
+from hyst_control.experiments import kernel_bench
+from hyst_control.signal_message import Encoder
+from hyst_control.tables import Table
+
+MESSAGES, ROWS = 24_000, 50
+"""Per topic: 1.2 million samples, a minute at 20 kHz, in blocks of 50."""
+REPEATS = 5
+
+
+def run(only: str | None = None) -> Table:
+    """All groups, or one of "kernels" and "bags". Raises `InputError` when gcc is missing for the kernels."""
+    table = Table("bench")
+    if only in (None, "kernels"):
+        for row in kernel_bench.run():
+            table.add("kernels", row.case, row.subject, "kernel_rate", "samples/s", row.rate, n=kernel_bench.REPEATS)
+    if only in (None, "bags"):
+        bags(table)
+    return table
+
+
+def bags(table: Table) -> None:
+    """Write and read a bag of two topics; messages of both topics per second, medians."""
+    labels = {"/command": "t[s],x[V]", "/measurement": "t[s],x[um]"}
+    rng = np.random.default_rng(0)
+    blocks = rng.normal(size=(MESSAGES, ROWS, 2))
+    blocks[:, :, 0] = 5e-5 * np.arange(MESSAGES * ROWS).reshape(MESSAGES, ROWS)
+    writing, reading = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        for repeat in range(REPEATS):
+            path = Path(folder) / f"bag{repeat}"
+            encoders = {topic: Encoder(label) for topic, label in labels.items()}
+            begin = time.perf_counter()
+            with BagWriter(path) as writer:
+                for index in range(MESSAGES):
+                    for topic, encoder in encoders.items():
+                        writer.write(topic, encoder.encode(blocks[index]), index * 2_500_000)
+            writing.append(time.perf_counter() - begin)
+            begin = time.perf_counter()
+            record = read_bag(path)
+            reading.append(time.perf_counter() - begin)
+            assert len(record.signals["command"].time) == MESSAGES * ROWS
+    case = f"2 topics of {MESSAGES} messages of {ROWS} rows"
+    table.add("bags", case, "hyst", "bag_write_rate", "messages/s", 2 * MESSAGES / np.median(writing), n=REPEATS)
+    table.add("bags", case, "hyst", "bag_read_rate", "messages/s", 2 * MESSAGES / np.median(reading), n=REPEATS)
+    table.add("bags", case, "hyst", "bag_read_time", "s", np.median(reading), n=REPEATS)
