@@ -145,7 +145,15 @@ class AxisFit:
         return self.curves.stage(self.solution.parameters, self.input_scale, self.output_scale)
 
 
-def fit_axis(windows: Sequence[Window], curves: Curves, input_scale: float | None, nuisance: str, inverse: bool = False) -> AxisFit:
+def fit_axis(
+    windows: Sequence[Window],
+    curves: Curves,
+    input_scale: float | None,
+    nuisance: str,
+    *,
+    inverse: bool = False,
+    passes: int = 40,
+) -> AxisFit:
     """Identify one axis. With `inverse` command and measurement have changed places, and so has the start."""
     scale = full_scale(windows, input_scale)
     sign = response_sign(windows)
@@ -158,7 +166,7 @@ def fit_axis(windows: Sequence[Window], curves: Curves, input_scale: float | Non
     lhs = curves.constraints()
     problem = Parametrisation(stages, lhs, np.zeros(len(lhs)))
     start = curves.start(-0.15 if inverse else 0.15)
-    solution = minimise(turned, problem, start, nuisance=nuisance, passes=40, tolerance=1e-6, everything=True)
+    solution = minimise(turned, problem, start, nuisance=nuisance, passes=passes, tolerance=1e-6, everything=True)
     return AxisFit(curves, solution, scale, travel, sign, sign * mean_offset(solution, windows, nuisance))
 
 

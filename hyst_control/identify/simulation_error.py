@@ -14,13 +14,14 @@ from numba import njit
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
-from hyst_control.chain import Chain, Sampling, Stage
+from hyst_control.chain import Chain, Filter, Sampling, Stage
 from hyst_control.chain.stage import Array
-from hyst_control.identify.gram import HELD_OUT_BLOCKS, NUISANCES, Grams, Window
+from hyst_control.identify.gram import HELD_OUT_BLOCKS, NUISANCES, Grams, Window, gram_product
 from hyst_control.identify.least_squares import covariance
 from hyst_control.identify.windows import turning_points
 
-BLOCK = 4096
+BLOCK, CHUNK = 4096, 32768
+"""Rows of a Gram matrix of its own, at most, and rows simulated at a time."""
 STEP = 1e-5
 """Difference of neighbouring parameters, which are all of order one."""
 PRIOR = 1e-10
@@ -96,7 +97,8 @@ def minimise(
         grams = gram_matrices(windows, parametrisation, trial, nuisance, groups, derivatives=True)
         best = replace(found, grams=grams, passes=passed)
         damping = max(0.1 * damping, 1e-9)
-        if improvement < tolerance:
+        # A short gain under strong damping is no sign of the minimum: the valley may be long.
+        if improvement < tolerance and damping < 1e-6:
             break
     return replace(best, grams=grams)
 
@@ -110,48 +112,49 @@ def gram_matrices(
     grams, rows, blocks = np.zeros((2, total, total)), [0, 0], []
     vectors = [parameters, *(parameters + STEP * unit for unit in np.eye(len(parameters))[:size])]
     chains = [Chain(tuple(parametrisation.stages(vector))) for vector in vectors]
+    clocks: dict[Sampling, list[Filter]] = {}
+    length = int(np.clip(sum(len(window.command) for window in windows) // HELD_OUT_BLOCKS, 1, BLOCK))
     for window in windows:
         place = np.r_[0:size, size + window.group * extra + np.arange(extra), total - 1]
-        running = [Streamed(chain, window) for chain in chains]
+        sampling = Sampling(window.sample_time, 1, window.hold)
+        if sampling not in clocks:
+            clocks[sampling] = [chain.filter(sampling) for chain in chains]
+        signal, first = driving_signal(window)
+        for running in clocks[sampling]:
+            running.settle(signal[0])
+            running.process(signal[:first])
         n = len(window.command)
-        length = max(min(BLOCK, n // HELD_OUT_BLOCKS), 1)
-        for begin in range(0, n, length):
-            end = min(begin + length, n)
-            simulated = np.stack([stream.rows(begin, end) for stream in running], axis=1)
-            used = slice(max(window.skip - begin, 0), end - begin)
-            if used.start >= used.stop:
-                continue
-            block = np.empty((used.stop - used.start, size + extra + 1))
-            block[:, :size] = (simulated[used, 1:] - simulated[used, :1]) / STEP
-            share = window.begin + window.share * np.arange(begin + used.start, end) / n
+        for chunk in range(0, n, CHUNK):
+            stop = min(chunk + CHUNK, n)
+            part = signal[first + chunk : first + stop]
+            columns = np.empty((stop - chunk, size + extra + 1), order="F")
+            nominal = clocks[sampling][0].process(part)[:, 0]
+            for i, running in enumerate(clocks[sampling][1:]):
+                columns[:, i] = (running.process(part)[:, 0] - nominal) / STEP
+            share = window.begin + window.share * np.arange(chunk, stop) / n
             for power in range(extra):
-                block[:, size + power] = (share - 0.5) ** power
-            block[:, -1] = window.measurement[begin + used.start : end] - simulated[used, 0]
-            part = 1 if begin // length % 3 == 2 else 0
-            blocks.append(np.zeros((total, total)))
-            blocks[-1][np.ix_(place, place)] = block.T @ block
-            grams[part] += blocks[-1]
-            rows[part] += len(block)
+                columns[:, size + power] = (share - 0.5) ** power
+            columns[:, -1] = window.measurement[chunk:stop] - nominal
+            for begin in range(max(window.skip - chunk, 0), stop - chunk, length):
+                block = columns[begin : begin + length]
+                blocks.append(np.zeros((total, total)))
+                blocks[-1][np.ix_(place, place)] = gram_product(np.ascontiguousarray(block))
+                which = 1 if len(blocks) % 3 == 0 else 0
+                grams[which] += blocks[-1]
+                rows[which] += len(block)
     return Grams(grams[0], grams[1], (rows[0], rows[1]), np.array(blocks))
 
 
-class Streamed:
-    """A chain of one axis running over a window: rows (N,) of the measurement, aligned with the window's own."""
+def driving_signal(window: Window) -> tuple[Array, int]:
+    """What drives a chain (M, 1), memory first, so that its output row for row is the measurement; and the window's first row.
 
-    def __init__(self, chain: Chain, window: Window) -> None:
-        before = np.zeros(0) if window.memory is None else window.memory
-        # Under zoh the measurement at a tick answers the command of the interval before; under foh that of the same instant.
-        late = window.hold == "zoh"
-        signal = np.concatenate([before, window.command])
-        self.signal = np.concatenate([signal[:1], signal[:-1]] if late else [signal]).reshape(-1, 1)
-        self.first = len(before)
-        self.filter = chain.filter(Sampling(window.sample_time, 1, window.hold))
-        self.filter.settle(self.signal[0])
-        self.filter.process(self.signal[: self.first])
-
-    def rows(self, begin: int, end: int) -> Array:
-        """Simulated measurement of the window's rows begin…end, which must follow the ones before."""
-        return self.filter.process(self.signal[self.first + begin : self.first + end])[:, 0]
+    Under zoh the measurement at a tick answers the command of the interval before, under foh that of the same instant.
+    """
+    before = np.zeros(0) if window.memory is None else window.memory
+    signal = np.concatenate([before, window.command])
+    if window.hold == "zoh":
+        signal = np.concatenate([signal[:1], signal[:-1]])
+    return signal.reshape(-1, 1), len(before)
 
 
 def _solution(parameters: Array, grams: Grams, everything: bool, passes: int, *, derivatives: bool) -> Solution:

@@ -1,0 +1,131 @@
+"""Cross-coupling between the axes of a model whose axes were identified one by one: y_i = y0_i + Σ M_ij L(s) y0_j.
+
+What an axis does not explain of its measurement is compared with what the other axes do, low-passed at a corner that all share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hyst_control.chain import Chain, Sampling
+from hyst_control.chain.linear import CrossCoupling, TransferFunction
+from hyst_control.chain.stage import Array
+from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.windows import before
+from hyst_control.model_file import Model, simulate
+
+CORNERS = (None, 30.0, 60.0, 100.0, 150.0, 220.0, 320.0, 470.0, 700.0, 1000.0, 2000.0)
+"""Corners (Hz) that are tried; none is a static coupling."""
+BLOCKS = 90
+WORTHWHILE = 0.03
+"""The coupling is kept when it lowers some axis' held-out mean square error by more than this share."""
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """matrix (A, A) with ones on its diagonal, its standard errors, and the corner in Hz or None."""
+
+    matrix: Array
+    errors: Array
+    corner: float | None
+
+    @property
+    def stage(self) -> CrossCoupling:
+        """The stage at the end of the chain."""
+        return CrossCoupling(self.matrix, self.corner)
+
+    def rows(self, axes: Sequence[str]) -> list[dict[str, Any]]:
+        """Report rows of the entries off the diagonal."""
+        return [
+            {
+                "name": f"matrix[{i}][{j}]",
+                "value": float(self.matrix[i, j]),
+                "standard_error": float(self.errors[i, j]),
+                "unit": "",
+                "axis": name,
+            }
+            for i, name in enumerate(axes)
+            for j in range(len(axes))
+            if i != j
+        ]
+
+
+def fit_coupling(model: Model, datasets: Sequence[Dataset]) -> Coupling | None:
+    """The coupling between the axes of a model without one, or None where the records show none."""
+    simulated = [simulated_rows(model, data) for data in datasets]
+    count = len(model.axes)
+    best: tuple[float, Coupling, bool] | None = None
+    for corner in CORNERS:
+        if corner is not None and corner > 0.4 / max(data.sample_time for data in datasets):
+            continue
+        others = [low_passed(y, corner, data.sample_time) for y, data in zip(simulated, datasets, strict=True)]
+        matrix, errors, share, worthwhile = np.eye(count), np.zeros((count, count)), 0.0, False
+        for i in range(count):
+            found, spread, without, held_out = regress(i, others, simulated, datasets)
+            matrix[i, np.arange(count) != i], errors[i, np.arange(count) != i] = found, spread
+            share += held_out / max(without, 1e-300)
+            worthwhile |= held_out < (1.0 - WORTHWHILE) * without
+        if best is None or share < best[0]:
+            best = share, Coupling(matrix, errors, corner), worthwhile
+    assert best is not None
+    return best[1] if best[2] else None
+
+
+def without_coupling(model: Model, coupling: Coupling, datasets: Sequence[Dataset]) -> list[Dataset]:
+    """The records with the other axes' share of each measurement taken away."""
+    cleaned = []
+    for data in datasets:
+        y = simulated_rows(model, data)
+        share = low_passed(y, coupling.corner, data.sample_time) @ (coupling.matrix - np.eye(len(model.axes))).T
+        cleaned.append(replace(data, measurement=data.measurement - share))
+    return cleaned
+
+
+def simulated_rows(model: Model, data: Dataset) -> Array:
+    """The record (N, A) as the model has it, memory of an unknown start included."""
+    memory, _ = before(data)
+    command = data.command if memory is None else np.concatenate([memory, data.command])
+    return simulate(model, command, data.sample_time, data.hold)[len(command) - len(data.command) :]
+
+
+def low_passed(signal: Array, corner: float | None, sample_time: float) -> Array:
+    """A signal (N, A) behind a first-order low-pass, at rest at its first row."""
+    if corner is None:
+        return signal
+    w = 2.0 * np.pi * corner
+    running = Chain((TransferFunction([w], [1.0, w]),)).filter(Sampling(sample_time, signal.shape[1], "foh"))
+    running.settle(signal[0])
+    return running.process(signal)
+
+
+def regress(
+    axis: int, others: Sequence[Array], simulated: Sequence[Array], datasets: Sequence[Dataset]
+) -> tuple[Array, Array, float, float]:
+    """Coupling into one axis (A - 1,), its standard errors, and the held-out mean squares without and with it.
+
+    Every record's offset and drift are taken out first; every third block of rows is held out.
+    """
+    grams = []
+    for other, own, data in zip(others, simulated, datasets, strict=True):
+        _, skip = before(data)
+        n = len(own)
+        columns = np.column_stack([np.delete(other, axis, axis=1), data.measurement[:, axis] - own[:, axis]])[skip:]
+        trend = np.column_stack([np.ones(n), np.linspace(-0.5, 0.5, n)])[skip:]
+        columns = columns - trend @ np.linalg.lstsq(trend, columns, rcond=None)[0]
+        grams += [block.T @ block for block in np.array_split(columns, min(BLOCKS, len(columns)))]
+    blocks = np.array(grams)
+    held_out = np.arange(len(blocks)) % 3 == 2
+    fitted = blocks[~held_out].sum(axis=0)
+    found = np.linalg.lstsq(fitted[:-1, :-1], fitted[:-1, -1], rcond=1e-9)[0]
+    vector = np.append(found, -1.0)
+    other = blocks[held_out].sum(axis=0)
+    everything = blocks.sum(axis=0)
+    inverse = np.linalg.pinv(everything[:-1, :-1], rcond=1e-9)
+    final = inverse @ everything[:-1, -1]
+    scores = blocks[:, :-1, -1] - blocks[:, :-1, :-1] @ final
+    errors = np.sqrt(np.maximum(np.diag(inverse @ (scores.T @ scores) @ inverse), 0.0))
+    return final, errors, float(other[-1, -1]), float(vector @ other @ vector)

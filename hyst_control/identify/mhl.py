@@ -1,0 +1,416 @@
+"""Identification of the modified Hammerstein-like model (MHL paper, Eq. 1-5): delay, Madelung hysteresis and rate correction, G(s).
+
+    y = G(s) [ H_S[u(t - τ)] + Ψ ],   Ψ = (k1 u̇ + b1) / (k2 s + b2),   G(0) = 1,   b2 = 1
+
+"joint" fits everything to all records at once; "paper" is the paper's own sequence (`paper_mhl`). G(s) is stable for every
+parameter vector, the curves rise and close, and the order of G(s) is the one that does best on rows held out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from hyst_control.chain import Chain, Parallel, Stage
+from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
+from hyst_control.chain.stage import Array
+from hyst_control.chain.static import Gain
+from hyst_control.errors import InputError
+from hyst_control.identify.coupling import Coupling, fit_coupling, without_coupling
+from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.dynamics import TAU_UNIT, Structure
+from hyst_control.identify.gram import Window
+from hyst_control.identify.madelung import (
+    Curves,
+    check,
+    curve_errors,
+    fit_axis,
+    full_scale,
+    mean_offset,
+    merged,
+    range_notes,
+    response_sign,
+)
+from hyst_control.identify.report import command_bandwidth, noise_sigma, record_rows
+from hyst_control.identify.simulation_error import Parametrisation, Solution, minimise, short_stretches
+from hyst_control.identify.windows import whole_records
+from hyst_control.model_file import Model
+
+K2_UNIT = 1e-3
+"""The unit (s) of k2 in the parameter vector, which holds its logarithm."""
+SELECTION_ROWS, FINAL_ROWS = 20_000, 100_000
+STRETCH, SETTLE = 0.1, 0.02
+"""Length (s) of the stretches that stand for a long record, and of their beginning that does not count."""
+WORTHWHILE = 0.02
+"""A factor of G is kept when it lowers the held-out mean square error by more than this share."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Choices of the fit.
+
+    degree of the curves' polynomials, or `knots` of piecewise cubics; input_scale in V, the largest command unless given;
+    nuisance: what each record may add to the model, "none", "offset" or "linear" (offset and slow drift, so that creep does not
+    bend the loop); structure: G's, where it is not to be chosen; cross_coupling: whether to look for it between several axes.
+    """
+
+    degree: int = 5
+    knots: Sequence[float] | None = None
+    input_scale: float | None = None
+    nuisance: str = "linear"
+    structure: Structure | None = None
+    cross_coupling: bool = True
+
+    @property
+    def curves(self) -> Curves:
+        """The form of the curves."""
+        return Curves(self.degree, None if self.knots is None else np.array(self.knots, dtype=float))
+
+
+@dataclass(frozen=True)
+class Axis:
+    """The model of one axis as a parameter vector: curves, rate part (k1 relative to the slope, log k2), dynamics with delay."""
+
+    curves: Curves
+    structure: Structure
+    input_scale: float
+    output_scale: float
+    sign: float
+    sample_time: float
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return self.curves.size + 2 + self.structure.size
+
+    def split(self, vector: Array) -> tuple[Array, Array, Array]:
+        """Curves, rate part, dynamics."""
+        n = self.curves.size
+        return vector[:n], vector[n : n + 2], vector[n + 2 :]
+
+    def rate(self, vector: Array) -> tuple[float, float]:
+        """k1 (measurement unit s/V) and k2 (s)."""
+        share, log_k2 = self.split(vector)[1]
+        k2 = K2_UNIT * float(np.exp(log_k2))
+        return float(share) * self.output_scale / self.input_scale * k2, k2
+
+    def stages(self, vector: Array, b1: float = 0.0) -> list[Stage]:
+        """The chain: delay, hysteresis and rate correction in parallel, G(s), and the response's sign."""
+        curves, _, dynamics = self.split(vector)
+        k1, k2 = self.rate(vector)
+        linear = self.structure.stages(dynamics)
+        hysteresis = Parallel(
+            ((self.curves.stage(curves, self.input_scale, self.output_scale),), (RateCorrection(k1=k1, k2=k2, b1=b1),))
+        )
+        delays = [stage for stage in linear if isinstance(stage, Delay)]
+        return [*delays, hysteresis, *(stage for stage in linear if not isinstance(stage, Delay))]
+
+    def limit(self, vector: Array) -> Array:
+        """The vector held where the data can tell something."""
+        curves, rate, dynamics = self.split(vector)
+        rate = np.clip(rate, [-5.0, np.log(0.02)], [5.0, np.log(200.0)])
+        return np.concatenate([curves, rate, self.structure.limit(dynamics, self.sample_time)])
+
+    def parametrisation(self) -> Parametrisation:
+        """What the search needs to know."""
+        lhs = np.zeros((len(self.curves.constraints()), self.size))
+        lhs[:, : self.curves.size] = self.curves.constraints()
+        return Parametrisation(self.stages, lhs, np.zeros(len(lhs)), self.limit)
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """One axis: its parameters with their covariance, the sensor's zero, and the mean square error on the rows held out."""
+
+    axis: Axis
+    vector: Array
+    covariance: Array
+    offset: float
+    held_out: float
+    extra: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def input_scale(self) -> float:
+        """The command (V) at the end of the curves."""
+        return self.axis.input_scale
+
+
+def fit(datasets: Sequence[Dataset], method: str = "joint", **options: Any) -> Fit:
+    """Identify an MHL model with one chain per axis and, between several axes, cross-coupling where the records show it.
+
+    method "joint" or "paper"; options as in `Options`. Raises `InputError` when the records cannot tell a model, naming what is
+    missing.
+    """
+    chosen = Options(**options)
+    check(datasets)
+    if method == "paper":
+        from hyst_control.identify import paper_mhl
+
+        return assemble(datasets, "paper", paper_mhl.fit_axes(datasets, chosen), None)
+    if method != "joint":
+        raise InputError(f"method: {method!r} is not known: joint or paper is due")
+    axes: list[AxisFit] = []
+    for index in range(len(datasets[0].axes)):
+        axes.append(fit_joint(whole_records(datasets, index), chosen, axes[0] if axes else None))
+    coupling = None
+    if chosen.cross_coupling and len(axes) > 1:
+        plain = chain_model(datasets, axes, "plain")
+        coupling = fit_coupling(plain, datasets)
+        if coupling is not None:
+            cleaned = without_coupling(plain, coupling, datasets)
+            axes = [refit(whole_records(cleaned, index), axis, chosen.nuisance, passes=2) for index, axis in enumerate(axes)]
+    return assemble(datasets, "joint", axes, coupling)
+
+
+def fit_joint(windows: Sequence[Window], options: Options, like: AxisFit | None) -> AxisFit:
+    """One axis from all its records. `like` is another axis of the same device, from whose dynamics the search begins."""
+    sign = response_sign(windows)
+    turned = [replace(window, measurement=sign * window.measurement) for window in windows]
+    scale = full_scale(windows, options.input_scale)
+    few = short_stretches(turned, SELECTION_ROWS, STRETCH, SETTLE)
+    static = fit_axis(few, options.curves, scale, options.nuisance, passes=8)
+    blank = Axis(options.curves, Structure(), scale, static.output_scale, sign, min(window.sample_time for window in windows))
+    curves = static.solution.parameters
+    if like is not None and (options.structure is None or options.structure == like.axis.structure):
+        axis = replace(blank, structure=like.axis.structure)
+        start = np.concatenate([curves, like.vector[options.curves.size :]])
+        chosen = minimise(few, axis.parametrisation(), start, nuisance=options.nuisance, passes=12)
+    else:
+        axis, chosen = choose_structure(few, blank, curves, options)
+    found = AxisFit(axis, chosen.parameters, chosen.covariance, 0.0, chosen.held_out)
+    if sum(len(window.command) for window in windows) > 2 * FINAL_ROWS:
+        many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
+        solution = minimise(many, axis.parametrisation(), found.vector, nuisance=options.nuisance, passes=6, everything=True)
+        found = replace(found, vector=solution.parameters)
+    return refit(windows, found, options.nuisance, passes=2)
+
+
+def refit(windows: Sequence[Window], found: AxisFit, nuisance: str, passes: int) -> AxisFit:
+    """The last passes, over every row of every record."""
+    turned = [replace(window, measurement=found.axis.sign * window.measurement) for window in windows]
+    solution = minimise(turned, found.axis.parametrisation(), found.vector, nuisance=nuisance, passes=passes, everything=True)
+    offset = mean_offset(solution, turned, nuisance)
+    return replace(found, vector=solution.parameters, covariance=solution.covariance, offset=offset)
+
+
+def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, options: Options) -> tuple[Axis, Solution]:
+    """Grow G from a mode behind a delay, factor by factor, as long as the held-out error falls."""
+
+    def trial(structure: Structure, dynamics: Array, before: Array, passes: int) -> tuple[Axis, Solution]:
+        axis = replace(blank, structure=structure)
+        start = np.concatenate([before[: curves.size + 2], dynamics])
+        return axis, minimise(windows, axis.parametrisation(), start, nuisance=options.nuisance, passes=passes)
+
+    first = options.structure or Structure(modes=1, delay=True)
+    base = np.concatenate([curves, [-0.05, 0.0]])
+    highest = 0.4 / blank.sample_time
+    grid = [f for f in (150.0, 700.0, 3000.0) if f < highest] or [highest / 2]
+    trials = [(f, trial(first, first.start(f), base, 3)) for f in grid]
+    frequency, (axis, best) = min(trials, key=lambda item: item[1][1].fitted)
+    axis, best = trial(first, axis.split(best.parameters)[2], best.parameters, 8)
+    if options.structure is not None:
+        return axis, best
+    if axis.structure.lags == 0:
+        axis, best = better((axis, best), exchanged(windows, axis, best, options))
+    while True:
+        grown = []
+        for structure in extensions(axis.structure):
+            dynamics = axis.split(best.parameters)[2]
+            starts = [structure.grow(axis.structure, dynamics, frequency)]
+            if structure == replace(axis.structure, zeros=axis.structure.zeros + 1):
+                starts.append(lead_and_delay(axis.structure, structure, dynamics))
+            grown.append(min((trial(structure, start, best.parameters, 20) for start in starts), key=lambda item: item[1].fitted))
+        if not grown:
+            return axis, best
+        lowest = min(solution.held_out for _, solution in grown)
+        # The first of those that do about equally well: the list runs from the plainer to the richer.
+        richer = next(item for item in grown if item[1].held_out <= lowest * (1.0 + WORTHWHILE))
+        if better((axis, best), richer)[1] is best:
+            return axis, best
+        axis, best = richer
+
+
+def better(plain: tuple[Axis, Solution], rich: tuple[Axis, Solution]) -> tuple[Axis, Solution]:
+    """The richer structure where it is worth it."""
+    return rich if rich[1].held_out < (1.0 - WORTHWHILE) * plain[1].held_out else plain
+
+
+def exchanged(windows: Sequence[Window], axis: Axis, solution: Solution, options: Options) -> tuple[Axis, Solution]:
+    """A rate part that a lag and a zero of G undo for small motions: only large ones tell the two apart, so each has to be tried.
+
+    With k1 = κ k2 times the mean slope, H_D's small motions see (1 + (1 + κ) k2 s) / (1 + k2 s), and G gets the inverse.
+    """
+    old = axis.structure
+    structure = replace(old, lags=old.lags + 1, zeros=old.zeros + 1)
+    grown = replace(axis, structure=structure)
+    curves, _, dynamics = axis.split(solution.parameters)
+    num = old.rational(dynamics)[0]
+    starts = []
+    for k2 in (5e-4, 2e-3):
+        for share in (-0.4, 0.6):
+            parts = structure.split(structure.grow(old, dynamics, 1000.0))
+            parts["lags"][:] = -np.log(k2 * (1.0 + share))
+            moved = with_numerator(parts, np.polymul(num, [k2, 1.0]))
+            starts.append(np.concatenate([curves, [share, np.log(k2 / K2_UNIT)], moved]))
+    problem = grown.parametrisation()
+    trials = [minimise(windows, problem, start, nuisance=options.nuisance, passes=3) for start in starts]
+    chosen = min(trials, key=lambda item: item.fitted)
+    return grown, minimise(windows, problem, chosen.parameters, nuisance=options.nuisance, passes=20)
+
+
+def lead_and_delay(old: Structure, new: Structure, dynamics: Array) -> Array:
+    """A start with one zero more, fast, whose lead a longer delay makes up for: there is a minimum on either side of none."""
+    parts = new.split(new.grow(old, dynamics, 1000.0))
+    time = 0.5 / float(np.exp(parts["modes"][:, 0].max()))
+    parts["delay"] = parts["delay"] + time / TAU_UNIT
+    return with_numerator(parts, np.polymul(old.rational(dynamics)[0], [time, 1.0]))
+
+
+def with_numerator(parts: dict[str, Array], num: Array) -> Array:
+    """A dynamics vector from its factors, with the zeros' coefficients those of a numerator (descending powers of s)."""
+    scale = np.exp(np.concatenate([parts["modes"][:, 0], parts["lags"]])).min()
+    rising = (num / num[-1])[::-1]
+    parts["zeros"][:] = rising[1:] * scale ** np.arange(1, len(rising))
+    return np.concatenate([part.ravel() for part in parts.values()])
+
+
+def extensions(structure: Structure) -> list[Structure]:
+    """Structures with one factor more."""
+    options = []
+    if structure.zeros + 1 < 2 * structure.modes + structure.lags:
+        options.append(replace(structure, zeros=structure.zeros + 1))
+    if structure.lags == 0:
+        options.append(replace(structure, lags=1))
+    elif structure.modes == 1:
+        options.append(replace(structure, modes=2, zeros=structure.zeros + 1))
+    return options
+
+
+def chain_stages(axes: Sequence[AxisFit]) -> list[Stage]:
+    """The axes' chains side by side as one chain with per-axis parameters."""
+
+    def per_axis(values: Sequence[Any]) -> Any:
+        return values[0] if len(values) == 1 else list(values)
+
+    chains = [axis.axis.stages(axis.vector, axis.offset) for axis in axes]
+    delays = [next((stage.tau for stage in chain if isinstance(stage, Delay)), 0.0) for chain in chains]
+    dynamics = [
+        next((stage for stage in chain if isinstance(stage, TransferFunction)), TransferFunction([1.0], [1.0])) for chain in chains
+    ]
+    parallel = [next(stage for stage in chain if isinstance(stage, Parallel)) for chain in chains]
+    rates = [stage.branches[1][0] for stage in parallel]
+    rate = RateCorrection(**{key: per_axis([getattr(stage, key) for stage in rates]) for key in ("k1", "k2", "b1")})
+    stages: list[Stage] = [Delay(per_axis(delays))] if any(delays) else []
+    stages.append(Parallel(((merged([stage.branches[0][0] for stage in parallel]),), (rate,))))
+    stages.append(TransferFunction(per_axis([stage.num for stage in dynamics]), per_axis([stage.den for stage in dynamics])))
+    if any(axis.axis.sign < 0 for axis in axes):
+        stages.append(Gain(per_axis([axis.axis.sign for axis in axes])))
+    return stages
+
+
+def chain_model(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) -> Model:
+    """The model without what the report adds."""
+    first = datasets[0]
+    return Model(
+        name=f"mhl_{method}",
+        axes=first.axes,
+        units={"command": "V", "measurement": first.unit},
+        sample_time=first.sample_time,
+        hold=first.hold,
+        chain=Chain(tuple(chain_stages(axes))),
+        valid={
+            "command": [min(float(data.command.min()) for data in datasets), max(float(data.command.max()) for data in datasets)],
+            "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
+        },
+    )
+
+
+def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], coupling: Coupling | None) -> Fit:
+    """Model and report."""
+    model = chain_model(datasets, axes, method)
+    if coupling is not None:
+        model = model.with_stages([*model.chain.stages, coupling.stage])
+    rows, residuals = record_rows(model, datasets)
+    parameters: list[dict[str, Any]] = []
+    relative: dict[str, list[float]] = {}
+    for axis, name in zip(axes, datasets[0].axes, strict=True):
+        for row in [*curve_rows(axis, relative), *other_rows(axis, datasets[0].unit, relative)]:
+            parameters.append({**row, "axis": name})
+    if coupling is not None:
+        parameters += coupling.rows(datasets[0].axes)
+    sigma = noise_sigma(residuals)
+    model = replace(
+        model,
+        tolerance={key: float(f"{np.median(values):.4g}") for key, values in relative.items()},
+        noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
+    )
+    travel = [max(float(data.range[i]) for data in datasets) for i in range(len(axes))]
+    notes = range_notes(datasets, axes) + told_apart(parameters)
+    report: dict[str, Any] = {
+        "family": "mhl",
+        "method": method,
+        "unit": datasets[0].unit,
+        "records": rows,
+        "held_out_nrmse": [100.0 * float(np.sqrt(axis.held_out)) / span for axis, span in zip(axes, travel, strict=True)],
+        "structure": [axis.axis.structure.describe() for axis in axes],
+        "parameters": parameters,
+        "notes": notes,
+    }
+    extra = [axis.extra for axis in axes]
+    if any(extra):
+        report["steps"] = extra
+    return Fit(model, report)
+
+
+def curve_rows(axis: AxisFit, relative: dict[str, list[float]]) -> list[dict[str, Any]]:
+    """The curves' coefficients with their errors; their tolerance goes into `relative`."""
+    rows, tolerance = curve_errors(axis.axis.curves, axis.axis.split(axis.vector)[0], axis.covariance)
+    for name in ("ascending", "descending"):
+        relative.setdefault(name, []).append(tolerance)
+    return rows
+
+
+def other_rows(axis: AxisFit, unit: str, relative: dict[str, list[float]]) -> list[dict[str, Any]]:
+    """Scale, rate part, delay and G(s) with errors carried over from the search; relative ones by parameter name."""
+    structure, n = axis.axis.structure, axis.axis.curves.size
+
+    def values(vector: Array) -> Array:
+        num, den = structure.rational(vector[n + 2 :])
+        full = axis.axis.output_scale * axis.axis.curves.full(vector[:n])
+        return np.concatenate([[full], axis.axis.rate(vector), [structure.tau(vector[n + 2 :])], num, den[1:]])
+
+    nominal = values(axis.vector)
+    jacobian = np.array([(values(axis.vector + 1e-6 * unit_) - nominal) / 1e-6 for unit_ in np.eye(len(axis.vector))]).T
+    errors = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, axis.covariance, jacobian), 0.0))
+    num, den = structure.rational(axis.vector[n + 2 :])
+    names = ["output_scale", "k1", "k2", "tau", *(f"num[{i}]" for i in range(len(num))), *(f"den[{i}]" for i in range(1, len(den)))]
+    units = [unit, f"{unit} s/V", "s", "s"] + [""] * (len(names) - 4)
+    rows = []
+    for name, value, error, given in zip(names, nominal, errors, units, strict=True):
+        if name == "tau" and not structure.delay:
+            continue
+        rows.append({"name": name, "value": float(value), "standard_error": float(error), "unit": given})
+        if value and error:
+            relative.setdefault(name.split("[")[0], []).append(abs(float(error / value)))
+    rows.append({"name": "b1", "value": float(axis.offset), "standard_error": None, "unit": unit})
+    return rows
+
+
+def told_apart(parameters: Sequence[dict[str, Any]]) -> list[str]:
+    """What the data could not tell, with the excitation that would."""
+    remedies = {
+        "k1": "record loops of full amplitude between 20 and 200 Hz",
+        "k2": "record loops of full amplitude between 20 and 200 Hz",
+        "tau": "record steps or a sweep at a higher sampling rate",
+        "num[0]": "record a sweep or multisine up to beyond the resonance",
+        "den[1]": "record a sweep or multisine up to beyond the resonance",
+    }
+    notes = []
+    for row in parameters:
+        error = row["standard_error"]
+        if row["name"] in remedies and error is not None and error > 0.5 * abs(row["value"]):
+            notes.append(f"axis {row['axis']}: {row['name']} cannot be told from these data: {remedies[row['name']]}")
+    return notes
