@@ -1,0 +1,225 @@
+"""Modes that soften with amplitude: a structure on piezo actuators whose stiffness and gain depend on how hard it is
+driven.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
+
+import numpy as np
+from numba import njit
+
+from hyst_control.chain.stage import Array, Filter, Sampling, Stage, depth, register, require_finite, require_positive
+from hyst_control.errors import InputError
+
+
+@register
+@dataclass(frozen=True)
+class SofteningModal(Stage):
+    """Coupled modes, scheduled by the slow amplitude of the command, with a softening force of the elongation.
+
+    The slow amplitude a (V) is the root of the mean square over the axes of the command, low-passed over `memory` (s),
+    and
+
+        g  = (sqrt(a / amplitude) - 1) / (1 - sqrt(1/2))          0 at `amplitude`, -1 at half of it
+        λ_i = -exp(decay_i + decay_change_i g) + j (frequency_i + frequency_change_i g)
+        dx_i/dt = λ_i x_i + (inputs_i + inputs_change_i g) · u,   z = 2 Re Σ c_i x_i + feedthrough u
+        n  = q (|q|^exponent - force_mean a^exponent),  q = elongation z         per actuator
+        dw_i/dt = λ_i w_i + force_inputs_i · n,                   y = z + 2 Re Σ c_i w_i + force_feedthrough n
+
+    The first part is the structure as it responds on the average at this amplitude (its describing function); n is
+    what the softening force q |q|^exponent has beyond that average from one instant to the next. n is sampled and held.
+
+    Shapes for M modes and A axes: decay (log of 1/s), frequency (rad/s) and their changes (M); c = outputs (M, A),
+    inputs, inputs_change and force_inputs (M, A), each as a pair [real, imaginary]; feedthrough and force_feedthrough
+    (A, A); elongation (A, A), V per measurement unit, so that q is in volts of quasi-static command; force_mean (A). A
+    mode of frequency 0 is real and counts once.
+    """
+
+    name: ClassVar[str] = "softening_modal"
+    commutes_with_delay: ClassVar[bool] = True
+    decay: Any
+    frequency: Any
+    outputs: Any
+    inputs: Any
+    feedthrough: Any
+    amplitude: float
+    decay_change: Any = 0.0
+    frequency_change: Any = 0.0
+    inputs_change: Any = 0.0
+    elongation: Any = 0.0
+    force_inputs: Any = 0.0
+    force_feedthrough: Any = 0.0
+    force_mean: Any = 0.0
+    exponent: float = 0.5
+    memory: float = 0.1
+
+    def check(self) -> None:
+        for field in (item.name for item in fields(self)):
+            require_finite(getattr(self, field), field)
+        for field, unit in (("amplitude", "V"), ("memory", "s"), ("exponent", "")):
+            require_positive(getattr(self, field), field, unit)
+        if depth(self.decay) != 1 or depth(self.outputs) != 3:
+            raise InputError("decay: a list with one entry per mode is due, and outputs [real, imaginary] of (modes, axes)")
+        self.arrays(len(self.outputs[0][0]))
+
+    def arrays(self, axes: int) -> dict[str, np.ndarray]:
+        """Every parameter as an array of its full shape, complex where it is a pair."""
+        modes = len(self.decay)
+        due = {
+            "decay": (modes,),
+            "frequency": (modes,),
+            "decay_change": (modes,),
+            "frequency_change": (modes,),
+            "feedthrough": (axes, axes),
+            "force_feedthrough": (axes, axes),
+            "elongation": (axes, axes),
+            "force_mean": (axes,),
+        }
+        pairs = ("outputs", "inputs", "inputs_change", "force_inputs")
+        arrays = {}
+        for field in (*due, *pairs):
+            shape = due.get(field, (2, modes, axes))
+            try:
+                value = np.broadcast_to(np.array(getattr(self, field), dtype=float), shape).copy()
+            except ValueError:
+                raise InputError(
+                    f"{field}: shape {np.shape(getattr(self, field))}, {shape} is due for {modes} modes and {axes} axes"
+                ) from None
+            arrays[field] = value[0] + 1j * value[1] if field in pairs else value
+        return arrays
+
+    def filter(self, sampling: Sampling) -> Filter:
+        if len(self.outputs[0][0]) != sampling.axes:
+            raise InputError(f"outputs: for {len(self.outputs[0][0])} axes, the model has {sampling.axes}")
+        return SofteningModalFilter(self, sampling)
+
+
+@njit(cache=True)
+def advance_softening_modal(
+    block,
+    smooth,
+    step,
+    exponent,
+    amplitude,
+    last,
+    state,
+    mean_square,
+    decay,
+    frequency,
+    decay_change,
+    frequency_change,
+    c,
+    b,
+    b_change,
+    d,
+    k,
+    h,
+    h_d,
+    force_mean,
+    force,
+    output,
+):
+    """Run the equations of `SofteningModal` over a block (N, A); `smooth` = 1 - e^(-step/memory), step in s.
+
+    state (2, M) complex: x and w; mean_square (1,): a²; last (A,): the command before, with which it is averaged for a
+    sampled smooth source (`last[0]` NaN: a held command); force (A,): n of the tick that begins the interval. All
+    three are updated.
+    """
+    modes, axes = c.shape
+    held = np.isnan(last[0])
+    drive, linear = np.empty(axes), np.empty(axes)
+    for row in range(block.shape[0]):
+        power = 0.0
+        for j in range(axes):
+            drive[j] = block[row, j] if held else 0.5 * (block[row, j] + last[j])
+            power += drive[j] ** 2
+            if not held:
+                last[j] = block[row, j]
+        mean_square[0] += smooth * (power / axes - mean_square[0])
+        a = np.sqrt(mean_square[0])
+        g = (np.sqrt(a / amplitude) - 1.0) / (1.0 - np.sqrt(0.5))
+        for o in range(axes):
+            linear[o] = 0.0
+            output[row, o] = 0.0
+            for j in range(axes):
+                linear[o] += d[o, j] * drive[j]
+                output[row, o] += h_d[o, j] * force[j]
+        for i in range(modes):
+            pole = complex(-np.exp(decay[i] + decay_change[i] * g), frequency[i] + frequency_change[i] * g)
+            if frequency[i] == 0.0:
+                pole = complex(pole.real, 0.0)
+            carry = np.exp(pole * step)
+            gain = (carry - 1.0) / pole
+            by_command, by_force = 0j, 0j
+            for j in range(axes):
+                by_command += (b[i, j] + b_change[i, j] * g) * drive[j]
+                by_force += h[i, j] * force[j]
+            state[0, i] = carry * state[0, i] + gain * by_command
+            state[1, i] = carry * state[1, i] + gain * by_force
+            twice = 1.0 if frequency[i] == 0.0 else 2.0
+            for o in range(axes):
+                linear[o] += twice * (c[i, o] * state[0, i]).real
+                output[row, o] += twice * (c[i, o] * state[1, i]).real
+        for o in range(axes):
+            output[row, o] += linear[o]
+        mean = a**exponent
+        for j in range(axes):
+            q = 0.0
+            for o in range(axes):
+                q += k[j, o] * linear[o]
+            force[j] = q * (abs(q) ** exponent - force_mean[j] * mean)
+
+
+class SofteningModalFilter(Filter):
+    """Streaming `SofteningModal`."""
+
+    hold = "foh"
+
+    def __init__(self, stage: SofteningModal, sampling: Sampling) -> None:
+        arrays = stage.arrays(sampling.axes)
+        self.arguments = tuple(
+            np.ascontiguousarray(arrays[field])
+            for field in (
+                "decay",
+                "frequency",
+                "decay_change",
+                "frequency_change",
+                "outputs",
+                "inputs",
+                "inputs_change",
+                "feedthrough",
+                "elongation",
+                "force_inputs",
+                "force_feedthrough",
+                "force_mean",
+            )
+        )
+        self.scalars = (1.0 - np.exp(-sampling.sample_time / stage.memory), sampling.sample_time, stage.exponent, stage.amplitude)
+        self.held = sampling.hold == "zoh"
+        modes = len(arrays["decay"])
+        self.state = np.zeros((2, modes), dtype=complex)
+        self.mean_square, self.last, self.force = np.zeros(1), np.full(sampling.axes, np.nan), np.zeros(sampling.axes)
+
+    def settle(self, value: Array) -> Array:
+        value = np.asarray(value, dtype=float)
+        decay, frequency, decay_change, frequency_change, c, b, b_change, d, k, h, h_d, force_mean = self.arguments
+        exponent, amplitude = self.scalars[2:]
+        self.mean_square[0] = np.mean(value**2)
+        a = np.sqrt(self.mean_square[0])
+        g = (np.sqrt(a / amplitude) - 1.0) / (1.0 - np.sqrt(0.5))
+        poles = -np.exp(decay + decay_change * g) + 1j * np.where(frequency == 0.0, 0.0, frequency + frequency_change * g)
+        twice = np.where(frequency == 0.0, 1.0, 2.0)
+        self.state[0] = -((b + b_change * g) @ value) / poles
+        linear = ((twice * self.state[0]) @ c).real + d @ value
+        q = k @ linear
+        self.force[:] = q * (np.abs(q) ** exponent - force_mean * a**exponent)
+        self.state[1] = -(h @ self.force) / poles
+        self.last[:] = np.nan if self.held else value
+        return linear + ((twice * self.state[1]) @ c).real + h_d @ self.force
+
+    def process(self, block: Array) -> Array:
+        output = np.empty_like(block)
+        advance_softening_modal(block, *self.scalars, self.last, self.state, self.mean_square, *self.arguments, self.force, output)
+        return output
