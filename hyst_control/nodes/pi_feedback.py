@@ -131,8 +131,8 @@ class PiFeedback(SignalNode):
         self._publish(first, command, np.zeros_like(command))
 
     def _publish(self, first: int, command: Any, feedback: Any) -> None:
+        self.feedback.send(first, feedback)  # first: once the command is out, a killed node could not make up for it
         self.command.send(first, command)
-        self.feedback.send(first, feedback)
 
 
 def main() -> int:

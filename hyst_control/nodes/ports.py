@@ -82,6 +82,7 @@ class Output:
         self._sender = Sender(node, topic, label_for(node.axes, unit), node.settings.message_objects)
         self._kept: deque[Array] = deque()
         self._kept_rows = 0
+        self._end = 0
         self.publisher = self._sender.publisher
 
     def send(self, tick: int, rows: Array) -> None:
@@ -95,6 +96,9 @@ class Output:
             block[:, 0] = np.arange(tick, tick + count) * period
         block[:, 1:] = rows
         self._sender.send(block)
+        if tick != self._end:
+            self.clear()  # what is repeated goes out as one message, of successive ticks
+        self._end = tick + count
         self._kept.append(block)
         self._kept_rows += count
         while self._kept_rows - len(self._kept[0]) >= KEPT_ROWS and len(self._kept) > KEPT_BLOCKS:

@@ -63,7 +63,8 @@ class Recorder(SignalNode):
         if None in ends:
             return
         last = min(ends) - 1
-        done = self.ends and all(topic.arrived >= self.settings.ticks for topic in self._topics)
+        done = self.ends and (last >= self.settings.ticks - 1 if self.lockstep else
+                              all(topic.arrived >= self.settings.ticks for topic in self._topics))
         if repeat or done or last - self.told >= (PROGRESS_INTERVAL if self.told >= 0 else 1):
             self.told = last
             self._progress.publish(Int64(data=last))
@@ -129,6 +130,8 @@ class _Topic:
             return
         if recorder.lockstep and recorder.ends:
             block = block[:max(recorder.settings.ticks - tick, 0)]
+            if not len(block):
+                return
         if self.end is not None:
             if tick + len(block) <= self.end:
                 recorder.counts[f"{self.name}: {DUPLICATE}"] += 1
@@ -137,18 +140,20 @@ class _Topic:
                 return
             if tick > self.end:
                 recorder.counts[f"{self.name}: missed ticks"] += tick - self.end
+                if recorder.lockstep:
+                    recorder.warn(self.name, f"{self.name}: ticks {self.end} to {tick - 1} are lost: was their node killed?")
                 self.store()  # the rows of one message are successive
             block = block[max(self.end - tick, 0):]
             tick = max(self.end, tick)
-        if len(block):
-            self._pending.append(block)
-            self._pending_rows += len(block)
-            if self._pending_rows >= recorder.settings.merge:
-                self.store()
-            self.end = end = tick + len(block)
-            self.arrived += len(block)
-            if end - recorder.told >= PROGRESS_INTERVAL or 0 < recorder.settings.ticks <= self.arrived or recorder.told < 0:
-                recorder.progress()
+        self._pending.append(block)
+        self._pending_rows += len(block)
+        if self._pending_rows >= recorder.settings.merge:
+            self.store()
+        self.end = end = tick + len(block)
+        self.arrived += len(block)
+        complete = recorder.ends and max(end, self.arrived) >= recorder.settings.ticks
+        if complete or recorder.told < 0 or end - recorder.told >= PROGRESS_INTERVAL:
+            recorder.progress()
 
     def store(self) -> None:
         """Write the rows that wait to be merged."""
