@@ -155,7 +155,7 @@ def refine_scheduled(
             change[moving] += step[size:]
             problems[0].model = point.centre
             problems[0].apply(step[:size])
-            trial = Scheduled(problems[0].model, change)
+            trial = _bounded(Scheduled(problems[0].model, change), problems[0], max(abs(value) for value in g))
             place(trial)
             gained = cost - sum(problem.cost() for problem in problems)
             if gained > 0:
@@ -223,6 +223,18 @@ def stage_of(
         memory=memory,
         **parts,
     )
+
+
+def _bounded(point: Scheduled, problem: Problem, reach: float) -> Scheduled:
+    """The point with its poles' changes held where no pole leaves its bounds for |g| up to `reach`."""
+    poles = point.centre.poles
+    change = point.change.copy()
+    at = problem.layout.indices("pole", len(poles), 2)
+    decay = np.maximum(np.log(-poles.real) - problem.slowest, 0.0) / reach
+    frequency = np.where(poles.imag == 0, 0.0, np.minimum(np.pi - poles.imag, poles.imag)) / reach
+    change[at[:, 0]] = np.clip(change[at[:, 0]], -decay, decay)
+    change[at[:, 1]] = np.clip(change[at[:, 1]], -frequency, frequency)
+    return Scheduled(point.centre, change)
 
 
 def _layout(model: ModalModel) -> Layout:
