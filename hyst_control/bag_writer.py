@@ -41,7 +41,10 @@ class BagWriter:
     """An open bag of Float64MultiArray topics; use it as a context manager or call `close`."""
 
     def __init__(self, path: str | Path, custom_data: dict[str, str] | None = None) -> None:
-        """path: the directory to create; custom_data: what metadata.yaml is to say besides. Raises `InputError` when it exists or cannot be created."""
+        """path: the directory to create; custom_data: what metadata.yaml is to say besides.
+
+        Raises `InputError` when the path exists or cannot be created.
+        """
         self.path = Path(path)
         self._custom_data = custom_data
         try:
