@@ -44,7 +44,7 @@ K2_UNIT = 1e-3
 SELECTION_ROWS, FINAL_ROWS = 20_000, 100_000
 STRETCH, SETTLE = 0.1, 0.02
 """Length (s) of the stretches that stand for a long record, and of their beginning that does not count."""
-WORTHWHILE = 0.02
+WORTHWHILE = 0.01
 """A factor of G is kept when it lowers the held-out mean square error by more than this share."""
 
 
@@ -171,7 +171,7 @@ def fit_joint(windows: Sequence[Window], options: Options, like: AxisFit | None)
     turned = [replace(window, measurement=sign * window.measurement) for window in windows]
     scale = full_scale(windows, options.input_scale)
     few = short_stretches(turned, SELECTION_ROWS, STRETCH, SETTLE)
-    static = fit_axis(few, options.curves, scale, options.nuisance, passes=8)
+    static = fit_axis(slowest(few), options.curves, scale, options.nuisance, passes=8)
     blank = Axis(options.curves, Structure(), scale, static.output_scale, sign, min(window.sample_time for window in windows))
     curves = static.solution.parameters
     if like is not None and (options.structure is None or options.structure == like.axis.structure):
@@ -196,33 +196,34 @@ def refit(windows: Sequence[Window], found: AxisFit, nuisance: str, passes: int)
     return replace(found, vector=solution.parameters, covariance=solution.covariance, offset=offset)
 
 
+def slowest(windows: Sequence[Window]) -> list[Window]:
+    """The windows of the records whose command moves slowest: from them the curves are seen without the dynamics."""
+    speeds: dict[int, list[float]] = {}
+    for window in windows:
+        span = max(float(np.ptp(window.command)), 1e-300)
+        speeds.setdefault(window.group, []).append(float(np.abs(np.diff(window.command)).mean()) / window.sample_time / span)
+    wide = max(float(np.ptp(window.command)) for window in windows)
+    spans = {group: max(float(np.ptp(w.command)) for w in windows if w.group == group) for group in speeds}
+    usable = {group: float(np.mean(speeds[group])) for group in speeds if spans[group] > 0.3 * wide} or {0: 0.0}
+    limit = 3.0 * min(usable.values())
+    kept = [window for window in windows if usable.get(window.group, np.inf) <= limit]
+    groups = {group: number for number, group in enumerate(sorted({window.group for window in kept}))}
+    return [replace(window, group=groups[window.group]) for window in kept]
+
+
 def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, options: Options) -> tuple[Axis, Solution]:
-    """Grow G from a mode behind a delay, factor by factor, as long as the held-out error falls."""
-
-    def trial(structure: Structure, dynamics: Array, before: Array, passes: int) -> tuple[Axis, Solution]:
-        axis = replace(blank, structure=structure)
-        start = np.concatenate([before[: curves.size + 2], dynamics])
-        return axis, minimise(windows, axis.parametrisation(), start, nuisance=options.nuisance, passes=passes)
-
-    first = options.structure or Structure(modes=1, delay=True)
-    base = np.concatenate([curves, [-0.05, 0.0]])
-    highest = 0.4 / blank.sample_time
-    grid = [f for f in (150.0, 700.0, 3000.0) if f < highest] or [highest / 2]
-    trials = [(f, trial(first, first.start(f), base, 3)) for f in grid]
-    frequency, (axis, best) = min(trials, key=lambda item: item[1][1].fitted)
-    axis, best = trial(first, axis.split(best.parameters)[2], best.parameters, 8)
-    if options.structure is not None:
+    """G's order and everything else: grown factor by factor as long as the held-out error falls, from a mode behind a delay."""
+    given = options.structure
+    if given is not None:
+        axis, best = searched(windows, replace(blank, structure=replace(given, zeros=min(given.zeros, 1))), curves, options)
+        while axis.structure.zeros < given.zeros:
+            axis, best = extended(windows, axis, best, replace(axis.structure, zeros=axis.structure.zeros + 1), options)
         return axis, best
-    if axis.structure.lags == 0:
-        axis, best = better((axis, best), exchanged(windows, axis, best, options))
+    plain = searched(windows, replace(blank, structure=Structure(modes=1, delay=True)), curves, options)
+    rich = searched(windows, replace(blank, structure=Structure(modes=1, lags=1, zeros=1, delay=True)), curves, options)
+    axis, best = better(plain, rich)
     while True:
-        grown = []
-        for structure in extensions(axis.structure):
-            dynamics = axis.split(best.parameters)[2]
-            starts = [structure.grow(axis.structure, dynamics, frequency)]
-            if structure == replace(axis.structure, zeros=axis.structure.zeros + 1):
-                starts.append(lead_and_delay(axis.structure, structure, dynamics))
-            grown.append(min((trial(structure, start, best.parameters, 20) for start in starts), key=lambda item: item[1].fitted))
+        grown = [extended(windows, axis, best, structure, options) for structure in extensions(axis.structure)]
         if not grown:
             return axis, best
         lowest = min(solution.held_out for _, solution in grown)
@@ -233,32 +234,66 @@ def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, opti
         axis, best = richer
 
 
+def searched(windows: Sequence[Window], axis: Axis, curves: Array, options: Options) -> tuple[Axis, Solution]:
+    """A structure fitted from many starts: the curves held first, then everything free from the best."""
+    frozen = Parametrisation(
+        lambda vector: axis.stages(np.concatenate([curves, vector])),
+        np.zeros((0, axis.size - len(curves))),
+        np.zeros(0),
+        lambda vector: axis.limit(np.concatenate([curves, vector]))[len(curves) :],
+    )
+    trials = [minimise(windows, frozen, start, nuisance=options.nuisance, passes=3) for start in starts(axis)]
+    few = sorted(trials, key=lambda solution: solution.fitted)[:3]
+    further = [minimise(windows, frozen, solution.parameters, nuisance=options.nuisance, passes=12) for solution in few]
+    chosen = min(further, key=lambda solution: solution.fitted)
+    start = np.concatenate([curves, chosen.parameters])
+    return axis, minimise(windows, axis.parametrisation(), start, nuisance=options.nuisance, passes=25)
+
+
+def starts(axis: Axis) -> list[Array]:
+    """Rate parts and dynamics to begin with.
+
+    With k1 = κ k2 times the mean slope, H_D's small motions see (1 + (1 + κ) k2 s) / (1 + k2 s). A lag and a zero of G can undo
+    that, and only large motions tell the two apart: so where G has them, every exchange is a start.
+    """
+    structure = axis.structure
+    highest = 0.4 / axis.sample_time
+    frequencies = [f for f in (200.0, 800.0, 3000.0) if f < highest] or [highest / 2]
+    if not (structure.lags and structure.zeros):
+        return [np.concatenate([[share, 0.0], structure.start(f)]) for f in frequencies for share in (-0.2, 0.2)]
+    smaller = replace(structure, lags=structure.lags - 1, zeros=structure.zeros - 1)
+    found = []
+    for frequency in frequencies:
+        dynamics = smaller.start(frequency)
+        for k2 in (3e-4, 1e-3, 3e-3):
+            for share in (-0.5, 0.5):
+                parts = structure.split(structure.grow(smaller, dynamics, frequency))
+                parts["lags"][-1] = -np.log(k2 * (1.0 + share))
+                moved = with_numerator(parts, np.polymul(smaller.rational(dynamics)[0], [k2, 1.0]))
+                found.append(np.concatenate([[share, np.log(k2 / K2_UNIT)], moved]))
+    return found
+
+
+def extended(
+    windows: Sequence[Window], axis: Axis, best: Solution, structure: Structure, options: Options
+) -> tuple[Axis, Solution]:
+    """A richer structure, from what the poorer one found."""
+    dynamics = axis.split(best.parameters)[2]
+    candidates = [structure.grow(axis.structure, dynamics, 1000.0)]
+    if structure == replace(axis.structure, zeros=axis.structure.zeros + 1):
+        candidates.append(lead_and_delay(axis.structure, structure, dynamics))
+    grown = replace(axis, structure=structure)
+    before = best.parameters[: axis.curves.size + 2]
+    trials = [
+        minimise(windows, grown.parametrisation(), np.concatenate([before, start]), nuisance=options.nuisance, passes=20)
+        for start in candidates
+    ]
+    return grown, min(trials, key=lambda solution: solution.fitted)
+
+
 def better(plain: tuple[Axis, Solution], rich: tuple[Axis, Solution]) -> tuple[Axis, Solution]:
     """The richer structure where it is worth it."""
     return rich if rich[1].held_out < (1.0 - WORTHWHILE) * plain[1].held_out else plain
-
-
-def exchanged(windows: Sequence[Window], axis: Axis, solution: Solution, options: Options) -> tuple[Axis, Solution]:
-    """A rate part that a lag and a zero of G undo for small motions: only large ones tell the two apart, so each has to be tried.
-
-    With k1 = κ k2 times the mean slope, H_D's small motions see (1 + (1 + κ) k2 s) / (1 + k2 s), and G gets the inverse.
-    """
-    old = axis.structure
-    structure = replace(old, lags=old.lags + 1, zeros=old.zeros + 1)
-    grown = replace(axis, structure=structure)
-    curves, _, dynamics = axis.split(solution.parameters)
-    num = old.rational(dynamics)[0]
-    starts = []
-    for k2 in (5e-4, 2e-3):
-        for share in (-0.4, 0.6):
-            parts = structure.split(structure.grow(old, dynamics, 1000.0))
-            parts["lags"][:] = -np.log(k2 * (1.0 + share))
-            moved = with_numerator(parts, np.polymul(num, [k2, 1.0]))
-            starts.append(np.concatenate([curves, [share, np.log(k2 / K2_UNIT)], moved]))
-    problem = grown.parametrisation()
-    trials = [minimise(windows, problem, start, nuisance=options.nuisance, passes=3) for start in starts]
-    chosen = min(trials, key=lambda item: item.fitted)
-    return grown, minimise(windows, problem, chosen.parameters, nuisance=options.nuisance, passes=20)
 
 
 def lead_and_delay(old: Structure, new: Structure, dynamics: Array) -> Array:
@@ -273,7 +308,8 @@ def with_numerator(parts: dict[str, Array], num: Array) -> Array:
     """A dynamics vector from its factors, with the zeros' coefficients those of a numerator (descending powers of s)."""
     scale = np.exp(np.concatenate([parts["modes"][:, 0], parts["lags"]])).min()
     rising = (num / num[-1])[::-1]
-    parts["zeros"][:] = rising[1:] * scale ** np.arange(1, len(rising))
+    parts["zeros"][:] = 0.0
+    parts["zeros"][: len(rising) - 1] = rising[1:] * scale ** np.arange(1, len(rising))
     return np.concatenate([part.ravel() for part in parts.values()])
 
 
