@@ -72,7 +72,8 @@ def fit_softening(
     exponent: float = 0.5,
     memory: float = 0.1,
     force: bool = True,
-    iterations: tuple[int, int] = (14, 12),
+    iterations: tuple[int, int] = (14, 5),
+    rounds: int = 3,
 ) -> SofteningFit:
     """Fit `SofteningModal` from a linear model of the level whose amplitude is `reference` (V).
 
@@ -89,25 +90,34 @@ def fit_softening(
     # The elongation in volts of a slow command: what the low lines' gain makes of the output.
     low = start.response(2 * np.pi * np.linspace(80.0, 230.0, 50) * sample_time).mean(axis=0).real
     elongation = np.linalg.inv(low)
-    strains = []
-    for level, value in zip(levels, g, strict=True):
-        lines = np.arange(1, len(level.command) // 2)
-        spectrum = np.zeros((len(level.command) // 2 + 1, *level.measurement.shape[1:]), dtype=complex)
-        response = scheduled.at(value).response(2 * np.pi * lines / len(level.command))
-        spectrum[lines] = response @ np.fft.rfft(level.command, axis=0)[lines]
-        strains.append(np.einsum("ij,njr->nir", elongation, np.fft.irfft(spectrum, len(level.command), axis=0)))
-    # Its average part, proportional to the strain, belongs to the scheduled modes: the rest is uncorrelated with the
-    # strain.
-    bent = sum(np.sum(np.abs(q) ** (2 + exponent), axis=(0, 2)) for q in strains)
-    straight = sum(np.sum(q**2, axis=(0, 2)) * level.amplitude**exponent for q, level in zip(strains, levels, strict=True))
-    mean = bent / straight
-    data = []
-    for level, weight, q in zip(levels, weights, strains, strict=True):
-        n = q * (np.abs(q) ** exponent - mean[:, None] * level.amplitude**exponent)
-        data.append(spectra(np.concatenate([level.command, n], axis=1), level.measurement, weight))
-    forced, parameters = refine_scheduled(data, g, _widened(scheduled, inputs), inputs, iterations[1])
-    stage = stage_of(forced, reference, sample_time, memory=memory, exponent=exponent, elongation=elongation, mean=mean)
+    point = _widened(scheduled, inputs)
+    # The force follows the elongation that the commands alone cause in the model, so each fit moves it a little: fit
+    # again.
+    for _ in range(rounds):
+        strains = [_strain(point.at(value), level, elongation, inputs) for level, value in zip(levels, g, strict=True)]
+        bent = sum(np.sum(np.abs(q) ** (2 + exponent), axis=(0, 2)) for q in strains)
+        straight = sum(np.sum(q**2, axis=(0, 2)) * level.amplitude**exponent for q, level in zip(strains, levels, strict=True))
+        # The force's average part, proportional to the strain, belongs to the scheduled modes: the rest is
+        # uncorrelated with it.
+        mean = bent / straight
+        data = []
+        for level, weight, q in zip(levels, weights, strains, strict=True):
+            # The force reaches lines that the command leaves out.
+            n = q * (np.abs(q) ** exponent - mean[:, None] * level.amplitude**exponent)
+            data.append(spectra(np.concatenate([level.command, n], axis=1), level.measurement, weight, every_line=True))
+        point, parameters = refine_scheduled(data, g, point, inputs, iterations[1])
+    stage = stage_of(point, reference, sample_time, memory=memory, exponent=exponent, elongation=elongation, mean=mean)
     return SofteningFit(stage, parameters, time.perf_counter() - began)
+
+
+def _strain(model: ModalModel, level: Level, elongation: Array, inputs: int) -> Array:
+    """Elongation (N, p, R) in V that the commands cause in the linear part of a model, in the periodic steady state."""
+    samples = len(level.command)
+    lines = np.arange(1, samples // 2)
+    spectrum = np.zeros((samples // 2 + 1, *level.measurement.shape[1:]), dtype=complex)
+    response = model.response(2 * np.pi * lines / samples)[:, :, :inputs]
+    spectrum[lines] = response @ np.fft.rfft(level.command, axis=0)[lines]
+    return np.einsum("ij,njr->nir", elongation, np.fft.irfft(spectrum, samples, axis=0))
 
 
 def refine_scheduled(
@@ -170,10 +180,10 @@ def refine_scheduled(
     return point, int(all_free.sum()) - n - pairs
 
 
-def spectra(command: Array, measurement: Array, weight: float) -> Spectra:
+def spectra(command: Array, measurement: Array, weight: float, every_line: bool = False) -> Spectra:
     """Excited lines of periodic records, scaled so that sums of squares are those of the samples times weight²."""
     u, y = np.fft.rfft(command, axis=0), np.fft.rfft(measurement, axis=0)
-    lines = excited_lines(np.sum(np.abs(u[:, : measurement.shape[1]]) ** 2, axis=(1, 2)))
+    lines = np.arange(1, (len(command) + 1) // 2) if every_line else excited_lines(np.sum(np.abs(u) ** 2, axis=(1, 2)))
     scale = weight * np.sqrt(2.0 / len(command))
     return Spectra(2 * np.pi * lines / len(command), scale * u[lines], scale * y[lines], True)
 
