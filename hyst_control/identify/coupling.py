@@ -54,12 +54,18 @@ class Coupling:
         ]
 
 
-def fit_coupling(model: Model, datasets: Sequence[Dataset]) -> Coupling | None:
-    """The coupling between the axes of a model without one, or None where the records show none."""
+def fit_coupling(model: Model, datasets: Sequence[Dataset], near: Coupling | None = None) -> Coupling | None:
+    """The coupling between the axes of a model without one, or None where the records show none.
+
+    `near` is an earlier estimate: the corner is then looked for in its neighbourhood only.
+    """
     simulated = [simulated_rows(model, data) for data in datasets]
     count = len(model.axes)
     best: tuple[float, Coupling, bool] | None = None
-    for corner in CORNERS:
+    corners = CORNERS if near is None else (near.corner,)
+    if near is not None and near.corner is not None:
+        corners = tuple(near.corner * factor for factor in (0.85, 1.0, 1.18))
+    for corner in corners:
         if corner is not None and corner > 0.4 / max(data.sample_time for data in datasets):
             continue
         others = [low_passed(y, corner, data.sample_time) for y, data in zip(simulated, datasets, strict=True)]

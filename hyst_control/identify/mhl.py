@@ -157,12 +157,27 @@ def fit(datasets: Sequence[Dataset], method: str = "joint", **options: Any) -> F
         axes.append(fit_joint(whole_records(datasets, index), chosen, axes[0] if axes else None))
     coupling = None
     if chosen.cross_coupling and len(axes) > 1:
-        plain = chain_model(datasets, axes, "plain")
-        coupling = fit_coupling(plain, datasets)
-        if coupling is not None:
-            cleaned = without_coupling(plain, coupling, datasets)
-            axes = [refit(whole_records(cleaned, index), axis, chosen.nuisance, passes=2) for index, axis in enumerate(axes)]
+        coupling, axes = with_coupling(datasets, axes, chosen.nuisance)
+    cleaned = datasets
+    if coupling is not None:
+        cleaned = without_coupling(chain_model(datasets, axes, "plain"), coupling, datasets)
+    axes = [refit(whole_records(cleaned, index), axis, chosen.nuisance) for index, axis in enumerate(axes)]
     return assemble(datasets, "joint", axes, coupling)
+
+
+def with_coupling(
+    datasets: Sequence[Dataset], axes: list[AxisFit], nuisance: str, rounds: int = 3
+) -> tuple[Coupling | None, list[AxisFit]]:
+    """The coupling, if the records show one, and the axes without it, in turn: where axes move alike each hides in the other."""
+    coupling: Coupling | None = None
+    for _ in range(rounds):
+        plain = chain_model(datasets, axes, "plain")
+        coupling = fit_coupling(plain, datasets, coupling)
+        if coupling is None:
+            break
+        cleaned = without_coupling(plain, coupling, datasets)
+        axes = [refined(whole_records(cleaned, index), axis, nuisance, passes=3) for index, axis in enumerate(axes)]
+    return coupling, axes
 
 
 def fit_joint(windows: Sequence[Window], options: Options, like: AxisFit | None) -> AxisFit:
@@ -181,17 +196,21 @@ def fit_joint(windows: Sequence[Window], options: Options, like: AxisFit | None)
     else:
         axis, chosen = choose_structure(few, blank, curves, options)
     found = AxisFit(axis, chosen.parameters, chosen.covariance, 0.0, chosen.held_out)
-    if sum(len(window.command) for window in windows) > 2 * FINAL_ROWS:
-        many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
-        solution = minimise(many, axis.parametrisation(), found.vector, nuisance=options.nuisance, passes=6, everything=True)
-        found = replace(found, vector=solution.parameters)
-    return refit(windows, found, options.nuisance, passes=2)
+    return refined(windows, found, options.nuisance, passes=6)
 
 
-def refit(windows: Sequence[Window], found: AxisFit, nuisance: str, passes: int) -> AxisFit:
-    """The last passes, over every row of every record."""
+def refined(windows: Sequence[Window], found: AxisFit, nuisance: str, passes: int) -> AxisFit:
+    """The parameters brought closer over stretches of all records."""
     turned = [replace(window, measurement=found.axis.sign * window.measurement) for window in windows]
-    solution = minimise(turned, found.axis.parametrisation(), found.vector, nuisance=nuisance, passes=passes, everything=True)
+    many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
+    solution = minimise(many, found.axis.parametrisation(), found.vector, nuisance=nuisance, passes=passes, everything=True)
+    return replace(found, vector=solution.parameters)
+
+
+def refit(windows: Sequence[Window], found: AxisFit, nuisance: str) -> AxisFit:
+    """The last passes, over every row of every record, and what they say of errors and offset."""
+    turned = [replace(window, measurement=found.axis.sign * window.measurement) for window in windows]
+    solution = minimise(turned, found.axis.parametrisation(), found.vector, nuisance=nuisance, passes=2, everything=True)
     offset = mean_offset(solution, turned, nuisance)
     return replace(found, vector=solution.parameters, covariance=solution.covariance, offset=offset)
 

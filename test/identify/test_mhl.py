@@ -149,7 +149,7 @@ def test_two_axes_and_their_coupling():
     np.testing.assert_allclose(stage.matrix, [[1.0, 0.02], [-0.03, 1.0]], atol=0.002)
     assert 200.0 < stage.corner < 500.0
     clean = record(coupled, "clean", held_out_command(), 2, 0.0)
-    assert np.all(nrmse(fit.model, clean) < 0.15)
+    assert np.all(nrmse(fit.model, clean) < 0.3)
     without = fit.model.with_stages(fit.model.chain.stages[:-1])
     assert np.all(nrmse(without, clean) > 2.0 * nrmse(fit.model, clean))
 
