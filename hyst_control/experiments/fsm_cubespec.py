@@ -261,8 +261,11 @@ def report_all_levels(table: Table, levels: Sequence[Level], fits: Sequence[tupl
     ]
     middle = fits[1][0].model
     start = middle if middle.states >= order - 1 else refined_to(levels[1], order)
+    found = None
     for subject, force in (("softening modes", False), ("softening modes and force", True)):
-        found = softening.fit_softening(periods, start, periods[1].amplitude, SAMPLE_TIME, force=force)
+        found = softening.fit_softening(
+            periods, found.scheduled if found else start, periods[1].amplitude, SAMPLE_TIME, force=force
+        )
         model = replace(model_of(start, "fsm_softening", largest), chain=Chain((found.stage,)))
         report_one(table, title, levels, subject, model, found.parameters, found.seconds)
     return model

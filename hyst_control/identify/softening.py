@@ -51,9 +51,10 @@ class Scheduled:
 
 @dataclass(frozen=True)
 class SofteningFit:
-    """The stage, its number of free parameters, and the seconds it took."""
+    """The stage, the parameters it was made of, how many of them are free, and the seconds it took."""
 
     stage: SofteningModal
+    scheduled: Scheduled
     parameters: int
     seconds: float
 
@@ -65,30 +66,37 @@ def schedule(amplitude: float, reference: float) -> float:
 
 def fit_softening(
     levels: Sequence[Level],
-    start: ModalModel,
+    start: ModalModel | Scheduled,
     reference: float,
     sample_time: float,
     *,
     exponent: float = 0.5,
     memory: float = 0.1,
     force: bool = True,
-    iterations: tuple[int, int] = (14, 5),
-    rounds: int = 3,
+    iterations: tuple[int, int] = (14, 7),
+    rounds: int = 2,
 ) -> SofteningFit:
     """Fit `SofteningModal` from a linear model of the level whose amplitude is `reference` (V).
 
-    `force` False leaves the softening force out: the model is then linear at each amplitude.
+    `force` False leaves the softening force out: the model is then linear at each amplitude. A fit without it may be
+    the start of one with it.
     """
     began = time.perf_counter()
     g = [schedule(level.amplitude, reference) for level in levels]
     weights = [1.0 / float(np.std(level.measurement)) for level in levels]
-    inputs = start.inputs.shape[1]
-    data = [spectra(level.command, level.measurement, weight) for level, weight in zip(levels, weights, strict=True)]
-    scheduled, parameters = refine_scheduled(data, g, Scheduled(start, np.zeros(_layout(start).size)), inputs, iterations[0])
+    linear = start.centre if isinstance(start, Scheduled) else start
+    inputs = linear.inputs.shape[1]
+    if isinstance(start, Scheduled):
+        scheduled, parameters = start, 0
+    else:
+        data = [spectra(level.command, level.measurement, weight) for level, weight in zip(levels, weights, strict=True)]
+        initial = Scheduled(start, np.zeros(_layout(start).size))
+        scheduled, parameters = refine_scheduled(data, g, initial, inputs, iterations[0])
     if not force:
-        return SofteningFit(stage_of(scheduled, reference, sample_time, memory=memory), parameters, time.perf_counter() - began)
+        stage = stage_of(scheduled, reference, sample_time, memory=memory)
+        return SofteningFit(stage, scheduled, parameters, time.perf_counter() - began)
     # The elongation in volts of a slow command: what the low lines' gain makes of the output.
-    low = start.response(2 * np.pi * np.linspace(80.0, 230.0, 50) * sample_time).mean(axis=0).real
+    low = linear.response(2 * np.pi * np.linspace(80.0, 230.0, 50) * sample_time).mean(axis=0).real
     elongation = np.linalg.inv(low)
     point = _widened(scheduled, inputs)
     # The force follows the elongation that the commands alone cause in the model, so each fit moves it a little: fit
@@ -107,7 +115,7 @@ def fit_softening(
             data.append(spectra(np.concatenate([level.command, n], axis=1), level.measurement, weight, every_line=True))
         point, parameters = refine_scheduled(data, g, point, inputs, iterations[1])
     stage = stage_of(point, reference, sample_time, memory=memory, exponent=exponent, elongation=elongation, mean=mean)
-    return SofteningFit(stage, parameters, time.perf_counter() - began)
+    return SofteningFit(stage, point, parameters, time.perf_counter() - began)
 
 
 def _strain(model: ModalModel, level: Level, elongation: Array, inputs: int) -> Array:
