@@ -42,7 +42,7 @@ from hyst_control.model_file import Model
 K2_UNIT = 1e-3
 """The unit (s) of k2 in the parameter vector, which holds its logarithm."""
 SELECTION_ROWS, FINAL_ROWS = 20_000, 100_000
-STRETCH, SETTLE = 0.1, 0.02
+STRETCH, SETTLE = 0.06, 0.015
 """Length (s) of the stretches that stand for a long record, and of their beginning that does not count."""
 WORTHWHILE = 0.01
 """A factor of G is kept when it lowers the held-out mean square error by more than this share."""
@@ -242,15 +242,14 @@ def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, opti
     rich = searched(windows, replace(blank, structure=Structure(modes=1, lags=1, zeros=1, delay=True)), curves, options)
     axis, best = better(plain, rich)
     while True:
-        grown = [extended(windows, axis, best, structure, options) for structure in extensions(axis.structure)]
-        if not grown:
+        # From the plainer to the richer: the first that is worth it.
+        for structure in extensions(axis.structure):
+            grown = extended(windows, axis, best, structure, options)
+            if better((axis, best), grown) is grown:
+                axis, best = grown
+                break
+        else:
             return axis, best
-        lowest = min(solution.held_out for _, solution in grown)
-        # The first of those that do about equally well: the list runs from the plainer to the richer.
-        richer = next(item for item in grown if item[1].held_out <= lowest * (1.0 + WORTHWHILE))
-        if better((axis, best), richer)[1] is best:
-            return axis, best
-        axis, best = richer
 
 
 def searched(windows: Sequence[Window], axis: Axis, curves: Array, options: Options) -> tuple[Axis, Solution]:
@@ -262,9 +261,15 @@ def searched(windows: Sequence[Window], axis: Axis, curves: Array, options: Opti
         lambda vector: axis.limit(np.concatenate([curves, vector]))[len(curves) :],
     )
     trials = [minimise(windows, frozen, start, nuisance=options.nuisance, passes=3) for start in starts(axis)]
-    few = sorted(trials, key=lambda solution: solution.fitted)[:3]
-    further = [minimise(windows, frozen, solution.parameters, nuisance=options.nuisance, passes=12) for solution in few]
-    chosen = min(further, key=lambda solution: solution.fitted)
+    chosen: Solution | None = None
+    for solution in sorted(trials, key=lambda solution: solution.fitted)[:3]:
+        further = minimise(windows, frozen, solution.parameters, nuisance=options.nuisance, passes=15)
+        agree = chosen is not None and abs(further.fitted / chosen.fitted - 1.0) < 0.01
+        if chosen is None or further.fitted < chosen.fitted:
+            chosen = further
+        if agree:
+            break
+    assert chosen is not None
     start = np.concatenate([curves, chosen.parameters])
     return axis, minimise(windows, axis.parametrisation(), start, nuisance=options.nuisance, passes=25)
 
@@ -304,7 +309,7 @@ def extended(
     grown = replace(axis, structure=structure)
     before = best.parameters[: axis.curves.size + 2]
     trials = [
-        minimise(windows, grown.parametrisation(), np.concatenate([before, start]), nuisance=options.nuisance, passes=20)
+        minimise(windows, grown.parametrisation(), np.concatenate([before, start]), nuisance=options.nuisance, passes=12)
         for start in candidates
     ]
     return grown, min(trials, key=lambda solution: solution.fitted)

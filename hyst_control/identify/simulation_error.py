@@ -51,12 +51,14 @@ class Solution:
     held_out: float
     grams: Grams
     passes: int
+    linearised: Array
+    """The parameters (P,) at which the derivatives in `grams` were taken: these, or those one step before."""
 
     @property
     def covariance(self) -> Array:
         """Covariance (P, P) of the parameters, errors of the model included."""
         size = len(self.parameters)
-        return covariance(self.grams.blocks, np.concatenate([np.zeros(size), self.nuisances]))[:size, :size]
+        return covariance(self.grams.blocks, np.concatenate([self.parameters - self.linearised, self.nuisances]))[:size, :size]
 
 
 def minimise(
@@ -72,7 +74,7 @@ def minimise(
     """Damped Gauss-Newton from `start`, which must satisfy the constraints. Never worse than the start.
 
     With `everything` the rows held out for choosing between structures are fitted too. A pass with derivatives is made at
-    every parameter vector that lowered the cost; whether one does is tried by a pass without.
+    every parameter vector that lowered the cost, but for the last; whether one does is tried by a pass without.
     """
     groups = max(window.group for window in windows) + 1
     origin = start = parametrisation.limit(np.asarray(start, dtype=float))
@@ -94,8 +96,10 @@ def minimise(
             continue
         improvement = 1.0 - found.fitted / best.fitted
         passed += 1
+        if passed == passes:
+            return replace(found, grams=grams, passes=passed, linearised=best.parameters)
         grams = gram_matrices(windows, parametrisation, trial, nuisance, groups, derivatives=True)
-        best = replace(found, grams=grams, passes=passed)
+        best = replace(found, grams=grams, passes=passed, linearised=trial)
         damping = max(0.1 * damping, 1e-9)
         # A short gain under strong damping is no sign of the minimum: the valley may be long.
         if improvement < tolerance and damping < 1e-6:
@@ -169,7 +173,8 @@ def _solution(parameters: Array, grams: Grams, everything: bool, passes: int, *,
         return max(float(vector @ gram[first:, first:] @ vector), 0.0) / max(rows, 1)
 
     rows = sum(grams.rows) if everything else grams.rows[0]
-    return Solution(parameters, nuisances, mean_square(chosen, rows), mean_square(grams.held_out, grams.rows[1]), grams, passes)
+    held_out = mean_square(grams.held_out, grams.rows[1])
+    return Solution(parameters, nuisances, mean_square(chosen, rows), held_out, grams, passes, parameters)
 
 
 def _step(gram: Array, parametrisation: Parametrisation, present: Array, origin: Array, damping: float) -> Array:
@@ -228,19 +233,46 @@ def surviving_turns(values):
     return kept[:count]
 
 
+def coarse(window: Window) -> Window:
+    """The window itself, or every n-th row of one whose command creeps: its motion there is straight between such rows.
+
+    A held command is, seen from afar, the mean of the values before and after the tick.
+    """
+    steps = np.abs(np.diff(window.command))
+    largest = float(steps.max()) if len(steps) else 0.0
+    factor = int(0.01 * float(np.ptp(window.command)) / largest) if largest > 0 else 1
+    if factor < 4 or window.memory is not None:
+        return window
+    command = window.command
+    if window.hold == "zoh":
+        command = 0.5 * (np.append(command[:1], command[:-1]) + command)
+    return replace(
+        window,
+        command=np.ascontiguousarray(command[::factor]),
+        measurement=np.ascontiguousarray(window.measurement[::factor]),
+        sample_time=window.sample_time * factor,
+        hold="foh",
+        skip=-(-window.skip // factor),
+    )
+
+
 def short_stretches(windows: Sequence[Window], rows: int, length: float, settle: float) -> list[Window]:
     """About `rows` rows in stretches of `length` s spread evenly over the windows; the windows themselves if they have no more.
 
-    A stretch knows the turning points before it that still matter; its first `settle` s, the transients, do not count.
+    Creeping records stay whole, but coarser (`coarse`). A stretch knows the turning points before it that still matter; its first
+    `settle` s, the transients, do not count.
     """
-    total = sum(len(window.command) for window in windows)
-    if total <= rows:
+    if sum(len(window.command) for window in windows) <= rows:
         return list(windows)
-    chosen: list[Window] = []
-    for window in windows:
+    whole = [(window, coarse(window)) for window in windows]
+    chosen = [thin for window, thin in whole if thin is not window]
+    quick = [window for window, thin in whole if thin is window]
+    rows -= sum(len(window.command) for window in chosen)
+    total = sum(len(window.command) for window in quick)
+    for window in quick:
         n = len(window.command)
         size = min(int(length / window.sample_time), n)
-        count = max(int(round(n * rows / total / size)), 1)
+        count = max(int(round(n * max(rows, total // 50) / total / size)), 3)
         if count * size >= n or window.memory is not None:
             chosen.append(window)
             continue
