@@ -9,7 +9,7 @@ from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset, Fit
 
 PRANDTL_FAMILIES = ("pi", "hapi", "rdpi", "hampi")
-FAMILIES = (*PRANDTL_FAMILIES, "linear")
+FAMILIES = (*PRANDTL_FAMILIES, "madelung", "mhl", "linear")
 
 
 def identify(datasets: Sequence[Dataset], family: str, method: str = "joint", **options: Any) -> Fit:
@@ -28,8 +28,16 @@ def identify(datasets: Sequence[Dataset], family: str, method: str = "joint", **
             return hammerstein.fit(datasets, family, hammerstein.Options(**options))
         if family in ("hapi", "hampi"):
             return paper_hampi.fit(datasets, family, hammerstein.Options(**options))
+    if family == "mhl":
+        from hyst_control.identify import mhl
+
+        return mhl.fit(datasets, method, **options)
     if method == "paper":
-        raise InputError(f"method: paper is a sequence for hapi and hampi, not for {family}: use joint")
+        raise InputError(f"method: paper is a sequence for hapi, hampi and mhl, not for {family}: use joint")
+    if family == "madelung":
+        from hyst_control.identify import madelung
+
+        return madelung.fit(datasets, **options)
     from hyst_control.identify import linear
 
     return linear.fit(datasets, **options)
