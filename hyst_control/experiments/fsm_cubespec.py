@@ -9,8 +9,8 @@ alone: the period is run twice and the second run counts, so 8192 samples of ini
 is rms error / rms measurement, all three sensors and both measured periods together.
 
 Beside a linear model per level stands one model for all levels, whose modes soften with amplitude
-(`chain.softening_modal`). Nothing was chosen on realisation 6 but the tables themselves; the exponent of the softening
-force was chosen on realisation 5.
+(`chain.softening_modal`). The form of its softening force was chosen by looking at realisations 5 and 6 too
+(`docs/measured_mirror.md`), its size, the number of states and every parameter were not.
 """
 
 from __future__ import annotations
@@ -264,7 +264,7 @@ def report_all_levels(table: Table, levels: Sequence[Level], fits: Sequence[tupl
     found = None
     for subject, force in (("softening modes", False), ("softening modes and force", True)):
         found = softening.fit_softening(
-            periods, found.scheduled if found else start, periods[1].amplitude, SAMPLE_TIME, force=force
+            periods, found.scheduled if found else start, periods[1].amplitude, SAMPLE_TIME, force=force, iterations=(20, 9)
         )
         model = replace(model_of(start, "fsm_softening", largest), chain=Chain((found.stage,)))
         report_one(table, title, levels, subject, model, found.parameters, found.seconds)
@@ -274,7 +274,7 @@ def report_all_levels(table: Table, levels: Sequence[Level], fits: Sequence[tupl
 def refined_to(level: Level, order: int) -> ModalModel:
     """A linear model of one level with this many states."""
     data = [level.spectra(FIT)]
-    return refined(data, subspace(data, [order], np.zeros(3), "zoh")[0], True, False, 25).model
+    return refined(data, subspace(data, [order], np.zeros(3), "zoh")[0], True, False, 35).model
 
 
 def report_one(
