@@ -39,13 +39,14 @@ class Curves:
     """
 
     degree: int = 5
-    knots: Array | None = None
+    knots: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.knots is None and not 1 <= self.degree <= 12:
             raise InputError(f"degree: {self.degree}, 1 to 12 is due")
         if self.knots is not None:
             knots = np.array(self.knots, dtype=float)
+            object.__setattr__(self, "knots", tuple(knots.ravel().tolist()))
             if knots.ndim != 1 or len(knots) < 3 or knots[0] != 0 or knots[-1] != 1 or np.any(np.diff(knots) <= 0):
                 raise InputError("knots: at least three, strictly increasing from 0 to 1, are due")
 
@@ -77,6 +78,16 @@ class Curves:
         """The stage of a vector; output_scale is the measurement at which the vector's full output is 1."""
         up, down = self.pair(vector)
         return Madelung(up, down, input_scale, output_scale * self.full(vector), self.knots, inverse)
+
+    def like(self, other: Curves, vector: Array) -> Array:
+        """The vector in this form of curves that another form has, a polynomial of no higher degree or evaluated at the knots."""
+        up, down = other.pair(vector)
+        full = other.full(vector)
+        if self.knots is not None:
+            values = [full * np.polyval(np.append(p, 0.0), self.knots) for p in (up, down)]
+            return np.concatenate([values[0][1:], values[1][1:-1]])
+        pad = np.zeros(self.degree - other.degree)
+        return full * np.concatenate([pad, up, pad, down[:-1]])
 
     def start(self, bulge: float = 0.15) -> Array:
         """A pair to begin with: parabolas x (1 ± bulge (1 - x)), the ascending one below."""
@@ -123,7 +134,7 @@ def fit(
     Raises `InputError` when the records cannot tell a model.
     """
     check(datasets)
-    curves = Curves(degree, None if knots is None else np.array(knots, dtype=float))
+    curves = Curves(degree, knots)
     axes = [fit_axis(whole_records(datasets, axis), curves, input_scale, nuisance) for axis in range(len(datasets[0].axes))]
     return assemble(datasets, axes, "joint")
 

@@ -35,7 +35,7 @@ from hyst_control.identify.madelung import (
     response_sign,
 )
 from hyst_control.identify.report import command_bandwidth, noise_sigma, record_rows
-from hyst_control.identify.simulation_error import Parametrisation, Solution, minimise, short_stretches
+from hyst_control.identify.simulation_error import Parametrisation, Solution, coarse, minimise, short_stretches
 from hyst_control.identify.windows import whole_records
 from hyst_control.model_file import Model
 
@@ -67,7 +67,7 @@ class Options:
     @property
     def curves(self) -> Curves:
         """The form of the curves."""
-        return Curves(self.degree, None if self.knots is None else np.array(self.knots, dtype=float))
+        return Curves(self.degree, self.knots)
 
 
 @dataclass(frozen=True)
@@ -186,15 +186,19 @@ def fit_joint(windows: Sequence[Window], options: Options, like: AxisFit | None)
     turned = [replace(window, measurement=sign * window.measurement) for window in windows]
     scale = full_scale(windows, options.input_scale)
     few = short_stretches(turned, SELECTION_ROWS, STRETCH, SETTLE)
-    static = fit_axis(slowest(few), options.curves, scale, options.nuisance, passes=8)
+    # Where nothing creeps, the loops are bent by the dynamics: only the coarsest curves are to be had without them.
+    creeping = any(coarse(window) is not window for window in windows)
+    form = options.curves if creeping or options.curves.degree < 2 else Curves(2)
+    static = fit_axis(slowest(few), form, scale, options.nuisance, passes=8)
     blank = Axis(options.curves, Structure(), scale, static.output_scale, sign, min(window.sample_time for window in windows))
     curves = static.solution.parameters
     if like is not None and (options.structure is None or options.structure == like.axis.structure):
         axis = replace(blank, structure=like.axis.structure)
-        start = np.concatenate([curves, like.vector[options.curves.size :]])
+        first = curves if form == options.curves else options.curves.like(form, curves)
+        start = np.concatenate([first, like.vector[options.curves.size :]])
         chosen = minimise(few, axis.parametrisation(), start, nuisance=options.nuisance, passes=12)
     else:
-        axis, chosen = choose_structure(few, blank, curves, options)
+        axis, chosen = choose_structure(few, replace(blank, curves=form), curves, options)
     found = AxisFit(axis, chosen.parameters, chosen.covariance, 0.0, chosen.held_out)
     return refined(windows, found, options.nuisance, passes=6)
 
@@ -253,25 +257,42 @@ def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, opti
 
 
 def searched(windows: Sequence[Window], axis: Axis, curves: Array, options: Options) -> tuple[Axis, Solution]:
-    """A structure fitted from many starts: the curves held first, then everything free from the best."""
-    frozen = Parametrisation(
-        lambda vector: axis.stages(np.concatenate([curves, vector])),
-        np.zeros((0, axis.size - len(curves))),
-        np.zeros(0),
-        lambda vector: axis.limit(np.concatenate([curves, vector]))[len(curves) :],
-    )
-    trials = [minimise(windows, frozen, start, nuisance=options.nuisance, passes=3) for start in starts(axis)]
+    """A structure fitted from many starts, the curves in the form of `axis`; then everything free, in the form asked for.
+
+    Curves that were seen in creeping loops are held meanwhile; coarse ones move along.
+    """
+    held = axis.curves == options.curves
+    if held:
+        problem = Parametrisation(
+            lambda vector: axis.stages(np.concatenate([curves, vector])),
+            np.zeros((0, axis.size - len(curves))),
+            np.zeros(0),
+            lambda vector: axis.limit(np.concatenate([curves, vector]))[len(curves) :],
+        )
+        begin = starts(axis)
+    else:
+        problem, begin = axis.parametrisation(), [np.concatenate([curves, start]) for start in starts(axis)]
+    trials = [minimise(windows, problem, start, nuisance=options.nuisance, passes=3) for start in begin]
+    whole = replace(axis, curves=options.curves)
     chosen: Solution | None = None
-    for solution in sorted(trials, key=lambda solution: solution.fitted)[:3]:
-        further = minimise(windows, frozen, solution.parameters, nuisance=options.nuisance, passes=15)
-        agree = chosen is not None and abs(further.fitted / chosen.fitted - 1.0) < 0.01
-        if chosen is None or further.fitted < chosen.fitted:
-            chosen = further
-        if agree:
-            break
+    for solution in candidates(trials, -2 - axis.structure.size):
+        further = minimise(windows, problem, solution.parameters, nuisance=options.nuisance, passes=15)
+        vector = further.parameters if not held else np.concatenate([curves, further.parameters])
+        n = axis.curves.size
+        full = vector[:n] if held else options.curves.like(axis.curves, vector[:n])
+        start = np.concatenate([full, vector[n:]])
+        final = minimise(windows, whole.parametrisation(), start, nuisance=options.nuisance, passes=25)
+        if chosen is None or final.fitted < chosen.fitted:
+            chosen = final
     assert chosen is not None
-    start = np.concatenate([curves, chosen.parameters])
-    return axis, minimise(windows, axis.parametrisation(), start, nuisance=options.nuisance, passes=25)
+    return whole, chosen
+
+
+def candidates(trials: Sequence[Solution], share: int) -> list[Solution]:
+    """The best trial whose rate part lags and the best whose rate part leads, unless one is far better; `share` is k1's place."""
+    ordered = sorted(trials, key=lambda solution: solution.fitted)
+    others = [solution for solution in ordered if solution.parameters[share] * ordered[0].parameters[share] < 0]
+    return ordered[:1] + [solution for solution in others[:1] if solution.fitted < 10.0 * ordered[0].fitted]
 
 
 def starts(axis: Axis) -> list[Array]:
