@@ -244,19 +244,19 @@ def loops(sample_time: float, frequency: float, peak: float, cycles: float) -> A
 
 def hampi_identification(sample_time: float, peak: float = 50.0, step_height: float = 10.0,
                          frequencies: Sequence[float] = (10.0, 20.0, 50.0, 100.0, 200.0, 300.0, 500.0),
-                         quasi_static: float = 1.0, pause: float = 0.02) -> Array:
+                         quasi_static: float = 1.0, pause: float = 0.02, fast_share: float = 0.7, time: float = 0.06) -> Array:
     """The records that identify HAMPI (paper §3.2), one after the other from rest at 0 V, with rests between.
 
     A step of `step_height` V; quasi-static loops (`quasi_static` Hz) to the peak and to 0.6 of it; loops at every frequency to the
-    peak, and at the middle ones to lower peaks, so that rate and amplitude can be told apart. Fast loops of full height are
-    held to 0.7 of the peak above 300 Hz.
+    peak, and at the middle ones to lower peaks, so that rate and amplitude can be told apart. Every frequency lasts `time` s, three
+    loops at least. Above 300 Hz the loops reach `fast_share` of the peak, which spares the amplifier.
     """
     pieces = [rest(sample_time, pause), rest(sample_time, 0.15, step_height), rest(sample_time, 0.1)]
     for share in (1.0, 0.6):
         pieces += [loops(sample_time, quasi_static, share * peak, 1), rest(sample_time, pause)]
     for index, frequency in enumerate(sorted(float(f) for f in frequencies)):
-        share = 0.7 if frequency > 300 else 1.0
-        cycles = max(3, int(round(0.06 * frequency)))
+        share = fast_share if frequency > 300 else 1.0
+        cycles = max(3, int(round(time * frequency)))
         pieces += [loops(sample_time, frequency, share * peak, cycles), rest(sample_time, pause)]
         if index % 2:
             pieces += [loops(sample_time, frequency, 0.45 * peak, cycles), rest(sample_time, pause)]

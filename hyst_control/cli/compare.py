@@ -1,0 +1,32 @@
+"""Score several models on the same recorded bags, side by side.
+
+example:
+  hyst compare hapi.yaml hampi.yaml --bags another_record
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from hyst_control.cli import validate
+
+NAME = "compare"
+HELP = "score several models on the same bags"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("models", nargs="+", metavar="MODEL.yaml|BAG", help="model files, then the bag; or only models with --bags")
+    parser.add_argument("--bags", nargs="+", metavar="BAG", help="recorded bags")
+    validate.add_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from hyst_control.errors import InputError
+
+    if not arguments.bags:
+        # `hyst compare MODEL… BAG`: what is no model file is a bag.
+        arguments.bags = [path for path in arguments.models if not path.endswith((".yaml", ".yml"))]
+        arguments.models = [path for path in arguments.models if path.endswith((".yaml", ".yml"))]
+    if not arguments.bags or not arguments.models:
+        raise InputError("model files (.yaml) and at least one bag are due: hyst compare MODEL.yaml… BAG")
+    return validate.run(arguments)
