@@ -242,9 +242,11 @@ def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, opti
         while axis.structure.zeros < given.zeros:
             axis, best = extended(windows, axis, best, replace(axis.structure, zeros=axis.structure.zeros + 1), options)
         return axis, best
-    plain = searched(windows, replace(blank, structure=Structure(modes=1, delay=True)), curves, options)
+    plain = searched(windows, replace(blank, structure=Structure(modes=1, delay=True)), curves, options, thorough=False)
     rich = searched(windows, replace(blank, structure=Structure(modes=1, lags=1, zeros=1, delay=True)), curves, options)
     axis, best = better(plain, rich)
+    if best is plain[1]:
+        best = minimise(windows, axis.parametrisation(), best.parameters, nuisance=options.nuisance, passes=25)
     while True:
         # From the plainer to the richer: the first that is worth it.
         for structure in extensions(axis.structure):
@@ -256,10 +258,13 @@ def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, opti
             return axis, best
 
 
-def searched(windows: Sequence[Window], axis: Axis, curves: Array, options: Options) -> tuple[Axis, Solution]:
+def searched(
+    windows: Sequence[Window], axis: Axis, curves: Array, options: Options, *, thorough: bool = True
+) -> tuple[Axis, Solution]:
     """A structure fitted from many starts, the curves in the form of `axis`; then everything free, in the form asked for.
 
-    Curves that were seen in creeping loops are held meanwhile; coarse ones move along.
+    Curves that were seen in creeping loops are held meanwhile; coarse ones move along. Unless `thorough` only the best start is
+    followed, and not to the last digits.
     """
     held = axis.curves == options.curves
     if held:
@@ -275,13 +280,14 @@ def searched(windows: Sequence[Window], axis: Axis, curves: Array, options: Opti
     trials = [minimise(windows, problem, start, nuisance=options.nuisance, passes=3) for start in begin]
     whole = replace(axis, curves=options.curves)
     chosen: Solution | None = None
-    for solution in candidates(trials, -2 - axis.structure.size):
+    for solution in candidates(trials, -2 - axis.structure.size)[: 2 if thorough else 1]:
         further = minimise(windows, problem, solution.parameters, nuisance=options.nuisance, passes=15)
         vector = further.parameters if not held else np.concatenate([curves, further.parameters])
         n = axis.curves.size
         full = vector[:n] if held else options.curves.like(axis.curves, vector[:n])
         start = np.concatenate([full, vector[n:]])
-        final = minimise(windows, whole.parametrisation(), start, nuisance=options.nuisance, passes=25)
+        passes = 25 if thorough else 6
+        final = minimise(windows, whole.parametrisation(), start, nuisance=options.nuisance, passes=passes)
         if chosen is None or final.fitted < chosen.fitted:
             chosen = final
     assert chosen is not None
