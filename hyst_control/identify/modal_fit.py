@@ -26,8 +26,8 @@ from scipy.linalg import cho_factor, cho_solve, qr
 
 from hyst_control.chain.stage import Array
 
-CHUNK = 256
-"""Lines worked on at once: small enough for the cache, large enough for the matrix product."""
+CHUNK = 400_000
+"""Entries of the matrix W worked on at once: few enough for the cache, enough for the matrix product."""
 SLOWEST = {True: 1.0, False: 0.05}
 """Least decay of a pole, in line spacings, for periodic records and for others.
 
@@ -410,8 +410,9 @@ class Problem:
             count = spectra.command.shape[2]
             records = range(0) if spectra.periodic else range(record, record + count)
             record += len(records)
-            for begin in range(0, len(spectra.angle), CHUNK):
-                rows = slice(begin, begin + CHUNK)
+            lines = max(CHUNK // (count * self.columns), 1)
+            for begin in range(0, len(spectra.angle), lines):
+                rows = slice(begin, begin + lines)
                 measured = np.swapaxes(spectra.measurement[rows], 1, 2)
                 functions = self._functions(np.exp(1j * spectra.angle[rows]), np.swapaxes(spectra.command[rows], 1, 2), records)
                 yield functions.reshape(-1, self.columns), measured.reshape(-1, measured.shape[2])
