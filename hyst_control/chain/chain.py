@@ -160,7 +160,7 @@ def _within(stage: Stage) -> list[Stage]:
 
 
 def _couples(stage: Stage) -> bool:
-    return getattr(stage, "coupled", False) or stage.name in ("state_space", "cross_coupling")
+    return stage.mixes_axes or getattr(stage, "coupled", False)
 
 
 def _even(delays: Sequence[Stage]) -> bool:

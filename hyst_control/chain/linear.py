@@ -199,6 +199,7 @@ class StateSpace(LinearStage):
     """dx/dt = A x + B u, y = C x + D u over all axes together; with `sample_time` (s) x[k+1] = A x[k] + B u[k]."""
 
     name: ClassVar[str] = "state_space"
+    mixes_axes: ClassVar[bool] = True
     A: Any
     B: Any
     C: Any
@@ -294,6 +295,7 @@ class CrossCoupling(LinearStage):
     """
 
     name: ClassVar[str] = "cross_coupling"
+    mixes_axes: ClassVar[bool] = True
     matrix: Any
     corner: float | None = None
 

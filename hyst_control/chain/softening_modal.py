@@ -38,7 +38,7 @@ class SofteningModal(Stage):
     """
 
     name: ClassVar[str] = "softening_modal"
-    commutes_with_delay: ClassVar[bool] = True
+    mixes_axes: ClassVar[bool] = True
     decay: Any
     frequency: Any
     outputs: Any

@@ -78,6 +78,8 @@ class Stage:
     """Whether the stage is a linear continuous-time system (see `chain.linear`), which may be merged with its neighbours."""
     commutes_with_delay: ClassVar[bool] = True
     """Whether delaying the input is the same as delaying the output, as it is for every time-invariant stage."""
+    mixes_axes: ClassVar[bool] = False
+    """Whether an axis' output depends on other axes' inputs: delays that differ between the axes then stay on their side."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
