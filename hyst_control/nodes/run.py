@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -18,6 +19,7 @@ from hyst_control.launch import environment
 from hyst_control.nodes.base import EndingNode
 
 FOREVER = 1e6  # s
+INTERRUPT_LATENCY = 0.01  # s, in which a signal that rclpy has heard reaches Python
 
 
 def spin(executor: Any, future: Future, timeout: float = FOREVER) -> None:
@@ -61,19 +63,28 @@ def close(nodes: Sequence[EndingNode]) -> None:
 def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None) -> int:
     """Body of an executable: 0 when it ended by itself or was interrupted, 2 on bad input, told in one line."""
     environment.prepare()
+    try:
+        return _body(factories, args)
+    except KeyboardInterrupt:
+        # rclpy hears the signal first, in a thread of its own: Python's interrupt may come while the nodes are being closed.
+        return 0
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C during the shutdown would leave a traceback
+        rclpy.try_shutdown()
+
+
+def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | None) -> int:
     nodes: list[EndingNode] = []
     try:
         rclpy.init(args=args)
         for factory in factories:
             nodes.append(factory())
         return run(nodes, rclpy.get_default_context()) or 0
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+    except ExternalShutdownException:
+        # Python's own interrupt of the same Ctrl-C is still to come: let it come here, where it is waited for.
+        time.sleep(INTERRUPT_LATENCY)
+        return 0
     except InputError as error:
         close(nodes)
         print(error, file=sys.stderr)
         return 2
-    finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C during the shutdown would leave a traceback
-        rclpy.try_shutdown()
-    return 0
