@@ -21,6 +21,7 @@ FORMAT = "hyst_control/model"
 VERSION = 1
 COMMAND_UNITS = ("V",)
 MEASUREMENT_UNITS = ("um", "mrad")
+FORM = "its parameters do not have the form of numbers and lists it needs"
 KEYS = ("format", "version", "name", "axes", "units", "sample_time", "hold", "valid", "chain", "noise", "tolerance")
 
 
@@ -157,6 +158,8 @@ def model_from_document(document: Any) -> Model:
             stage.filter(Sampling(float(sample_time), len(axes), hold))
         except InputError as error:
             raise InputError(f"chain[{index}] ({stage.name}): {error}") from None
+        except (TypeError, ValueError, IndexError, OverflowError, np.linalg.LinAlgError) as error:
+            raise InputError(f"chain[{index}] ({stage.name}): {FORM} ({error})") from None
         except MemoryError:
             raise InputError(f"chain[{index}] ({stage.name}): too large for this machine at {sample_time:g} s") from None
     return Model(
@@ -231,7 +234,7 @@ def _stage_from_document(row: Any, where: str) -> Stage:
     except InputError as error:
         raise InputError(f"{where} ({name}): {error}") from None
     except (TypeError, ValueError, IndexError, OverflowError, np.linalg.LinAlgError) as error:
-        raise InputError(f"{where} ({name}): its parameters do not have the form of numbers and lists it needs ({error})") from None
+        raise InputError(f"{where} ({name}): {FORM} ({error})") from None
 
 
 def _nearest(word: str, known: Sequence[str]) -> str:

@@ -501,8 +501,14 @@ def linear_filter(run: list[Stage], sampling: Sampling) -> Filter:
         )
     whole = np.floor(samples + 1e-9)
     fraction = np.maximum(samples - whole, 0.0).reshape(len(systems), -1)
-    discretised = [discretise(system.balanced(), fraction[s], sampling) for s, system in enumerate(systems)]
-    result = LinearFilter(discretised, whole)
+    try:
+        discretised = [discretise(system.balanced(), fraction[s], sampling) for s, system in enumerate(systems)]
+        result = LinearFilter(discretised, whole)
+    except (np.linalg.LinAlgError, ValueError, OverflowError):
+        names = ", ".join(stage.name for stage in run)
+        raise InputError(
+            f"{names}: time constants out of all proportion to the sample time {sampling.sample_time:g} s: check their units"
+        ) from None
     if pure_delay:
         result.hold = sampling.hold
     return result

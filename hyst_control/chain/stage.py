@@ -138,12 +138,22 @@ def per_axis(value: Any, axes: int, due: int, field: str) -> list[Array]:
     """
     nesting = depth(value)
     if nesting == due:
-        return [np.array(value, dtype=float)] * axes
+        return [_array(value, due, field)] * axes
     if nesting == due + 1:
         if len(value) != axes:
             raise InputError(f"{field}: {len(value)} values for {axes} axes: give one for all or one per axis")
-        return [np.array(item, dtype=float) for item in value]
+        return [_array(item, due, field) for item in value]
     raise InputError(f"{field}: nested {nesting} deep, {due} (all axes alike) or {due + 1} (per axis) is due")
+
+
+def _array(value: Any, dimensions: int, field: str) -> Array:
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        array = np.zeros((0,) * (dimensions + 1))
+    if array.ndim != dimensions:
+        raise InputError(f"{field}: {value!r} is not {('a number', 'a list of numbers')[min(dimensions, 1)]}")
+    return array
 
 
 def per_axis_scalar(value: Any, axes: int, field: str) -> Array:

@@ -252,6 +252,11 @@ def test_a_system_that_makes_no_sense_is_refused_by_name(make, word):
         make()
 
 
+def test_time_constants_out_of_proportion_are_refused():
+    with pytest.raises(InputError, match="check their units"):
+        Chain((RateCorrection(k1=1.0, k2=1e300),)).filter(Sampling(TS, 1))
+
+
 def test_states_that_decay_reach_zero():
     """Subnormal numbers would slow the kernel down a hundredfold."""
     running = Chain((TransferFunction([1e4], [1.0, 1e4]),)).filter(Sampling(TS, 1))
