@@ -18,7 +18,7 @@ th:first-child, td:first-child { text-align: left; } th { font-weight: 600; } .n
 """
 COLOURS = ("#1c2430", "#c2542d", "#2a6f97", "#5b8e3e", "#8a5aa8", "#b08a1e")
 LAYOUT: dict[str, Any] = {"template": "plotly_white", "colorway": COLOURS, "margin": {"l": 60, "r": 20, "t": 40, "b": 50},
-                          "font": {"family": "system-ui, sans-serif", "size": 13}, "legend": {"orientation": "h", "y": -0.2}}
+                          "font": {"family": "system-ui, sans-serif", "size": 13}, "legend": {"orientation": "h", "y": 0.0, "yref": "container", "yanchor": "bottom"}}
 
 
 class Page:

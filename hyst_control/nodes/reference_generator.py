@@ -10,7 +10,9 @@ import yaml
 from numpy.typing import NDArray
 
 from hyst_control import excitation
+from hyst_control.control.reachable import check_reachable
 from hyst_control.errors import InputError
+from hyst_control.model_file import load_model
 from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.ports import Input
 from hyst_control.nodes.run import main as run_main
@@ -32,6 +34,8 @@ class ReferenceGenerator(SignalNode):
         Setting("signal", "rest", "", "kind of signal, a .npy file (rows by axes), or a .yaml file with its description"),
         Setting("lead", 0, "samples", "rows published ahead, for a feedforward that previews", 0, 10_000_000),
         Setting("repeat", False, "", "start the signal again at its end"),
+        Setting("model", "", "", "model file: a signal beyond the stroke that it can reach is refused"),
+        Setting("limits", (0.0, 0.0), "V", "rating of the drive for that, lower and upper; equal: the model's valid range"),
         Setting("retry", 0.2, "s", "time after which the first rows are published again while nobody answers", 1e-3, 60.0),
     )
 
@@ -121,6 +125,12 @@ class ReferenceGenerator(SignalNode):
         if not np.isfinite(rows).all():
             row = np.argwhere(~np.isfinite(rows))[0, 0]
             raise InputError(f"{self.get_name()}: signal: holds NaN or infinity in row {row}")
+        if self.settings.model:
+            limits = self.settings.limits
+            try:
+                check_reachable(load_model(self.settings.model), rows, limits if limits[0] != limits[-1] else None)
+            except InputError as error:
+                raise InputError(f"{self.get_name()}: signal {self.settings.signal}: {error}") from None
         return np.ascontiguousarray(rows)
 
 

@@ -204,6 +204,7 @@ def ReferenceGenerator_of(signal):
     (PlantNode, {"model": MODEL, "axes": ["x", "y"]}, "axes"), (PiFeedback, {"upper": -1.0}, "upper"),
     (PiFeedback, {"kp": "fast"}, "kp"), (PiFeedback, {"kp": -1}, "kp"), (Recorder, {}, "output"),
     (PiFeedback, {"schedule": "sometimes"}, "lockstep"), (ReferenceGenerator, {"signal": "nowhere.npy"}, "nowhere.npy"),
+    (ReferenceGenerator, {"signal": "rest", "duration": 0.1, "offset": 90.0, "model": MODEL}, "cannot be reached with 0 to 50 V"),
 ])
 def test_bad_parameters_are_refused_in_one_line(ros_context, kind, settings, words):
     with pytest.raises(InputError, match=words) as caught:
