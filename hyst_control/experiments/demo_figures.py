@@ -20,7 +20,7 @@ from hyst_control.model_file import simulate
 from hyst_control.tables import Table
 
 matplotlib.use("Agg")
-from matplotlib import pyplot  # noqa: E402  (the backend must be chosen first)
+from matplotlib import pyplot
 
 LOOP_FREQUENCIES = (1.0, 50.0, 100.0, 300.0)
 

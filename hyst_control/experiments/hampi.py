@@ -104,7 +104,7 @@ def draw_loops(folder: Path, models: dict[str, Model], data: Dataset, places: li
     folder.mkdir(parents=True, exist_ok=True)
     figure, axes = pyplot.subplots(2, 3, figsize=(11, 7), sharex=True, sharey=True)
     simulated = {name: simulate(model, data.command, data.sample_time, data.hold)[:, 0] for name, model in models.items()}
-    for axis, (frequency, begin, end) in zip(axes.ravel(), places, strict=True):
+    for axis, (frequency, _, end) in zip(axes.ravel(), places, strict=True):
         rows = slice(end - int(round(1.0 / frequency / SAMPLE_TIME)), end)
         axis.plot(data.command[rows, 0], data.measurement[rows, 0], color="#1c2430", label="measured")
         for name, values in simulated.items():

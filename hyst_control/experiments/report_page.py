@@ -11,14 +11,17 @@ import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
 STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #1c2430; background: #fbfbf9; margin: 2rem auto; max-width: 1080px; padding: 0 1rem; }
+body { font: 16px/1.5 system-ui, sans-serif; color: #1c2430; background: #fbfbf9; margin: 2rem auto; max-width: 1080px;
+  padding: 0 1rem; }
 h1 { font-size: 1.7rem; margin-bottom: 0.2rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem; }
-table { border-collapse: collapse; margin: 0.8rem 0; } th, td { padding: 0.25rem 0.9rem; border-bottom: 1px solid #d9dcd6; text-align: right; }
+table { border-collapse: collapse; margin: 0.8rem 0; }
+th, td { padding: 0.25rem 0.9rem; border-bottom: 1px solid #d9dcd6; text-align: right; }
 th:first-child, td:first-child { text-align: left; } th { font-weight: 600; } .note { color: #596273; font-size: 0.92rem; }
 """
 COLOURS = ("#1c2430", "#c2542d", "#2a6f97", "#5b8e3e", "#8a5aa8", "#b08a1e")
 LAYOUT: dict[str, Any] = {"template": "plotly_white", "colorway": COLOURS, "margin": {"l": 60, "r": 20, "t": 40, "b": 50},
-                          "font": {"family": "system-ui, sans-serif", "size": 13}, "legend": {"orientation": "h", "y": 0.0, "yref": "container", "yanchor": "bottom"}}
+                          "font": {"family": "system-ui, sans-serif", "size": 13},
+                          "legend": {"orientation": "h", "y": 0.0, "yref": "container", "yanchor": "bottom"}}
 
 
 class Page:

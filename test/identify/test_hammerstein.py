@@ -1,7 +1,6 @@
 """Identification of the Prandtl-Ishlinskii family, against parameters that are known and records that are measured."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
