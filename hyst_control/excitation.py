@@ -73,7 +73,8 @@ def _check_bounds(kind: str, rows: Array, sample_time: float, lower: float, uppe
     if len(rows) > 1 and np.isfinite(slew_limit):
         fastest = float(np.max(np.abs(np.diff(rows, axis=0)))) / sample_time
         if fastest > slew_limit * (1 + 1e-9):
-            raise InputError(f"{kind}: its rate reaches {fastest:.4g}/s, over the limit of {slew_limit:.4g}/s: lower amplitude or frequency")
+            raise InputError(f"{kind}: its rate reaches {fastest:.4g}/s,
+                             over the limit of {slew_limit:.4g}/s: lower amplitude or frequency")
 
 
 def rest(sample_time: float, duration: float, offset: float = 0.0) -> Array:
@@ -81,7 +82,8 @@ def rest(sample_time: float, duration: float, offset: float = 0.0) -> Array:
     return np.full(_count(duration, sample_time), _number(offset, "offset"))
 
 
-def sine(sample_time: float, frequency: float, amplitude: float, offset: float = 0.0, duration: float = 1.0, phase: float = 0.0) -> Array:
+def sine(sample_time: float, frequency: float, amplitude: float, offset: float = 0.0, duration: float = 1.0,
+         phase: float = 0.0) -> Array:
     """offset + amplitude sin(2π frequency t + phase); phase in rad (-π/2 starts at the lowest point)."""
     return offset + amplitude * np.sin(2 * np.pi * frequency * _time(duration, sample_time) + phase)
 

@@ -17,7 +17,7 @@ from hyst_control.model_file import Model, load_model
 from hyst_control.tables import Table
 
 
-def validate_bags(models: Sequence[str | Path], bags: Sequence[str | Path], source: str, hold: str | None = None, start: str = "auto",
+def validate_bags(models: Sequence[str | Path], bags: Sequence[str | Path], source: str, hold: str | None = None, start: str = "settled",
                   namespace: str | None = None, unit: str = "unknown") -> Table:
     """Every model on every record. NRMSE and NME in % of the record's range (HAMPI paper Eq. 26), RMSE in its unit.
 
@@ -26,8 +26,7 @@ def validate_bags(models: Sequence[str | Path], bags: Sequence[str | Path], sour
     loaded = {_name(path, models): load_model(path) for path in models}
     table = Table(source)
     for bag in bags:
-        notes: list[str] = []
-        for data in datasets_of(read_bag(bag, namespace, unit), hold, start, True, notes):
+        for data in datasets_of(read_bag(bag, namespace, unit), hold, start, True):
             for name, model in loaded.items():
                 check_pair(name, model, data)
                 add_rows(table, name, model, data)

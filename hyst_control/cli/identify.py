@@ -21,7 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", metavar="FIT.json", help="fit report to write")
     parser.add_argument("--method", choices=("joint", "paper"), default="joint", help="all records together, or the paper's sequence")
     parser.add_argument("--hold", choices=("zoh", "foh"), help="the command between samples: held by a DAC, or a smooth source")
-    parser.add_argument("--start", choices=("auto", "settled", "unknown"), default="auto", help="whether records begin at rest")
+    parser.add_argument("--start", choices=("settled", "unknown"), default="settled", help="settled: at the first "
+                        "command, reached from 0 V; unknown: in the middle of something")
     parser.add_argument("--allow-gaps", action="store_true", help="use the stretches between lost samples")
     parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")

@@ -21,7 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Options that validate and compare share."""
     parser.add_argument("--hold", choices=("zoh", "foh"), help="the command between samples")
-    parser.add_argument("--start", choices=("auto", "settled", "unknown"), default="auto", help="whether records begin at rest")
+    parser.add_argument("--start", choices=("settled", "unknown"), default="settled", help="settled: at the first "
+                        "command, reached from 0 V; unknown: in the middle of something")
     parser.add_argument("--namespace", help="namespace of the topics")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
     parser.add_argument("--json", metavar="OUT", help="result table to write")

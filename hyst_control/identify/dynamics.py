@@ -145,7 +145,10 @@ class Structure:
         return discretise(system, np.array([max(samples - whole, 0.0)]), sampling), whole
 
     def limit(self, parameters: Array, sample_time: float) -> Array:
-        """The parameters held where the data can tell something: rates below the sampling rate, damping 0.002…5."""
+        """The parameters held where the data can tell something: rates below the sampling rate, damping 0.002…5.
+
+        A slow pair moves a tenth of the stroke at most: it stands for creep, not for a hysteresis that the operators miss.
+        """
         parts = self.split(parameters)
         fastest = np.log(2 * np.pi * 1.5 / sample_time)
         parts["modes"][:, 0] = np.minimum(parts["modes"][:, 0], fastest)
@@ -153,5 +156,5 @@ class Structure:
         parts["lags"] = np.minimum(parts["lags"], fastest)
         parts["delay"] = np.maximum(parts["delay"], 0.0)
         if self.slow_pair:
-            parts["slow_pair"] = np.clip(parts["slow_pair"], [np.log(0.3), -0.5], [np.log(60.0), 0.5])
+            parts["slow_pair"] = np.clip(parts["slow_pair"], [np.log(0.3), -0.1], [np.log(60.0), 0.1])
         return np.concatenate([part.ravel() for part in parts.values()])

@@ -147,6 +147,8 @@ class Window:
     """The window's length as a share of its record."""
     memory: Array | None = None
     """The command's turning points before the window, from rest: what the play operators remember."""
+    weight: Array | None = None
+    """Weight of every row (N,), 1 where there is none."""
 
 
 @dataclass(frozen=True)
@@ -188,6 +190,8 @@ def gram_matrices(windows: Sequence[Window], operators: Operators, structure: St
             block[:, -1] = window.measurement[begin + used.start:end]
             # Every third block is held out of the choice between structures: little of every experiment in the record.
             part = 1 if begin // length % 3 == 2 else 0
+            if window.weight is not None:
+                block *= np.sqrt(window.weight[begin + used.start:end, None])
             product = gram_product(block)
             grams[part][np.ix_(place, place)] += product
             rows[part] += len(block)

@@ -19,8 +19,9 @@ from hyst_control.identify.hammerstein import Options, check, default_operators
 from hyst_control.identify.least_squares import cost
 from hyst_control.identify.prandtl_model import AxisFit, assemble
 from hyst_control.identify.roles import Stretch, pick
+from hyst_control.identify.turning import turning_points
 from hyst_control.identify.varpro import Problem, Solution, solve
-from hyst_control.identify.windows import turning_points, whole_records
+from hyst_control.identify.windows import whole_records
 
 DYNAMIC_FREQUENCY = 100.0
 PAPER_STRUCTURE = Structure(modes=1, zeros=1, slow_pair=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.identify.dataset import Dataset
-from hyst_control.identify.windows import turning_points
+from hyst_control.identify.turning import turning_points
 
 REST_TIME = 5e-3
 """A command that holds still for this long (s) rests."""

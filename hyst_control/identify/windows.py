@@ -9,6 +9,8 @@ import numpy as np
 from hyst_control.chain.stage import Array
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.gram import Window
+from hyst_control.identify.roles import stretches_between_rests
+from hyst_control.identify.turning import turning_points
 
 SETTLE_TIME = 0.25
 """Time (s) after which a window's linear transient is over, the slow pair's included; its rows before that do not count."""
@@ -21,8 +23,24 @@ def whole_records(datasets: Sequence[Dataset], axis: int) -> list[Window]:
         command = np.ascontiguousarray(data.command[:, axis])
         memory, skip = before(data)
         windows.append(Window(command, np.ascontiguousarray(data.measurement[:, axis]), data.sample_time, data.hold, skip, group,
-                              memory=None if memory is None else np.ascontiguousarray(memory[:, axis])))
+                              memory=None if memory is None else np.ascontiguousarray(memory[:, axis]),
+                              weight=balanced_weights(data, axis)))
     return windows
+
+
+def balanced_weights(data: Dataset, axis: int) -> Array | None:
+    """Row weights (N,) with which every motion between rests counts alike, slow or fast: short fast loops are not drowned.
+
+    None where the record is one motion. Between a fifth and five times the plain weight, and 1 on average.
+    """
+    motions = [stretch for stretch in stretches_between_rests(data, 0, axis) if stretch.kind == "motion"]
+    if len(motions) < 2:
+        return None
+    weight = np.ones(len(data.command))
+    mean = np.mean([stretch.end - stretch.begin for stretch in motions])
+    for stretch in motions:
+        weight[stretch.begin:stretch.end] = np.clip(mean / (stretch.end - stretch.begin), 0.2, 5.0)
+    return weight / weight.mean()
 
 
 def before(data: Dataset) -> tuple[Array | None, int]:
@@ -60,16 +78,9 @@ def stretches(windows: Sequence[Window], rows: int, length: float = 1.0) -> list
             skip = min(max(settle, window.skip - begin), size - 1)
             memory = window.command[turning[turning < begin]] if begin else None
             chosen.append(Window(window.command[begin:end], window.measurement[begin:end], window.sample_time, window.hold, skip,
-                                 window.group, begin / n, size / n, memory))
+                                 window.group, begin / n, size / n, memory,
+                                 None if window.weight is None else window.weight[begin:end]))
     return chosen
-
-
-def turning_points(command: Array) -> Array:
-    """Indices of the samples at which a signal (N,) turns; play operators remember nothing else."""
-    slope = np.sign(np.diff(command))
-    moving = np.flatnonzero(slope)
-    turns = moving[1:][slope[moving[1:]] != slope[moving[:-1]]]
-    return np.concatenate([[0], turns]).astype(int)
 
 
 def memory_filled(command: Array) -> int:

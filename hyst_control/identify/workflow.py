@@ -18,9 +18,6 @@ from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, save_model
 from hyst_control.record import Record
 
 NEED = ("command", "measurement")
-CLEARLY_BETTER = 0.7
-"""A record is taken to begin in the middle of something when that lowers the error of a plain model below this share."""
-
 
 @dataclass(frozen=True)
 class Result:
@@ -43,7 +40,7 @@ class Result:
 
 
 def identify_bags(bags: Sequence[str | Path], family: str | None, output: str | Path, *, json_path: str | Path | None = None,
-                  method: str = "joint", hold: str | None = None, start: str = "auto", allow_gaps: bool = False,
+                  method: str = "joint", hold: str | None = None, start: str = "settled", allow_gaps: bool = False,
                   namespace: str | None = None, unit: str = "unknown", **options: Any) -> Result:
     """Identify a model from bags and write it; without a family the best on held-out blocks of the Prandtl-Ishlinskii ones.
 
@@ -58,7 +55,7 @@ def identify_bags(bags: Sequence[str | Path], family: str | None, output: str | 
     for bag in bags:
         record = read_bag(bag, namespace, unit)
         notes += record.notes
-        datasets += datasets_of(record, hold, start, allow_gaps, notes)
+        datasets += datasets_of(record, hold, start, allow_gaps)
     chosen = {key: value for key, value in options.items() if value is not None and value is not False}
     if isinstance(chosen.get("thresholds"), str):
         chosen["thresholds"] = _numbers(chosen["thresholds"])
@@ -73,11 +70,10 @@ def identify_bags(bags: Sequence[str | Path], family: str | None, output: str | 
     return Result(fit, Path(output))
 
 
-def datasets_of(record: Record, hold: str | None = None, start: str = "settled", allow_gaps: bool = False,
-                notes: list[str] | None = None) -> list[Dataset]:
+def datasets_of(record: Record, hold: str | None = None, start: str = "settled", allow_gaps: bool = False) -> list[Dataset]:
     """The gapless stretches of a record as datasets. Raises `InputError` when topics, units or samples are unusable.
 
-    start "auto" asks the data: a record that a plain model fits far better when its past is unknown does not begin at rest.
+    start: "settled" at the first command, reached from 0 V on the virgin curve, or "unknown"; what follows a gap is unknown.
     """
     command, measurement = (record.signal(topic) for topic in NEED)
     if command.unit not in COMMAND_UNITS:
@@ -92,25 +88,9 @@ def datasets_of(record: Record, hold: str | None = None, start: str = "settled",
     for index, part in enumerate(record.aligned(NEED, allow_gaps)):
         name = Path(record.source).name + (f"[{index}]" if index else "")
         data = Dataset(name, part.values["command"], part.values["measurement"], part.sample_time, measurement.axes, measurement.unit,
-                       hold or record.hold, "settled" if start == "auto" else start)
-        if start == "auto" and (index or begins_unsettled(data)):
-            data = replace(data, start="unknown")
-            if notes is not None:
-                notes.append(f"{name}: does not begin settled at its first command; its past is taken as unknown")
+                       hold or record.hold, "unknown" if index else start)
         datasets.append(data)
     return datasets
-
-
-def begins_unsettled(data: Dataset) -> bool:
-    """Whether a plain hysteresis model fits far better when the record's past is taken as unknown."""
-    if len(data.command) < 50:
-        return False
-    try:
-        errors = [max(identify([replace(data, start=start)], "pi", nuisance="offset").report["held_out_nrmse"])
-                  for start in ("settled", "unknown")]
-    except InputError:
-        return False
-    return errors[1] < CLEARLY_BETTER * errors[0]
 
 
 def write_json(path: str | Path, document: Any) -> None:

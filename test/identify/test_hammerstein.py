@@ -13,7 +13,8 @@ from hyst_control.errors import InputError
 from hyst_control.identify import Dataset, identify
 from hyst_control.identify.dynamics import Structure
 from hyst_control.identify.gram import Operators, Window, gram_matrices
-from hyst_control.identify.windows import stretches, turning_points, whole_records
+from hyst_control.identify.turning import turning_points
+from hyst_control.identify.windows import stretches, whole_records
 from hyst_control.model_file import Model, load_model, save_model, simulate
 
 SAMPLE_TIME = 5e-5
