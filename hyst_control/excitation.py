@@ -73,8 +73,8 @@ def _check_bounds(kind: str, rows: Array, sample_time: float, lower: float, uppe
     if len(rows) > 1 and np.isfinite(slew_limit):
         fastest = float(np.max(np.abs(np.diff(rows, axis=0)))) / sample_time
         if fastest > slew_limit * (1 + 1e-9):
-            raise InputError(f"{kind}: its rate reaches {fastest:.4g}/s,
-                             over the limit of {slew_limit:.4g}/s: lower amplitude or frequency")
+            raise InputError(f"{kind}: its rate reaches {fastest:.4g}/s, over the limit of {slew_limit:.4g}/s: lower amplitude or "
+                             "frequency")
 
 
 def rest(sample_time: float, duration: float, offset: float = 0.0) -> Array:
