@@ -2,41 +2,62 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import sqlite3
+from array import array
+from collections.abc import Collection, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from hyst_control.errors import InputError
-from hyst_control.record import Record, Signal
+from hyst_control.record import Record, Signal, axis_names
 from hyst_control.signal_message import MESSAGE_TYPE, decode, parse_label
 
 SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
+"""The topics that the package knows; another topic that is no signal is left out with a note instead of refused."""
+
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 COMMAND_SIDE = ("command", "feedforward", "feedback")
-AXIS_NAMES = ("x", "y", "z", "u", "v", "w")
+STORAGE = (".mcap", ".db3")
+COMPRESSED = tuple(f"{suffix}.zstd" for suffix in STORAGE)
+PENDING = 2048
+"""Messages decoded at a time: enough for numpy's speed, few enough that the raw bytes take no room."""
+
+Array = NDArray[np.float64]
 
 
-def read_bag(path: str | Path, namespace: str | None = None, unit: str = "unknown") -> Record:
+def read_bag(path: str | Path, namespace: str | None = None, unit: str = "unknown",
+             topics: Collection[str] | None = None) -> Record:
     """Every signal topic of a bag: a rosbag2 directory, or an .mcap or .db3 file by itself.
 
     Topics are known by the last part of their names; where several namespaces have one, `namespace` says which is meant. `unit`
-    is that of measurement and reference in a bag whose messages carry no layout. Raises `InputError` naming file and remedy.
+    is that of measurement and reference in a bag whose messages carry no layout. `topics`: only these, by the last part of
+    their names. Raises `InputError` naming file and remedy.
     """
     path = Path(path)
     notes: list[str] = []
-    collected: dict[str, tuple[list[bytes], list[int]]] = {}
+    found: dict[str, _Topic] = {}
     for topic, time, raw in _messages(path, notes):
-        raws, times = collected.setdefault(topic, ([], []))
-        raws.append(raw)
-        times.append(time)
-    if not collected:
+        if topic not in found:
+            found[topic] = _Topic(topics is None or topic.rpartition("/")[2] in topics)
+        found[topic].add(raw, time)
+    if not found:
         raise InputError(f"{path}: holds no {MESSAGE_TYPE} messages: check what was recorded")
-    signals = {}
-    for name, topic in _by_last_part(path, collected, namespace).items():
-        raws, times = collected.pop(topic)
-        signals[name] = _signal(path, name, raws, times, unit)
+    named = {name: found[topic] for name, topic in _by_last_part(path, found, namespace).items() if found[topic].wanted}
+    found.clear()
+    origin = min((min(topic.times) for topic in named.values() if topic.times), default=0)
+    signals: dict[str, Signal] = {}
+    for name in list(named):
+        topic = named.pop(name)  # its blocks are given back as soon as the signal has them
+        try:
+            signals[name] = _signal(path, name, topic, origin, unit, notes)
+        except InputError as error:
+            if name in SIGNALS or topics is not None:
+                raise
+            notes.append(f"{error} (left out)")
     if any(signal.timing == "receive" for signal in signals.values()):
         notes.append(f"{path}: messages without a layout: the time of reception stands for the sample time, with its jitter")
     return Record(signals, str(path), tuple(notes), _hold(path))
@@ -51,16 +72,17 @@ def _hold(path: Path) -> str:
         return "zoh"
 
 
-def _by_last_part(path: Path, topics: Iterable[str], namespace: str | None) -> dict[str, str]:
+def _by_last_part(path: Path, topics: Collection[str], namespace: str | None) -> dict[str, str]:
+    """Short name: topic. A topic that is none of `SIGNALS` keeps its full name where the short one is taken."""
     wanted = None if namespace is None else "/" + namespace.strip("/")
     chosen: dict[str, str] = {}
     for topic in sorted(topics):
         head, _, name = topic.rpartition("/")
         if wanted is not None and head.rstrip("/") != wanted.rstrip("/"):
             continue
-        if name in chosen:
+        if name in chosen and name in SIGNALS:
             raise InputError(f"{path}: {chosen[name]} and {topic} are both a {name}: say which with the namespace")
-        chosen[name] = topic
+        chosen[topic if name in chosen else name] = topic
     if not chosen:
         raise InputError(f"{path}: no topic in the namespace {namespace!r} (topics: {', '.join(sorted(topics))})")
     return chosen
@@ -78,41 +100,46 @@ def _messages(path: Path, notes: list[str]) -> Iterator[tuple[str, int, bytes]]:
     if all(file.suffix == ".mcap" for file in files) and (not finished or not all(_has_footer(file) for file in files)):
         for file in files:
             yield from _unfinished_mcap(file, notes)
-        return
-    yield from _finished(path, files)
+    elif finished:
+        yield from _finished(path)
+    else:
+        for file in files:
+            yield from _bare_file(file)
 
 
 def _files(path: Path) -> list[Path]:
-    files = [path] if path.is_file() else sorted(file for pattern in ("*.mcap", "*.db3") for file in path.glob(pattern))
-    if not files or any(file.suffix not in (".mcap", ".db3") for file in files):
+    """The storage files of a bag; compressed ones only where metadata.yaml says how to read them."""
+    if path.is_file():
+        known, files = STORAGE, [path]
+    else:
+        known = STORAGE + COMPRESSED if (path / "metadata.yaml").exists() else STORAGE
+        files = sorted(file for file in path.iterdir() if file.name.endswith(known))
+    if not files or not all(file.name.endswith(known) for file in files):
         raise InputError(f"{path}: is no bag: a rosbag2 directory, or an .mcap or .db3 file, is due")
+    if len({file.suffix for file in files}) > 1:
+        raise InputError(f"{path}: holds both MCAP and SQLite3 files: keep one bag per directory")
     return files
 
 
-def _finished(path: Path, files: list[Path]) -> Iterator[tuple[str, int, bytes]]:
+def _finished(path: Path) -> Iterator[tuple[str, int, bytes]]:
     from rosbags.rosbag2 import Reader, ReaderError
 
-    if path.is_file():
-        yield from _bare_file(path)
-        return
     try:
         with Reader(path) as reader:
             connections = [connection for connection in reader.connections if connection.msgtype == MESSAGE_TYPE]
             if connections:
                 for connection, time, raw in reader.messages(connections):
-                    yield connection.topic, time, raw
+                    yield connection.topic, time, bytes(raw)
     except ReaderError as error:
         raise InputError(f"{path}: {_first_line(error)}: the bag cannot be read; record again or repair it") from None
-    except (KeyError, ValueError, TypeError, OSError, AssertionError) as error:
+    except Exception as error:  # damage shows as anything, the decompressors' own exceptions among it
         raise InputError(f"{path}: is damaged ({_first_line(error) or type(error).__name__}): record again or repair it") from None
 
 
 def _bare_file(file: Path) -> Iterator[tuple[str, int, bytes]]:
     """A .db3 file without its metadata."""
-    import sqlite3
-
     try:
-        with sqlite3.connect(f"file:{file}?mode=ro", uri=True) as database:
+        with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as database:
             topics = dict(database.execute("SELECT id, name FROM topics WHERE type = ?", (MESSAGE_TYPE,)))
             for topic, time, data in database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp, id"):
                 if topic in topics:
@@ -132,7 +159,6 @@ def _has_footer(file: Path) -> bool:
 
 def _unfinished_mcap(file: Path, notes: list[str]) -> Iterator[tuple[str, int, bytes]]:
     """All whole chunks of an MCAP file, also of one whose recorder was killed."""
-    from mcap.exceptions import McapError
     from mcap.records import Channel, Message, Schema
     from mcap.stream_reader import StreamReader
 
@@ -150,73 +176,106 @@ def _unfinished_mcap(file: Path, notes: list[str]) -> Iterator[tuple[str, int, b
                 elif isinstance(record, Message) and record.channel_id in topics:
                     count += 1
                     yield topics[record.channel_id], record.log_time, record.data
-    except (McapError, EOFError, ValueError, KeyError, OverflowError, MemoryError, RuntimeError, UnicodeDecodeError) as error:
+    except Exception as error:  # mcap's own, struct's and the decompressors'
         if not count:
             raise InputError(f"{file}: is damaged or cut off before its first whole chunk ({_first_line(error)}): record again") from None
-    except Exception as error:  # struct.error and the decompressors' own
-        if not count:
-            raise InputError(f"{file}: is damaged or cut off before its first whole chunk ({_first_line(error)}): record again") from None
+        if _has_footer(file):
+            notes.append(f"{file}: is damaged: {count} messages before the damage were read")
     if not _has_footer(file):
         if not count:
             raise InputError(f"{file}: is cut off before its first whole chunk: record again")
         notes.append(f"{file}: has no footer (recorder killed?): {count} messages up to its last whole chunk were read")
 
 
-def _signal(path: Path, name: str, raws: list[bytes], times: list[int], unit: str) -> Signal:
-    try:
-        label, blocks = _decoded(raws)
-    except InputError as error:
-        raise InputError(f"{path}: {name}: {error}") from None
-    if label:
-        try:
-            axes, units = parse_label(label)
-        except InputError as error:
-            raise InputError(f"{path}: {name}: {error}") from None
-        if len(set(units)) > 1:
-            raise InputError(f"{path}: {name}: label {label!r} mixes units: one unit per topic is due")
-        return _ordered(path, name, Signal(blocks[:, 0], np.ascontiguousarray(blocks[:, 1:]), axes, units[0]))
-    stamps = np.array(times, dtype=np.int64)
-    order = np.argsort(stamps, kind="stable")
-    time = (stamps[order] - stamps[order[0]]) * 1e-9
-    count = blocks.shape[1]
-    axes = AXIS_NAMES[:count] if count <= len(AXIS_NAMES) else tuple(f"a{i}" for i in range(count))
-    return Signal(time, np.ascontiguousarray(blocks[order]), axes, "V" if name in COMMAND_SIDE else unit, "receive")
+class _Topic:
+    """The messages of one topic, decoded as they come in: the raw bytes of a long bag are never held together."""
 
+    def __init__(self, wanted: bool) -> None:
+        self.wanted = wanted
+        self.label = ""
+        self.columns = -1
+        self.parts: list[Array] = []
+        self.times = array("q")
+        self.error: InputError | None = None
+        self._pending: list[bytes] = []
 
-def _decoded(raws: list[bytes]) -> tuple[str, np.ndarray]:
-    """Label and all rows (N, C) of a topic's messages. Messages of one form are read as one array."""
-    label, first = decode(raws[0])
-    size = len(raws[0])
-    head = size - first.nbytes
-    header = bytes(raws[0][:head])
-    parts: list[np.ndarray] = []
-    begin = 0
-    while begin < len(raws):
-        end = begin
-        while end < len(raws) and len(raws[end]) == size:
-            end += 1
-        if end > begin:
+    def add(self, raw: bytes, time: int) -> None:
+        """Take one message; time: ns, of its reception."""
+        if self.wanted:
+            self.times.append(time)
+            self._pending.append(raw)
+            if len(self._pending) == PENDING:
+                self._decode()
+
+    def rows(self) -> list[Array]:
+        """All blocks (N, C) in their order. Raises the `InputError` of the first message that is no signal."""
+        if self._pending:
+            self._decode()
+        if self.error is not None:
+            raise self.error
+        return self.parts
+
+    def _decode(self) -> None:
+        raws, self._pending = self._pending, []
+        if self.error is None:
+            try:
+                self._append(raws)
+            except InputError as error:
+                self.error, self.parts = error, []
+
+    def _append(self, raws: list[bytes]) -> None:
+        """Messages of one size and header are read as one array, others one by one."""
+        begin = 0
+        while begin < len(raws):
+            size = len(raws[begin])
+            end = begin + 1
+            while end < len(raws) and len(raws[end]) == size:
+                end += 1
+            first = self._checked(raws[begin])
+            head = size - first.nbytes
             table = np.frombuffer(b"".join(raws[begin:end]), np.uint8).reshape(-1, size)
             # The padding inside a header is whatever the sender's memory held: only a wholly equal one is taken as read.
-            alike = (table[:, :head] == np.frombuffer(header, np.uint8)).all(axis=1)
-            if alike.all():
-                parts.append(np.ascontiguousarray(table[:, head:]).view(np.float64).reshape(-1, first.shape[1]))
-                begin = end
-                continue
-        end = max(end, begin + 1)
-        for raw in raws[begin:end]:
-            other, block = decode(raw)
-            if other != label:
-                raise InputError(f"label changes from {label!r} to {other!r}: record one plant per topic")
-            if block.shape[1] != first.shape[1]:
-                raise InputError(f"{block.shape[1]} values after messages of {first.shape[1]}: record one plant per topic")
-            parts.append(block)
-        begin = end
-    return label, np.concatenate(parts)
+            if raws[begin][1] == 1 and (table[:, :head] == table[0, :head]).all():
+                self.parts.append(np.ascontiguousarray(table[:, head:]).view("<f8").reshape(-1, first.shape[1]))
+            else:
+                self.parts.append(np.concatenate([self._checked(raw) for raw in raws[begin:end]]))
+            begin = end
+
+    def _checked(self, raw: bytes) -> Array:
+        label, block = decode(raw)
+        if self.columns < 0:
+            self.label, self.columns = label, block.shape[1]
+        if label != self.label:
+            raise InputError(f"label changes from {self.label!r} to {label!r}: record one plant per topic")
+        if block.shape[1] != self.columns:
+            raise InputError(f"{block.shape[1]} values after messages of {self.columns}: record one plant per topic")
+        return block
 
 
-def _ordered(path: Path, name: str, signal: Signal) -> Signal:
-    """The rows in order of their sample time; rows sent twice are kept once."""
+def _signal(path: Path, name: str, topic: _Topic, origin: int, unit: str, notes: list[str]) -> Signal:
+    """The signal of a topic; origin: ns, from which times of reception count."""
+    try:
+        blocks = topic.rows()
+        axes, units = parse_label(topic.label) if topic.label else (axis_names(topic.columns), ())
+    except InputError as error:
+        raise InputError(f"{path}: {name}: {error}") from None
+    if not axes:
+        raise InputError(f"{path}: {name}: messages hold no values: record the plant's signals")
+    if len(set(units)) > 1:
+        raise InputError(f"{path}: {name}: label {topic.label!r} mixes units: one unit per topic is due")
+    if units:
+        time = np.concatenate([block[:, 0] for block in blocks])
+        values = np.concatenate([block[:, 1:] for block in blocks])
+        blocks.clear()
+        return _ordered(path, name, Signal(time, values, axes, units[0]), notes)
+    stamps = np.frombuffer(topic.times, np.int64)
+    order = np.argsort(stamps, kind="stable")
+    time = (stamps[order] - origin) * 1e-9
+    return Signal(time, np.concatenate(blocks)[order], axes, "V" if name in COMMAND_SIDE else unit, "receive")
+
+
+def _ordered(path: Path, name: str, signal: Signal, notes: list[str]) -> Signal:
+    """The rows in order of their sample time; rows sent twice are kept once. What was mended is noted."""
     time = signal.time
     if not np.isfinite(time).all():
         raise InputError(f"{path}: {name}: the time column holds NaN or infinity: record again")
@@ -227,6 +286,10 @@ def _ordered(path: Path, name: str, signal: Signal) -> Signal:
     kept = first[np.searchsorted(time[first], time[repeated])]
     if not np.array_equal(signal.values[repeated], signal.values[kept], equal_nan=True):
         raise InputError(f"{path}: {name}: two different rows of one sample time: two sources wrote this topic, or the clock jumped")
+    if len(repeated):
+        notes.append(f"{path}: {name}: {len(repeated)} rows were sent twice and kept once")
+    if np.any(np.diff(first) < 0):
+        notes.append(f"{path}: {name}: rows came out of order and were put in order of their time")
     return Signal(time[first], np.ascontiguousarray(signal.values[first]), signal.axes, signal.unit, signal.timing)
 
 

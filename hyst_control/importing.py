@@ -15,7 +15,7 @@ import numpy as np
 from hyst_control.bag_writer import BagWriter
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
-from hyst_control.record import Record, Signal
+from hyst_control.record import Record, Signal, axis_names
 from hyst_control.signal_message import Encoder, label_for
 
 UNITS: dict[str, tuple[str, float]] = {
@@ -23,7 +23,6 @@ UNITS: dict[str, tuple[str, float]] = {
     "m": ("um", 1e6), "mrad": ("mrad", 1.0), "urad": ("mrad", 1e-3), "µrad": ("mrad", 1e-3), "rad": ("mrad", 1e3)}
 """Unit of the file: unit of the record, and the factor between them."""
 
-AXES = ("x", "y", "z", "u", "v", "w")
 BLOCK = 50
 
 _ASSIGNMENT = re.compile(r"(?P<topic>\w+)=(?P<columns>[^\[\]=]+)\[(?P<unit>[^\]]+)\]")
@@ -79,11 +78,6 @@ def import_table(path: str | Path, columns: Sequence[Column], rate: float, rows:
         time = np.arange(len(picked)) / rate
         signals[column.topic] = Signal(time, np.ascontiguousarray(picked * factor), axis_names(picked.shape[1]), unit)
     return Record(signals, str(path), (), hold)
-
-
-def axis_names(count: int) -> tuple[str, ...]:
-    """x, y, z, … for this many axes."""
-    return AXES[:count] if count <= len(AXES) else tuple(f"a{i}" for i in range(count))
 
 
 def write_bag(path: str | Path, record: Record) -> None:

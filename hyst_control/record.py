@@ -12,6 +12,13 @@ from hyst_control.errors import InputError
 
 Array = NDArray[np.float64]
 
+AXES = ("x", "y", "z", "u", "v", "w")
+
+
+def axis_names(count: int) -> tuple[str, ...]:
+    """x, y, z, … for this many axes that nobody named."""
+    return AXES[:count] if count <= len(AXES) else tuple(f"a{i}" for i in range(count))
+
 
 @dataclass(frozen=True)
 class Signal:
