@@ -3,9 +3,8 @@
 The path of a command, each part in continuous time, stepped at 400 kHz or finer:
 
 1. drive: a transport delay (converter, isolation), then the amplifier, a first-order low-pass; its output is the voltage v.
-2. hysteresis: an elastic slope and an ensemble of elastic-slip elements. Element i follows v with a slack of half-width r_i
-   and adds w_i times its position; r_i fill (0, r_max] evenly, w_i follow a density that falls off exponentially. The sum Y0 is
-   bent by a single-valued saturation Y = Y0 - β Y0² / stroke.
+2. hysteresis: an elastic slope and an ensemble of elastic-slip elements (see `slip`), whose sum Y0 is bent by a single-valued
+   saturation Y = Y0 - β Y0² / stroke.
 3. drag: domain walls move against viscous drag that grows with the polarisation P already reached, more while it rises than
    while it falls: P' = (Y - P) / T(Y), T = T_rise or T_fall times Y / (Y + drag_level). Slow loops do not show it; fast ones
    turn and widen, the more the higher the drive.
@@ -15,27 +14,31 @@ The path of a command, each part in continuous time, stepped at 400 kHz or finer
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from hyst_plant_sim.physics import exact
+from hyst_plant_sim.physics.checks import check_positive
+from hyst_plant_sim.physics.line import Frame, Part
+from hyst_plant_sim.physics.mechanics import mechanics, oscillator
+from hyst_plant_sim.physics.parts import Chain, Delay, Linear, System
+from hyst_plant_sim.physics.slip import Slip
 
 Array = NDArray[np.float64]
-
-INTERNAL_RATE = 400e3
-"""Least rate (Hz) at which the physics is stepped."""
-
-
-class PlantError(ValueError):
-    """A plant description that makes no sense: one line with field and remedy."""
 
 
 @dataclass(frozen=True)
 class PeaParameters:
     """Physical parameters of the truth PEA; units in the comments of config/plants/pea.yaml."""
+
+    axes: ClassVar[tuple[str, ...]] = ("x",)
+    unit: ClassVar[str] = "um"
+    internal_rate: ClassVar[float] = 400e3
 
     delay: float
     amplifier_cutoff: float
@@ -57,108 +60,54 @@ class PeaParameters:
     noise: float
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value) or value < 0:
-                raise PlantError(f"{field.name}: {value!r}: a number that is not negative is due")
-        for name in ("amplifier_cutoff", "elastic_slope", "slip_range", "slip_decay", "stroke", "mode_frequency", "slow_time",
-                     "sensor_cutoff", "drag_level"):
-            if getattr(self, name) == 0:
-                raise PlantError(f"{name}: must be positive")
+        check_positive(self, ("amplifier_cutoff", "elastic_slope", "slip_range", "slip_decay", "stroke", "mode_frequency",
+                              "slow_time", "sensor_cutoff", "drag_level"))
+
+    def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, float]) -> dict[str, list[Part]]:
+        """The parts of an axis by place, with what is changed in the hysteresis and in the mechanics."""
+        slip = Slip(self.elastic_slope, self.slip_slope, int(self.slip_elements), self.slip_range, self.slip_decay,
+                    self.saturation / self.stroke, hysteresis.get("width", 0.0))
+        drag = Drag(self.drag_rise, self.drag_fall, self.drag_level, hysteresis.get("rate", 1.0), frame.step)
+        return {
+            "drive": [Delay(self.delay, frame.step)] if self.delay else [],
+            "amplifier": [Linear(exact.lag(2 * np.pi * self.amplifier_cutoff), frame.step, held=True)],
+            "hysteresis": [Chain(slip, drag)],
+            "mechanics": [mechanics(self._system, frame, moving)],
+            "sensor": [Linear(exact.lag(2 * np.pi * self.sensor_cutoff), frame.step)],
+        }
+
+    def _system(self, mass_ratio: float, frequency_ratio: float) -> System:
+        return exact.series(oscillator(self.mode_frequency, self.mode_damping, mass_ratio, frequency_ratio),
+                            exact.slow_share(self.slow_share, self.slow_time))
 
 
-class Pea:
-    """A running truth PEA, one axis. `reset` it, then `step` it with commands in V; measurements in um."""
+class Drag:
+    """P' = (Y - P) / T(Y); rise, fall in s, times `factor`; level in the unit of Y."""
 
-    axes = ("x",)
+    def __init__(self, rise: float, fall: float, level: float, factor: float, step: float) -> None:
+        self._law = np.array([rise * factor, fall * factor, level, step])
+        self._state = np.zeros(1)
 
-    def __init__(self, parameters: PeaParameters, sample_time: float, seed: int, rating: tuple[float, float], slew_limit: float,
-                 name: str = "pea", refinement: int = 1) -> None:
-        """refinement: divides the internal step further, to check that it is fine enough."""
-        p = self.parameters = parameters
-        self.name, self.sample_time, self.seed, self.rating, self.slew_limit = name, sample_time, seed, rating, slew_limit
-        self.units = {"command": "V", "measurement": "um"}
-        self.substeps = int(np.ceil(sample_time * INTERNAL_RATE - 1e-9)) * refinement
-        self.internal_step = sample_time / self.substeps
-        self._follow = 1.0 - np.exp(-2 * np.pi * p.amplifier_cutoff * self.internal_step)
-        count = int(p.slip_elements)
-        self._slack = p.slip_range * (np.arange(count) + 0.5) / max(count, 1)
-        density = np.exp(-self._slack / p.slip_decay)
-        self._slip_weights = p.slip_slope * density / density.sum() if count else density
-        system = exact.series(exact.series(exact.oscillator(2 * np.pi * p.mode_frequency, p.mode_damping),
-                                           exact.slow_share(p.slow_share, p.slow_time)),
-                              exact.lag(2 * np.pi * p.sensor_cutoff))
-        self._a, self._b, self._c, _ = system
-        self._phi, self._from, self._to = exact.ramp_step(self._a, self._b, self.internal_step)
-        self._late = int(round(p.delay / self.internal_step))
-        self._past = np.zeros(-(-self._late // self.substeps) + 1)
-        self._constants = np.array([self._follow, p.elastic_slope, p.saturation / p.stroke, p.drag_rise, p.drag_fall,
-                                    p.drag_level, self.internal_step])
-        self.reset(np.zeros(1))
+    def settle(self, value: float) -> float:
+        self._state[0] = value
+        return value
 
-    def reset(self, command: Array) -> Array:
-        """Settle at the command (1,) V, reached from 0 V on the virgin curve; measurement[0] (1,) in um."""
-        value = float(np.asarray(command, dtype=float).reshape(-1)[0])
-        self._noise = np.random.default_rng(self.seed)
-        self._slip = np.clip(0.0, value - self._slack, value + self._slack)
-        bare = self.parameters.elastic_slope * value + float(self._slip_weights @ self._slip)
-        polarisation = bare - self.parameters.saturation / self.parameters.stroke * bare * bare
-        self._state = np.array([value, polarisation])
-        self._past[:] = value
-        self._linear = exact.rest(self._a, self._b, polarisation)
-        return self._sensed(np.array([[float(self._c @ self._linear)]]))[0]
-
-    def step(self, commands: Array) -> Array:
-        """Commands (N, 1) V, each held for one sample; measurements (N, 1) um at the ticks that follow them."""
-        commands = np.ascontiguousarray(commands, dtype=float)
-        output = np.empty((len(commands), 1))
-        _advance(commands, self._past, self._late, self.substeps, self._constants, self._slack, self._slip_weights, self._phi, self._from, self._to, self._c,
-                 self._state, self._slip, self._linear, output)
-        return self._sensed(output)
-
-    def _sensed(self, clean: Array) -> Array:
-        return clean + self.parameters.noise * self._noise.standard_normal(clean.shape)
+    def process(self, block: Array) -> Array:
+        output = np.empty(block.size)
+        _drag(block, self._law, self._state, output)
+        return output
 
 
 @njit(cache=True, error_model="numpy")
-def _advance(commands, past, late, substeps, constants, slack, weights, phi, ramp_from, ramp_to, read, state, slip, linear, output):
-    follow, elastic, bend, rise, fall, level, step = constants
-    voltage, polarisation = state
-    order = linear.size
-    fresh = np.empty(order)
-    for k in range(commands.shape[0]):
-        for i in range(past.size - 1):
-            past[i] = past[i + 1]
-        past[-1] = commands[k, 0]
-        for part in range(substeps):
-            # Whole intervals back to the command that acts now; past holds the newest at its end.
-            target = past[past.size - 1 + (part - late) // substeps]
-            voltage += (target - voltage) * follow
-            bare = elastic * voltage
-            for i in range(slack.size):
-                position = slip[i]
-                if position > voltage + slack[i]:
-                    position = voltage + slack[i]
-                elif position < voltage - slack[i]:
-                    position = voltage - slack[i]
-                slip[i] = position
-                bare += weights[i] * position
-            wanted = bare - bend * bare * bare
-            time = (rise if wanted > polarisation else fall) * abs(wanted) / (abs(wanted) + level)
-            before = polarisation
-            if time > 1e-3 * step:
-                polarisation += (wanted - polarisation) * (1.0 - np.exp(-step / time))
-            else:
-                polarisation = wanted
-            for i in range(order):
-                value = ramp_from[i] * before + ramp_to[i] * polarisation
-                for j in range(order):
-                    value += phi[i, j] * linear[j]
-                fresh[i] = value
-            for i in range(order):
-                linear[i] = fresh[i]
-        value = 0.0
-        for i in range(order):
-            value += read[i] * linear[i]
-        output[k, 0] = value
-    state[0], state[1] = voltage, polarisation
+def _drag(block, law, state, output):
+    rise, fall, level, step = law
+    polarisation = state[0]
+    for k in range(block.size):
+        wanted = block[k]
+        time = (rise if wanted > polarisation else fall) * abs(wanted) / (abs(wanted) + level)
+        if time > 1e-3 * step:
+            polarisation += (wanted - polarisation) * (1.0 - np.exp(-step / time))
+        else:
+            polarisation = wanted
+        output[k] = polarisation
+    state[0] = polarisation

@@ -1,0 +1,124 @@
+"""Effects: what can be wrong with a plant, each at its physical place.
+
+An effect is a mapping {name: delay, tau: 1e-4, axis: x, from: 0.5}: its name, its parameters, the axis (left out: every axis)
+and the time in s from which it acts (left out: always). One that begins later has been running unheard before: the output
+changes over at once, without a transient of its own. `gain` and `delay` may be put elsewhere with `at`. An effect whose
+parameters say that it is not there (`absent`) is left out, so that it changes no bit.
+
+Parameters are those of the gap report's vocabulary; `EFFECTS` holds their meaning, units and defaults. Where a plant has
+several parts at a place, effects come after them, in the order of `EFFECTS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from hyst_plant_sim.physics.effects import drive, moving, piezo, sensing
+from hyst_plant_sim.physics.effects.effect import Beside, Context, Effect, Switch, Through
+from hyst_plant_sim.physics.line import Frame, Line, PlantError
+
+EFFECTS: dict[str, Effect] = {**drive.EFFECTS, **piezo.EFFECTS, **moving.EFFECTS, **sensing.EFFECTS}
+"""Every effect by name, in the order in which a signal meets them."""
+
+ELSEWHERE = {"gain": ("amplifier", "piezo", "sensor"), "delay": ("drive", "sensor")}
+KEYS = ("name", "axis", "from", "at")
+
+
+@dataclass(frozen=True)
+class Present:
+    """An effect that is there: its name and parameters, where, on which axis (None: all), from when (s)."""
+
+    name: str
+    values: Mapping[str, float]
+    place: str
+    axis: int | None
+    start: float
+
+
+def read_effects(given: Any, frame: Frame) -> list[Present]:
+    """The effects of a list of mappings that are there at all. Raises `PlantError` naming effect, field and remedy."""
+    if not isinstance(given, Sequence) or isinstance(given, str) or not all(isinstance(item, Mapping) for item in given):
+        raise PlantError("effects: a list of {name: …, parameters} is due")
+    found = [_read(item, frame) for item in given]
+    return sorted((item for item in found if item is not None), key=lambda item: list(EFFECTS).index(item.name))
+
+
+def _read(item: Mapping[str, Any], frame: Frame) -> Present | None:
+    name = item.get("name")
+    if name not in EFFECTS:
+        raise PlantError(f"effects: {name!r} is not known, one of {', '.join(EFFECTS)} is due")
+    effect, where = EFFECTS[name], f"effects: {name}"
+    known = {**effect.absent, **effect.others}
+    for key, value in item.items():
+        if key not in known and key not in KEYS:
+            raise PlantError(f"{where}: {key}: no such parameter, one of {', '.join([*known, 'axis', 'from'])} is due")
+        if key in known or key == "from":
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or np.isnan(value):
+                raise PlantError(f"{where}: {key}: {value!r}: a number is due")
+    axis, place = item.get("axis"), item.get("at", effect.place)
+    if axis is not None and axis not in frame.axes:
+        raise PlantError(f"{where}: axis: {axis!r}, one of {', '.join(frame.axes)} is due")
+    if place not in ELSEWHERE.get(name, (effect.place,)):
+        raise PlantError(f"{where}: at: {place!r}, one of {', '.join(ELSEWHERE.get(name, (effect.place,)))} is due")
+    if effect.kind == "mixing" and len(frame.axes) < 2:
+        raise PlantError(f"{where}: the plant has one axis: choose another effect or plant")
+    values = {key: item.get(key, default) for key, default in known.items()}
+    for key in ("cutoff", "rate", "tau", "samples", "corner", "frequency", "period", "order"):
+        if key in values and not (values[key] > 0 or (key == "tau" and "tau" in effect.absent and values[key] == 0)):
+            raise PlantError(f"{where}: {key}: {values[key]!r}: must be positive")
+    if all(values[key] == neutral for key, neutral in effect.absent.items()):
+        return None
+    return Present(name, values, place, None if axis is None else frame.axes.index(axis), float(item.get("from", 0.0)))
+
+
+def insert_effects(line: Line, axis: int | None, parts: Any, present: Sequence[Present], frame: Frame) -> None:
+    """Bring into the line the effects of one axis, or (None) those that mix axes.
+
+    parts(hysteresis changes, mechanics changes) builds the axis' own parts by place.
+    """
+    for item in present:
+        effect = EFFECTS[item.name]
+        if (effect.kind == "mixing") != (axis is None) or axis is not None and item.axis not in (None, axis):
+            continue
+        context = Context(frame, item.place, item.axis if axis is None else axis, item.start)
+        if effect.kind in ("insert", "mixing"):
+            part = effect.make(item.values, context)
+            late = context.first > 0
+            line[item.place].append((axis, Switch([(0, Through()), (context.first, part)]) if late else part))
+    if axis is not None:
+        own = [item for item in present if item.axis in (None, axis)]
+        _change(line, axis, "hysteresis", own, frame, lambda changes: piezo.hysteresis(parts, changes, frame))
+        _change(line, axis, "mechanics", own, frame, lambda changes: parts({}, changes)["mechanics"][0])
+        for item in own:
+            if EFFECTS[item.name].kind == "beside":
+                context = Context(frame, item.place, axis, item.start)
+                at = _index(line, axis, item.place)
+                static = parts({}, {})["mechanics"][0].settle(1.0)
+                scaled = {**item.values, "gain": item.values["gain"] * static}
+                line[item.place][at] = (axis, Beside(line[item.place][at][1], EFFECTS[item.name].make(scaled, context), context.first))
+
+
+def _change(line: Line, axis: int, kind: str, present: Sequence[Present], frame: Frame, build: Any) -> None:
+    """Put a part built with the changes in place of the plant's own, one after the other when they begin at different times."""
+    own = sorted((item for item in present if EFFECTS[item.name].kind == kind), key=lambda item: item.start)
+    if not own:
+        return
+    at = _index(line, axis, kind)
+    changes: dict[str, float] = {}
+    stages = [(0, line[kind][at][1])]
+    for start, group in groupby(own, key=lambda item: item.start):
+        context = Context(frame, kind, axis, start)
+        for item in group:
+            changes = {**changes, **EFFECTS[item.name].make(item.values, context)}
+        stages.append((context.first, build(changes)))
+    stages = stages[max(i for i, (first, _) in enumerate(stages) if first <= 0):]
+    line[kind][at] = (axis, stages[0][1] if len(stages) == 1 else Switch(stages))
+
+
+def _index(line: Line, axis: int, place: str) -> int:
+    return next(i for i, (own, _) in enumerate(line[place]) if own == axis)

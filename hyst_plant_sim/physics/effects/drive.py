@@ -1,0 +1,137 @@
+"""Effects between the command and the voltage at the stack: converter, transport, driver, amplifier."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hyst_plant_sim.physics import exact
+from hyst_plant_sim.physics.effects.effect import Context, Effect, Pointwise
+from hyst_plant_sim.physics.parts import Clip, Delay, Linear
+
+Array = NDArray[np.float64]
+
+
+class Hold:
+    """Every n-th command is taken and held; each is rounded to a multiple of `step` V (0: not)."""
+
+    def __init__(self, samples: int, step: float) -> None:
+        self._samples, self._step = samples, step
+
+    def _rounded(self, values: Array) -> Array:
+        return np.rint(values / self._step) * self._step if self._step else values
+
+    def settle(self, value: float) -> float:
+        self._count, self._held = 0, float(self._rounded(np.array([value]))[0])
+        return self._held
+
+    def process(self, block: Array) -> Array:
+        taken = np.arange(self._count, self._count + len(block)) // self._samples * self._samples - self._count
+        output = np.where(taken < 0, self._held, self._rounded(block)[np.maximum(taken, 0)])
+        self._count += len(block)
+        self._held = float(output[-1]) if len(output) else self._held
+        return output
+
+
+class Slew:
+    """The voltage follows no faster than `rate` V/s."""
+
+    def __init__(self, rate: float, step: float) -> None:
+        self._most, self._last = rate * step, np.zeros(1)
+
+    def settle(self, value: float) -> float:
+        self._last[0] = value
+        return value
+
+    def process(self, block: Array) -> Array:
+        output = np.empty(block.size)
+        _slew(block, self._most, self._last, output)
+        return output
+
+
+class Stretch:
+    """The drive's clock runs slow by `share`: a command comes later and later (by share times the time since the start)."""
+
+    def __init__(self, share: float, context: Context) -> None:
+        self._share, self._context = share, context
+
+    def settle(self, value: float) -> float:
+        self._first, self._past, self._count = value, np.zeros(0), 0
+        return value
+
+    def process(self, block: Array) -> Array:
+        """Fractions of a step between two held values are shared between them, as in a constant delay."""
+        known = np.concatenate([self._past, block])
+        oldest = self._count - len(self._past)
+        times = self._context.times(self._count, len(block))
+        now = np.arange(self._count, self._count + len(block))
+        late = now - self._share * np.maximum(times - self._context.start, 0.0) / self._context.period
+        whole = np.floor(late).astype(np.int64)
+        share = late - whole
+
+        def at(index: Array) -> Array:
+            return np.where(index < 0, self._first, known[np.clip(index - oldest, 0, len(known) - 1)])
+
+        output = share * at(whole + (share > 0)) + (1.0 - share) * at(whole)
+        self._count += len(block)
+        self._past = known[max(int(whole[-1]) - oldest - 1, 0):].copy() if len(block) else self._past
+        return output
+
+
+@njit(cache=True, error_model="numpy")
+def _slew(block, most, last, output):
+    value = last[0]
+    for k in range(block.size):
+        value += min(max(block[k] - value, -most), most)
+        output[k] = value
+    last[0] = value
+
+
+def _dead_band(values: Mapping[str, float], context: Context) -> Pointwise:
+    centre, half = 0.5 * sum(context.frame.rating), values["half_width"]
+
+    def lost(voltage: Array) -> Array:
+        distance = voltage - centre
+        return voltage - np.clip(distance, -half, half)
+
+    return Pointwise(lost)
+
+
+def low_pass(values: Mapping[str, float], context: Context) -> Linear:
+    """`order` equal first-order low-passes in a row."""
+    system = single = exact.lag(2 * np.pi * values["cutoff"])
+    for _ in range(int(values["order"]) - 1):
+        system = exact.series(system, single)
+    return Linear(system, context.period)
+
+
+def factor(values: Mapping[str, float], context: Context) -> Pointwise:
+    """1 + gain."""
+    return Pointwise(lambda block: (1.0 + values["gain"]) * block)
+
+
+def delay(values: Mapping[str, float], context: Context) -> Delay:
+    """tau s."""
+    return Delay(values["tau"], context.period)
+
+
+EFFECTS = {
+    "dac_hold": Effect("insert", "dac", {"samples": 1, "step": 0.0}, lambda v, c: Hold(int(v["samples"]), v["step"]),
+                       "Every n-th command is taken and held; or commands are rounded to a lattice.", {"samples": "", "step": "V"}),
+    "clock_rate_mismatch": Effect("insert", "drive", {"share": 0.0}, lambda v, c: Stretch(v["share"], c),
+                                  "The drive's clock runs slow: commands come later and later.", {"share": ""}),
+    "delay": Effect("insert", "drive", {"tau": 0.0}, delay, "A transport delay; `at: sensor` puts it there.", {"tau": "s"}),
+    "slew_limit": Effect("insert", "drive", {"rate": np.inf}, lambda v, c: Slew(v["rate"], c.period),
+                         "The driver follows no faster.", {"rate": "V/s"}),
+    "saturation": Effect("insert", "drive", {"lower": -np.inf, "upper": np.inf}, lambda v, c: Clip(v["lower"], v["upper"]),
+                         "The driver clips.", {"lower": "V", "upper": "V"}),
+    "crossover_dead_band": Effect("insert", "drive", {"half_width": 0.0}, _dead_band,
+                                  "Around the middle of the rating the drive does not answer; beyond, it falls short by as much.",
+                                  {"half_width": "V"}),
+    "amplifier_lowpass": Effect("insert", "amplifier", {"cutoff": np.inf}, low_pass,
+                                "Equal first-order low-passes in a row, as many as `order`, before the hysteresis.",
+                                {"cutoff": "Hz", "order": ""}, {"order": 1}),
+}

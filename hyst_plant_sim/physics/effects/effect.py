@@ -1,0 +1,146 @@
+"""What an effect is, and the parts that bring one in, from a time on, beside or in place of another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_plant_sim.physics.line import Frame, Part
+
+Array = NDArray[np.float64]
+
+SETTLED = ("motion", "sensor", "adc", "transport")
+"""Places whose settled value is the sample at t = 0; before them it is what was there until then."""
+
+
+@dataclass(frozen=True)
+class Context:
+    """Where an effect is: the plant, the place, the axis (None: all), the time (s) from which it acts."""
+
+    frame: Frame
+    place: str
+    axis: int | None
+    start: float
+
+    @property
+    def period(self) -> float:
+        """Time (s) from one value to the next here."""
+        return self.frame.period(self.place)
+
+    @property
+    def first(self) -> int:
+        """Which value of `process` is the first one at or after `start`."""
+        return max(int(np.ceil(self.start / self.period - 1e-9)) - (self.place in SETTLED), 0)
+
+    def times(self, count: int, length: int) -> Array:
+        """Times (s) of `length` values, after `count` ones that `process` has seen."""
+        return (count + (self.place in SETTLED) + np.arange(length)) * self.period
+
+    def stream(self, name: str) -> np.random.Generator:
+        """Random numbers of this effect on this axis."""
+        return self.frame.stream(name, self.axis)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect by name.
+
+    kind: "insert" (a part more at `place`), "beside" (a part fed like the mechanics, its output added), "mixing" (a part of
+    all axes), "hysteresis" or "mechanics" (that part of the plant is built with other parameters, which `make` returns).
+    absent: the parameters that say how strong it is, at the values where it is not there; others: the rest and their defaults.
+    units: of the parameters; meaning: one sentence.
+    """
+
+    kind: str
+    place: str
+    absent: Mapping[str, float]
+    make: Callable[[Mapping[str, float], Context], Any]
+    meaning: str
+    units: Mapping[str, str]
+    others: Mapping[str, float] = field(default_factory=dict)
+
+
+class Through:
+    """Nothing happens."""
+
+    def settle(self, value: Any) -> Any:
+        return value
+
+    def process(self, block: Array) -> Array:
+        return block.copy()
+
+
+class Switch:
+    """Several parts run alike; which one is heard depends on the time. parts: (first value from which it is heard, part)."""
+
+    def __init__(self, parts: Sequence[tuple[int, Part]]) -> None:
+        self._first = [first for first, _ in parts]
+        self._parts = [part for _, part in parts]
+        self._count = 0
+
+    def settle(self, value: Any) -> Any:
+        self._count = 0
+        settled = [part.settle(np.array(value) if isinstance(value, np.ndarray) else value) for part in self._parts]
+        return settled[max(i for i, first in enumerate(self._first) if first <= 0)]
+
+    def process(self, block: Array) -> Array:
+        output = self._parts[0].process(block.copy())
+        length = block.shape[-1]
+        for first, part in zip(self._first[1:], self._parts[1:], strict=True):
+            found = part.process(block.copy())
+            begin = min(max(first - self._count, 0), length)
+            output[..., begin:] = found[..., begin:]
+        self._count += length
+        return output
+
+
+class Beside:
+    """A part, and another fed with the same input whose output is added from its `first` value on."""
+
+    def __init__(self, part: Part, added: Part, first: int) -> None:
+        self._part, self._added, self._first, self._count = part, added, first, 0
+
+    def settle(self, value: float) -> float:
+        self._count = 0
+        added = self._added.settle(value)
+        return float(self._part.settle(value) + (added if self._first <= 0 else 0.0))
+
+    def process(self, block: Array) -> Array:
+        output, added = self._part.process(block), self._added.process(block)
+        begin = min(max(self._first - self._count, 0), len(block))
+        output[begin:] += added[begin:]
+        self._count += len(block)
+        return output
+
+
+class Pointwise:
+    """A function of the value alone."""
+
+    def __init__(self, function: Callable[[Array], Array]) -> None:
+        self._function = function
+
+    def settle(self, value: float) -> float:
+        return float(self._function(np.array([value]))[0])
+
+    def process(self, block: Array) -> Array:
+        return self._function(block)
+
+
+class Timed:
+    """A function of values and of the times (s) since the effect began, 0 before it."""
+
+    def __init__(self, function: Callable[[Array, Array], Array], context: Context) -> None:
+        self._function, self._context, self._count = function, context, 0
+
+    def settle(self, value: float) -> float:
+        self._count = 0
+        return float(self._function(np.array([value]), np.array([max(0.0, -self._context.start)]))[0])
+
+    def process(self, block: Array) -> Array:
+        times = self._context.times(self._count, len(block)) - self._context.start
+        self._count += len(block)
+        return self._function(block, np.maximum(times, 0.0))

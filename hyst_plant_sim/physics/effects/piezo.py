@@ -1,0 +1,97 @@
+"""Effects in the piezo: its hysteresis, and creep."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_plant_sim.physics import exact
+from hyst_plant_sim.physics.effects.effect import Context, Effect
+from hyst_plant_sim.physics.line import Frame, Part
+from hyst_plant_sim.physics.parts import Linear
+
+Array = NDArray[np.float64]
+
+CREEP_BEGIN, CREEP_PER_DECADE, CREEP_DECADES = 0.1, 2, 4
+
+
+class Shape:
+    """A part, plus a parabola of the voltage that is 0 at both ends of the rating and `amount` of the settled stroke in between."""
+
+    def __init__(self, part: Part, amount: float, frame: Frame) -> None:
+        self._part, self._lower, self._span = part, frame.rating[0], frame.rating[1] - frame.rating[0]
+        self._height = amount * (part.settle(frame.rating[1]) - part.settle(frame.rating[0]))
+
+    def _bend(self, voltage: Any) -> Any:
+        share = (voltage - self._lower) / self._span
+        return self._height * 4.0 * share * (1.0 - share)
+
+    def settle(self, value: float) -> float:
+        return float(self._part.settle(value) + self._bend(value))
+
+    def process(self, block: Array) -> Array:
+        return self._part.process(block) + self._bend(block)
+
+
+class Scheduled:
+    """A part whose memory grows with how far the voltage, averaged over `tau` s, is up the rating: times 1 + amount * share.
+
+    mean: the same part without memory.
+    """
+
+    def __init__(self, part: Part, mean: Part, amount: float, tau: float, frame: Frame) -> None:
+        self._part, self._mean, self._amount = part, mean, amount
+        self._lower, self._span = frame.rating[0], frame.rating[1] - frame.rating[0]
+        self._average = Linear(exact.lag(1.0 / tau), frame.step)
+
+    def settle(self, value: float) -> float:
+        share = (self._average.settle(value) - self._lower) / self._span
+        whole = self._part.settle(value)
+        return float(whole + self._amount * share * (whole - self._mean.settle(value)))
+
+    def process(self, block: Array) -> Array:
+        share = (self._average.process(block) - self._lower) / self._span
+        whole = self._part.process(block)
+        return whole + self._amount * share * (whole - self._mean.process(block))
+
+
+def hysteresis(parts: Any, changes: Mapping[str, float], frame: Frame) -> Part:
+    """An axis' hysteresis with these changes; parts(hysteresis changes, mechanics changes) builds the axis."""
+    inner = {name: value for name, value in changes.items() if name in ("width", "rate")}
+    part = parts(inner, {})["hysteresis"][0]
+    if changes.get("schedule", 0.0):
+        mean = parts({**inner, "width": -1.0}, {})["hysteresis"][0]
+        part = Scheduled(part, mean, changes["schedule"], changes["schedule_tau"], frame)
+    return Shape(part, changes["amount"], frame) if changes.get("amount", 0.0) else part
+
+
+def _creep(values: Mapping[str, float], context: Context) -> Linear:
+    """y + gamma Σ log10(q) (share of y that has come after time constant τ_i): after a step about gamma log10(1 + t / 0.1 s).
+
+    τ_i = 0.1 s q^(i + 1/2), q = 10^(1/2), i = 0 … 7: two elements per decade from 0.1 to 1000 s.
+    """
+    count = CREEP_PER_DECADE * CREEP_DECADES
+    rates = 1.0 / (CREEP_BEGIN * 10.0 ** ((np.arange(count) + 0.5) / CREEP_PER_DECADE))
+    return Linear((np.diag(-rates), rates, np.full(count, values["gamma"] / CREEP_PER_DECADE), 1.0), context.period)
+
+
+EFFECTS = {
+    "hysteresis_width": Effect("hysteresis", "hysteresis", {"width": 0.0}, lambda v, c: {"width": v["width"]},
+                               "The memory part is scaled by 1 + width; the mean curve (play operators: slope times voltage; Madelung: "
+                               "mean of the major branches; Bouc-Wen: without z) stays.", {"width": ""}),
+    "hysteresis_shape": Effect("hysteresis", "hysteresis", {"amount": 0.0}, lambda v, c: {"amount": v["amount"]},
+                               "A parabola of the voltage is added: 0 at the ends of the rating, `amount` of the stroke midway.",
+                               {"amount": ""}),
+    "hysteresis_rate": Effect("hysteresis", "hysteresis", {"factor": 1.0}, lambda v, c: {"rate": v["factor"]},
+                              "The rate part (m1 and m2, k1, drag, relaxation) is scaled by `factor`; 1 leaves it.", {"factor": ""}),
+    "gain_scheduled_hysteresis": Effect("hysteresis", "hysteresis", {"amount": 0.0},
+                                        lambda v, c: {"schedule": v["amount"], "schedule_tau": v["tau"]},
+                                        "The memory part grows with the voltage averaged over tau.", {"amount": "", "tau": "s"},
+                                        {"tau": 0.05}),
+    "creep": Effect("insert", "piezo", {"gamma": 0.0}, _creep,
+                    "After a step the output grows on by gamma log10(1 + t / 0.1 s) of it: a ladder of two elements per decade, 0.1 "
+                    "to 1000 s.", {"gamma": "1/decade"}),
+}

@@ -1,0 +1,153 @@
+"""Effects in the sensor, its converter, and on the way of the samples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hyst_plant_sim.physics.effects.drive import factor, low_pass
+from hyst_plant_sim.physics.effects.effect import Context, Effect, Pointwise, Timed
+
+Array = NDArray[np.float64]
+
+FLICKER_LOWEST, FLICKER_PER_DECADE = 0.03, 2
+
+
+class White:
+    """White noise of its own."""
+
+    def __init__(self, rms: float, context: Context) -> None:
+        self._rms, self._context = rms, context
+
+    def settle(self, value: float) -> float:
+        self._stream = self._context.stream("sensor_noise")
+        return value + self._rms * float(self._stream.standard_normal())
+
+    def process(self, block: Array) -> Array:
+        return block + self._rms * self._stream.standard_normal(len(block))
+
+
+class Flicker:
+    """Noise that falls as 1/f: first-order low-passed noises of equal power, two per decade from 0.03 Hz up to the sampling's half."""
+
+    def __init__(self, rms: float, context: Context) -> None:
+        self._context = context
+        decades = np.log10(0.5 / context.period / FLICKER_LOWEST)
+        corners = FLICKER_LOWEST * 10.0 ** (np.arange(int(decades * FLICKER_PER_DECADE) + 1) / FLICKER_PER_DECADE)
+        self._keep = np.exp(-2 * np.pi * corners * context.period)
+        self._fresh = np.sqrt(1.0 - self._keep ** 2)
+        self._rms = rms / np.sqrt(len(corners))
+
+    def settle(self, value: float) -> float:
+        self._stream = self._context.stream("flicker_noise")
+        self._state = self._stream.standard_normal(len(self._keep))
+        return value + self._rms * float(sum(self._state))
+
+    def process(self, block: Array) -> Array:
+        draws = self._stream.standard_normal((len(block), len(self._keep)))
+        noise = np.empty(len(block))
+        _coloured(draws, self._keep, self._fresh, self._state, noise)
+        return block + self._rms * noise
+
+
+class Outliers:
+    """Now and then a sample is off, up or down, by half to all of `size`."""
+
+    def __init__(self, fraction: float, size: float, context: Context) -> None:
+        self._fraction, self._size, self._context = fraction, size, context
+
+    def settle(self, value: float) -> float:
+        self._stream = self._context.stream("outliers")
+        return value
+
+    def process(self, block: Array) -> Array:
+        draws = self._stream.random((len(block), 2))
+        height = self._size * np.where(draws[:, 1] < 0.5, draws[:, 1] - 1.0, draws[:, 1])
+        return block + np.where(draws[:, 0] < self._fraction, height, 0.0)
+
+
+class Held:
+    """A fraction of the samples, at random, repeats the one before."""
+
+    def __init__(self, fraction: float, context: Context) -> None:
+        self._fraction, self._context = fraction, context
+
+    def settle(self, value: float) -> float:
+        self._stream, self._last = self._context.stream("held_samples"), value
+        return value
+
+    def process(self, block: Array) -> Array:
+        fresh = self._stream.random(len(block)) >= self._fraction
+        newest = np.maximum.accumulate(np.where(fresh, np.arange(len(block)), -1))
+        output = np.where(newest < 0, self._last, block[newest])
+        self._last = float(output[-1]) if len(output) else self._last
+        return output
+
+
+@njit(cache=True, error_model="numpy")
+def _coloured(draws, keep, fresh, state, output):
+    for k in range(draws.shape[0]):
+        total = 0.0
+        for i in range(keep.size):
+            state[i] = keep[i] * state[i] + fresh[i] * draws[k, i]
+            total += state[i]
+        output[k] = total
+
+
+def _arrived(times: Array, tau: float) -> Array:
+    """How much of a drift has come: 1 - exp(-t / tau)."""
+    return -np.expm1(-times / tau)
+
+
+def _nonlinearity(values: Mapping[str, float], context: Context) -> Pointwise:
+    lower, upper = context.frame.stroke
+
+    def bent(y: Array) -> Array:
+        x = 2.0 * (y - lower) / (upper - lower) - 1.0
+        return y + values["second"] * 0.5 * (3.0 * x * x - 1.0) + values["third"] * 0.5 * (5.0 * x * x - 3.0) * x
+
+    return Pointwise(bent)
+
+
+def _hum(values: Mapping[str, float], context: Context) -> Timed:
+    phase = 2 * np.pi * context.stream("mains_hum").random()
+
+    def hum(y: Array, times: Array) -> Array:
+        angle = 2 * np.pi * values["frequency"] * times + phase
+        return y + values["amplitude"] * (np.sin(angle) + 0.3 * np.sin(3.0 * angle) + 0.1 * np.sin(5.0 * angle))
+
+    return Timed(hum, context)
+
+
+EFFECTS = {
+    "sensor_lowpass": Effect("insert", "sensor", {"cutoff": np.inf}, low_pass,
+                             "Equal first-order low-passes in a row, as many as `order`, after the mechanics.",
+                             {"cutoff": "Hz", "order": ""}, {"order": 1}),
+    "sensor_nonlinearity": Effect("insert", "sensor", {"second": 0.0, "third": 0.0}, _nonlinearity,
+                                  "Legendre polynomials of degree 2 and 3 over the stroke are added.", {"second": "unit", "third": "unit"}),
+    "gain": Effect("insert", "sensor", {"gain": 0.0}, factor, "The sensor's gain is 1 + gain; `at: amplifier` or `at: piezo` puts it "
+                   "there.", {"gain": ""}),
+    "gain_drift": Effect("insert", "sensor", {"change": 0.0},
+                         lambda v, c: Timed(lambda y, t: y * (1.0 + v["change"] * _arrived(t, v["tau"])), c),
+                         "The gain drifts to 1 + change as 1 - exp(-t / tau).", {"change": "", "tau": "s"}, {"tau": 1.0}),
+    "offset": Effect("insert", "sensor", {"offset": 0.0}, lambda v, c: Pointwise(lambda y: y + v["offset"]),
+                     "The sensor's zero is off.", {"offset": "unit"}),
+    "offset_drift": Effect("insert", "sensor", {"change": 0.0},
+                           lambda v, c: Timed(lambda y, t: y + v["change"] * _arrived(t, v["tau"]), c),
+                           "The zero drifts by change as 1 - exp(-t / tau).", {"change": "unit", "tau": "s"}, {"tau": 1.0}),
+    "mains_hum": Effect("insert", "sensor", {"amplitude": 0.0}, _hum, "The mains, with 30 % of the third and 10 % of the fifth harmonic.",
+                        {"amplitude": "unit", "frequency": "Hz"}, {"frequency": 50.0}),
+    "sensor_noise": Effect("insert", "adc", {"rms": 0.0}, lambda v, c: White(v["rms"], c),
+                           "White noise besides the plant's own.", {"rms": "unit"}),
+    "flicker_noise": Effect("insert", "adc", {"rms": 0.0}, lambda v, c: Flicker(v["rms"], c), "Noise that falls as 1/f, from 0.03 Hz.",
+                            {"rms": "unit"}),
+    "outliers": Effect("insert", "adc", {"fraction": 0.0}, lambda v, c: Outliers(v["fraction"], v["size"], c),
+                       "A fraction of the samples is off by half to all of `size`.", {"fraction": "", "size": "unit"}, {"size": 1.0}),
+    "quantization": Effect("insert", "adc", {"step": 0.0}, lambda v, c: Pointwise(lambda y: np.rint(y / v["step"]) * v["step"]),
+                           "The measurement lies on a lattice.", {"step": "unit"}),
+    "held_samples": Effect("insert", "transport", {"fraction": 0.0}, lambda v, c: Held(v["fraction"], c),
+                           "A fraction of the samples, at random, repeats the one before.", {"fraction": ""}),
+}

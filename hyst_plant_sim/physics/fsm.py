@@ -1,0 +1,94 @@
+"""The truth FSM: a fast steering mirror of two axes, each tilted by a push-pull pair of stacks (MHL paper §4).
+
+The path of each axis, stepped at 200 kHz or finer:
+
+1. drive: an input delay; the driver's rating clips the voltage.
+2. amplifier: a notch against the mechanical mode and the poles that go with it, then a first-order low-pass.
+3. hysteresis: two stacks of elastic-slip elements with a saturating curve, one driven by v, one by the bias minus v; their
+   difference tilts the mirror. A share of the tilt comes late (relaxation), which widens loops with frequency.
+4. mechanics: one lightly damped mode.
+5. motion: each axis moves a little with the other.
+6. sensor: strain gauge, first-order low-pass, white noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_plant_sim.physics import exact
+from hyst_plant_sim.physics.checks import check_positive
+from hyst_plant_sim.physics.line import Frame, Part
+from hyst_plant_sim.physics.mechanics import mechanics, oscillator
+from hyst_plant_sim.physics.parts import Chain, Clip, Delay, Linear, Mixing, System
+from hyst_plant_sim.physics.slip import PushPull, Slip
+
+Array = NDArray[np.float64]
+
+PER_AXIS = {"delay": 2, "elastic_slope": 2, "slip_slope": 2, "mode_frequency": 2, "mode_damping": 2}
+
+
+@dataclass(frozen=True)
+class FsmParameters:
+    """Physical parameters of the truth FSM; units in the comments of config/plants/fsm.yaml."""
+
+    axes: ClassVar[tuple[str, ...]] = ("x", "y")
+    unit: ClassVar[str] = "mrad"
+    internal_rate: ClassVar[float] = 200e3
+
+    delay: Sequence[float]
+    notch_frequency: float
+    notch_damping: float
+    pole_frequency: float
+    pole_damping: float
+    amplifier_cutoff: float
+    bias: float
+    elastic_slope: Sequence[float]
+    slip_slope: Sequence[float]
+    slip_elements: int
+    slip_range: float
+    slip_decay: float
+    saturation: float
+    relaxation_share: float
+    relaxation_time: float
+    mode_frequency: Sequence[float]
+    mode_damping: Sequence[float]
+    coupling: float
+    sensor_cutoff: float
+    noise: float
+
+    def __post_init__(self) -> None:
+        check_positive(self, ("notch_frequency", "pole_frequency", "pole_damping", "amplifier_cutoff", "elastic_slope", "slip_range",
+                              "slip_decay", "relaxation_time", "mode_frequency", "sensor_cutoff"), PER_AXIS)
+
+    def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, float]) -> dict[str, list[Part]]:
+        """The parts of an axis by place, with what is changed in the hysteresis and in the mechanics."""
+        stacks = [Slip(self.elastic_slope[axis], self.slip_slope[axis], int(self.slip_elements), self.slip_range, self.slip_decay,
+                       self.saturation, hysteresis.get("width", 0.0)) for _ in range(2)]
+        rest = 0.5 * stacks[0].settle(self.bias)  # of the second stack at 0 V, halved: the zero of the tilt
+        late = Linear(exact.slow_share(self.relaxation_share * hysteresis.get("rate", 1.0), self.relaxation_time), frame.step)
+        return {
+            "drive": [Delay(self.delay[axis], frame.step), Clip(*frame.rating)],
+            "amplifier": [Linear(exact.series(self._notch(), exact.lag(2 * np.pi * self.amplifier_cutoff)), frame.step, held=True)],
+            "hysteresis": [Chain(PushPull(*stacks, self.bias, rest), late)],
+            "mechanics": [mechanics(lambda mass_ratio, ratio: oscillator(self.mode_frequency[axis], self.mode_damping[axis],
+                                                                         mass_ratio, ratio), frame, moving)],
+            "sensor": [Linear(exact.lag(2 * np.pi * self.sensor_cutoff), frame.step)],
+        }
+
+    def mixing(self) -> Mixing | None:
+        """How the axes move each other."""
+        return Mixing(np.array([[1.0, self.coupling], [-self.coupling, 1.0]])) if self.coupling else None
+
+    def _notch(self) -> System:
+        """(s² + 2 ζn ωn s + ωn²) / (s² + 2 ζp ωp s + ωp²), of unit static gain."""
+        zero, pole = 2 * np.pi * self.notch_frequency, 2 * np.pi * self.pole_frequency
+        a, b, _, _ = exact.oscillator(pole, self.pole_damping)
+        gain = (pole / zero) ** 2
+        # num = gain * den + gain * ((2 ζn ωn - 2 ζp ωp) s + ωn² - ωp²), in states position and velocity / ωp
+        slope = gain * 2.0 * (self.notch_damping * zero - self.pole_damping * pole)
+        return a, b, np.array([gain * (zero ** 2 - pole ** 2) / pole ** 2, slope / pole]), gain

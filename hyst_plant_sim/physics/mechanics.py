@@ -1,0 +1,102 @@
+"""The mechanics of a plant: a linear system, and what can be wrong with it (mass, spring, friction, a mode that moves).
+
+A plant gives its mechanics as a function `system(mass_ratio, frequency_ratio)`: the main mode with its mass times
+1 + mass_ratio, stiffness and damping constant kept, then its frequency times frequency_ratio at the same damping ratio.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hyst_plant_sim.physics import exact
+from hyst_plant_sim.physics.line import Frame
+from hyst_plant_sim.physics.parts import Linear, System
+
+Array = NDArray[np.float64]
+
+GRID = 201
+"""Frequencies at which the steps of a moving mode are prepared."""
+
+
+def oscillator(frequency: float, damping: float, mass_ratio: float = 0.0, frequency_ratio: float = 1.0) -> System:
+    """A mode of unit static gain; frequency Hz of the bare mode."""
+    heavier = np.sqrt(1.0 + mass_ratio)
+    return exact.oscillator(2 * np.pi * frequency * frequency_ratio / heavier, damping / heavier)
+
+
+def mechanics(system: Callable[[float, float], System], frame: Frame, changes: Mapping[str, float],
+              held: bool = False) -> Linear | Irregular:
+    """The part for a set of changes: added_mass, duffing, friction, wander, period (s); see `Irregular`."""
+    mass_ratio = changes.get("added_mass", 0.0)
+    duffing, friction, wander = (changes.get(name, 0.0) for name in ("duffing", "friction", "wander"))
+    if duffing == 0 and friction == 0 and wander == 0:
+        return Linear(system(mass_ratio, 1.0), frame.step, held)
+    return Irregular(system, frame, mass_ratio, duffing, friction, wander, changes.get("period", 1.0),
+                     changes.get("phase", 0.0))
+
+
+class Irregular:
+    """Mechanics that are not a fixed linear system.
+
+    duffing: a spring force growing with the cube of the displacement: at the full stroke it takes this share of the drive.
+    friction: a guide that holds back with a slip force worth `friction` of the stroke, reached over as long a way.
+    wander: the main mode's frequency moves by ± this share, as a sine with `period` s.
+    The forces are those of the displacement one internal step ago.
+    """
+
+    def __init__(self, system: Callable[[float, float], System], frame: Frame, mass_ratio: float, duffing: float, friction: float,
+                 wander: float, period: float, phase: float) -> None:
+        ratios = 1.0 + wander * np.linspace(-1.0, 1.0, GRID) if wander else np.ones(1)
+        systems = [system(mass_ratio, ratio) for ratio in ratios]
+        steps = [exact.ramp_step(a, b, frame.step) for a, b, _, _ in systems]
+        self._phi, self._from, self._to = (np.stack([row[i] for row in steps]) for i in range(3))
+        self._a, self._b, self._c, _ = systems[len(systems) // 2]
+        self._gain = float(self._c @ exact.rest(self._a, self._b, 1.0))
+        span = frame.stroke[1] - frame.stroke[0]
+        self._force = np.array([duffing / self._gain / span ** 2, friction * span / self._gain, friction * span])
+        self._turn = np.array([2 * np.pi * frame.step / period, phase])
+        self.settle(0.0)
+
+    def settle(self, value: float) -> float:
+        spring = self._force[0]
+        drive = value
+        for _ in range(200):  # the spring takes its share: a contraction for any share below one third
+            drive = value - spring * (self._gain * drive) ** 3
+        self._x = exact.rest(self._a, self._b, drive)
+        # last drive, place of the guide's slip element, internal steps so far
+        self._memory = np.array([drive, self._gain * drive, 0.0])
+        return float(self._c @ self._x)
+
+    def process(self, block: Array) -> Array:
+        output = np.empty(block.size)
+        _irregular(block, self._phi, self._from, self._to, self._c, self._force, self._turn, self._x, self._memory, output)
+        return output
+
+
+@njit(cache=True, error_model="numpy")
+def _irregular(block, phi, ramp_from, ramp_to, read, force, turn, x, memory, output):
+    order, middle = x.size, (phi.shape[0] - 1) // 2
+    fresh = np.empty(order)
+    y = (read * x).sum()
+    for k in range(block.size):
+        at = middle + int(np.rint(middle * np.sin(turn[0] * memory[2] + turn[1]))) if middle else 0
+        now = block[k] - force[0] * y * y * y
+        if force[2] > 0:
+            memory[1] = min(max(memory[1], y - force[2]), y + force[2])
+            now -= force[1] * (y - memory[1]) / force[2]
+        for i in range(order):
+            value = ramp_from[at, i] * memory[0] + ramp_to[at, i] * now
+            for j in range(order):
+                value += phi[at, i, j] * x[j]
+            fresh[i] = value
+        y = 0.0
+        for i in range(order):
+            x[i] = fresh[i]
+            y += read[i] * x[i]
+        output[k] = y
+        memory[0] = now
+        memory[2] += 1.0
