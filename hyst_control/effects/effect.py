@@ -1,0 +1,78 @@
+"""What an effect is to a simulator: a stage, the place in the chain where it goes, and what its parameters usually are.
+
+One file in this package is one effect. It defines the effect's stage where the chain has none yet, and `EFFECT`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from hyst_control.chain.stage import Stage
+
+PLACES = ("dac", "drive", "hysteresis", "piezo", "mechanics", "motion", "sensor", "adc", "transport")
+"""In signal order."""
+
+Values = Mapping[str, Any]
+"""Parameter values by name: a number for every axis alike, or a list with one per axis."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What the size of an effect is judged by.
+
+    sample_time s; duration s of the record; command (lower, upper) V of the record; slew V/s, the largest of the command;
+    stroke, peak to peak of the measurement; measurement (lower, upper) of the record; axes, their number.
+    """
+
+    sample_time: float
+    duration: float
+    command: tuple[float, float]
+    slew: float
+    measurement: tuple[float, float]
+    axes: int
+
+    @property
+    def stroke(self) -> float:
+        """Peak to peak of the measurement, in its unit."""
+        return self.measurement[1] - self.measurement[0]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of an effect.
+
+    unit: "" (a share), "s", "Hz", "V", "V/s", or "unit" for that of the measurement. absent: the value at which the effect is
+    not there. starts: where fits begin. lower, upper: its bounds. scale: a usual deviation from `absent` (of its natural
+    logarithm where `logarithmic`): the standard deviation of a broad prior.
+    """
+
+    name: str
+    unit: str
+    absent: float
+    starts: tuple[float, ...]
+    lower: float
+    upper: float
+    scale: float
+    logarithmic: bool = False
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect by its name in the gap report.
+
+    place: one of `PLACES`; an effect that may be at several has its usual one. meaning: one sentence for people.
+    parameters: of a record's surroundings. stage: the stage for parameter values (and surroundings). exercised: whether a
+    record could show the effect at all. waveform: whether it has one that a simulation can be compared with; noise, lattices
+    and repeated samples have none and are found by looking at the record. couples: whether it needs a second axis.
+    """
+
+    name: str
+    place: str
+    meaning: str
+    parameters: Callable[[Surroundings], tuple[Parameter, ...]]
+    stage: Callable[[Values, Surroundings], Stage]
+    exercised: Callable[[Surroundings], bool] = lambda _: True
+    waveform: bool = True
+    couples: bool = False
