@@ -7,6 +7,8 @@ result exact instead of approximate:
   sample exactly;
 - a linear stage distributes over parallel branches, so that a branch's own dynamics are not sampled in between;
 - neighbouring linear stages merge into one system.
+
+Before that, stages that change others (`Modifier`) are applied to the stages before them.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hyst_control.chain.linear import Delay, linear_filter
-from hyst_control.chain.stage import Array, Filter, Sampling, Stage, register
+from hyst_control.chain.stage import Array, Filter, Modifier, Sampling, Stage, register
 from hyst_control.errors import InputError
 
 
@@ -31,7 +33,15 @@ class Chain:
 
     def filter(self, sampling: Sampling) -> Filter:
         """A running filter of the whole chain."""
-        return started(arrange(self.stages), sampling)
+        return started(arrange(resolved(self.stages, sampling.axes)), sampling)
+
+
+def resolved(stages: Sequence[Stage], axes: int) -> tuple[Stage, ...]:
+    """The stages with every modifier applied to those before it. Raises `InputError` where one finds nothing to change."""
+    result: tuple[Stage, ...] = ()
+    for stage in stages:
+        result = stage.applied(result, axes) if isinstance(stage, Modifier) else (*result, stage)
+    return result
 
 
 class SeriesFilter(Filter):
@@ -88,12 +98,13 @@ class Parallel(Stage):
 def started(stages: Sequence[Stage], sampling: Sampling) -> Filter:
     """A filter for stages that are arranged already."""
     filters: list[Filter] = []
-    for linear, group in groupby(stages, key=_in_linear_run):
-        run = list(group)
+    runs = [(linear, list(group)) for linear, group in groupby(stages, key=_in_linear_run)]
+    for number, (linear, run) in enumerate(runs):
         pieces = _cut_before_uneven_delays(run) if linear else [[stage] for stage in run]
         for piece in pieces:
             if linear:
-                running: Filter = linear_filter(piece, sampling)
+                averaged = number + 1 < len(runs) and sampling.hold == "zoh" and _averaged(piece)
+                running: Filter = linear_filter(piece, sampling, averaged)
             elif isinstance(piece[0], Parallel):
                 running = ParallelFilter([Chain(branch).filter(sampling) for branch in piece[0].branches])
             else:
@@ -110,6 +121,12 @@ def arrange(stages: Sequence[Stage]) -> tuple[Stage, ...]:
 
 def _in_linear_run(stage: Stage) -> bool:
     return isinstance(stage, Delay) or (stage.linear and not getattr(stage, "discrete", False))
+
+
+def _averaged(run: Sequence[Stage]) -> bool:
+    """Whether what follows a run of a held signal shall see it held at its means (see `effects.amplifier_lowpass`)."""
+    systems = [stage for stage in run if not isinstance(stage, Delay)]
+    return bool(systems) and all(getattr(stage, "averaged", False) for stage in systems)
 
 
 def _carries_delay(stage: Stage) -> bool:

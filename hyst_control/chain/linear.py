@@ -289,15 +289,15 @@ class RateCorrection(LinearStage):
 @register
 @dataclass(frozen=True)
 class CrossCoupling(LinearStage):
-    """y_i = M_ii u_i + sum over j != i of M_ij L(s) u_j; `matrix` M is dimensionless, L a first-order low-pass at `corner` (Hz).
+    """y_i = M_ii u_i + L_i(s) sum over j != i of M_ij u_j; `matrix` M is dimensionless, L_i a first-order low-pass.
 
-    Without a corner the coupling is static.
+    corner: that of L_i in Hz, one for every axis' output or a list with one for each. Without it the coupling is static.
     """
 
     name: ClassVar[str] = "cross_coupling"
     mixes_axes: ClassVar[bool] = True
     matrix: Any
-    corner: float | None = None
+    corner: Any = None
 
     def check(self) -> None:
         require_finite(self.matrix, "matrix")
@@ -313,9 +313,9 @@ class CrossCoupling(LinearStage):
             raise InputError(f"matrix: {len(matrix)} rows for {axes} axes")
         if self.corner is None:
             return [LinearSystem(np.zeros((0, 0)), np.zeros((0, axes)), np.zeros((axes, 0)), matrix, np.zeros(axes))]
-        w = 2 * np.pi * self.corner
+        w = 2 * np.pi * np.diag(per_axis_scalar(self.corner, axes, "corner"))
         direct = np.diag(np.diag(matrix))
-        return [LinearSystem(-w * np.eye(axes), w * np.eye(axes), matrix - direct, direct, np.zeros(axes))]
+        return [LinearSystem(-w, w @ (matrix - direct), np.eye(axes), direct, np.zeros(axes))]
 
 
 @dataclass(frozen=True)
@@ -359,6 +359,18 @@ def discretise(system: LinearSystem, fraction: Array, sampling: Sampling) -> Dis
             b_taps[:, :, j] = weights
             d_taps[:, :, j] = np.outer(end[:2], system.D[:, j])
     return Discretised(transition, b_taps, system.C, d_taps, system.bias)
+
+
+def discretise_average(system: LinearSystem, fraction: Array, sampling: Sampling) -> Discretised:
+    """As `discretise`, but the output is its mean over the interval: its integral, which starts from 0 in every interval."""
+    n, p = len(system.A), len(system.D)
+    a = np.zeros((n + p, n + p))
+    a[:n, :n], a[n:, :n] = system.A, system.C / sampling.sample_time
+    b = np.vstack([system.B, system.D / sampling.sample_time])
+    c = np.hstack([np.zeros((p, n)), np.eye(p)])
+    step = discretise(LinearSystem(a, b, c, np.zeros_like(system.D), system.bias), fraction, sampling)
+    step.A[:, n:] = 0.0
+    return step
 
 
 def _held_input(a: Array, b: Array, time: float) -> tuple[Array, Array]:
@@ -470,11 +482,12 @@ class LinearFilter(Filter):
         return output
 
 
-def linear_filter(run: list[Stage], sampling: Sampling) -> Filter:
+def linear_filter(run: list[Stage], sampling: Sampling, averaged: bool = False) -> Filter:
     """One filter for a run of linear stages and delays.
 
     The run's delays are taken at its input; a chain arranges its stages so that this is where they belong
-    (`chain.arrange`). Where it holds delays only, the filter is a pure delay.
+    (`chain.arrange`). Where it holds delays only, the filter is a pure delay. With `averaged` the output is held at its mean
+    over each interval, exactly, instead of known at its ends.
     """
     axes = sampling.axes
     late = np.zeros(axes)
@@ -502,14 +515,15 @@ def linear_filter(run: list[Stage], sampling: Sampling) -> Filter:
     whole = np.floor(samples + 1e-9)
     fraction = np.maximum(samples - whole, 0.0).reshape(len(systems), -1)
     try:
-        discretised = [discretise(system.balanced(), fraction[s], sampling) for s, system in enumerate(systems)]
+        advance = discretise_average if averaged else discretise
+        discretised = [advance(system.balanced(), fraction[s], sampling) for s, system in enumerate(systems)]
         result = LinearFilter(discretised, whole)
     except (np.linalg.LinAlgError, ValueError, OverflowError):
         names = ", ".join(stage.name for stage in run)
         raise InputError(
             f"{names}: time constants out of all proportion to the sample time {sampling.sample_time:g} s: check their units"
         ) from None
-    if pure_delay:
+    if pure_delay or averaged:
         result.hold = sampling.hold
     return result
 

@@ -29,11 +29,16 @@ HOLDS = ("zoh", "foh")
 
 @dataclass(frozen=True)
 class Sampling:
-    """How a filter is clocked: sample time (s), number of axes, and the hold of the signal entering it."""
+    """How a filter is clocked: sample time (s), number of axes, and the hold of the signal entering it.
+
+    ahead: ticks from `Filter.settle` to the first value of `Filter.process`, by the command's hold: 1 under `zoh`, where that
+    value is the one at the end of the first interval, 0 under `foh`. The same for every stage of a chain.
+    """
 
     sample_time: float
     axes: int
     hold: str = "zoh"
+    ahead: int | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.sample_time) and self.sample_time > 0):
@@ -42,10 +47,12 @@ class Sampling:
             raise InputError(f"axes: {self.axes!r}, at least one axis is needed")
         if self.hold not in HOLDS:
             raise InputError(f"hold: {self.hold!r} is not one of {', '.join(HOLDS)}")
+        if self.ahead is None:
+            object.__setattr__(self, "ahead", int(self.hold == "zoh"))
 
     def with_hold(self, hold: str) -> Sampling:
         """The same clock for a signal of another hold."""
-        return Sampling(self.sample_time, self.axes, hold)
+        return Sampling(self.sample_time, self.axes, hold, self.ahead)
 
 
 class Filter:
@@ -98,6 +105,38 @@ class Stage:
         return {
             field.name: thawed(getattr(self, field.name)) for field in fields(self) if getattr(self, field.name) != field.default
         }
+
+
+class ThroughFilter(Filter):
+    """Nothing happens."""
+
+    def __init__(self, hold: str) -> None:
+        self.hold = hold
+
+    def settle(self, value: Array) -> Array:
+        return np.array(value, dtype=float)
+
+    def process(self, block: Array) -> Array:
+        return block.copy()
+
+
+@dataclass(frozen=True)
+class Modifier(Stage):
+    """A stage that changes the stages before it instead of the signal; a chain lets it do so when it starts.
+
+    Its parameters are numbers, for every axis alike or a list with one per axis.
+    """
+
+    def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
+        """The stages before it, changed. Raises `InputError` when there is nothing among them that it could change."""
+        raise NotImplementedError
+
+    def filter(self, sampling: Sampling) -> Filter:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is not None:
+                per_axis_scalar(value, sampling.axes, field.name)
+        return ThroughFilter(sampling.hold)
 
 
 STAGES: dict[str, type[Stage]] = {}
@@ -161,22 +200,24 @@ def per_axis_scalar(value: Any, axes: int, field: str) -> Array:
     return np.array([float(item) for item in per_axis(value, axes, 0, field)])
 
 
-def require_finite(value: ArrayLike | Any, field: str) -> None:
-    """Raise `InputError` unless every number in the nested value is a finite number."""
+def require_finite(value: ArrayLike | Any, field: str, infinite_allowed: bool = False) -> None:
+    """Raise `InputError` unless every number in the nested value is a finite number (or infinite where that is allowed)."""
     if isinstance(value, tuple):
         if not value:
             raise InputError(f"{field}: is empty, at least one value is needed")
         for item in value:
-            require_finite(item, field)
-    elif isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+            require_finite(item, field, infinite_allowed)
+    elif isinstance(value, bool) or not isinstance(value, (int, float)) or np.isnan(value):
+        raise InputError(f"{field}: {value!r} is not a finite number")
+    elif np.isinf(value) and not infinite_allowed:
         raise InputError(f"{field}: {value!r} is not a finite number")
 
 
-def require_positive(value: Any, field: str, unit: str, zero_allowed: bool = False) -> None:
-    """Raise `InputError` unless every number in the nested value is positive (or zero where that is allowed)."""
-    require_finite(value, field)
+def require_positive(value: Any, field: str, unit: str, zero_allowed: bool = False, infinite_allowed: bool = False) -> None:
+    """Raise `InputError` unless every number in the nested value is positive (or zero, infinite, where that is allowed)."""
+    require_finite(value, field, infinite_allowed)
     if isinstance(value, tuple):
         for item in value:
-            require_positive(item, field, unit, zero_allowed)
+            require_positive(item, field, unit, zero_allowed, infinite_allowed)
     elif value < 0 or (value == 0 and not zero_allowed):
         raise InputError(f"{field}: {value:g} {unit} must be {'zero or ' if zero_allowed else ''}positive")

@@ -70,7 +70,7 @@ class Offset(Stage):
 @register
 @dataclass(frozen=True)
 class Saturation(Stage):
-    """y = min(max(u, lower), upper), in the signal's own unit."""
+    """y = min(max(u, lower), upper), in the signal's own unit; an infinite limit is none."""
 
     name: ClassVar[str] = "saturation"
     lower: Any
@@ -78,7 +78,7 @@ class Saturation(Stage):
 
     def check(self) -> None:
         for field in ("lower", "upper"):
-            require_finite(getattr(self, field), field)
+            require_finite(getattr(self, field), field, infinite_allowed=True)
         axes = max(len(value) if isinstance(value, tuple) else 1 for value in (self.lower, self.upper))
         if np.any(per_axis_scalar(self.lower, axes, "lower") >= per_axis_scalar(self.upper, axes, "upper")):
             raise InputError(f"lower: {self.lower} is not below upper {self.upper}")
@@ -92,14 +92,17 @@ class Saturation(Stage):
 @register
 @dataclass(frozen=True)
 class Quantization(Stage):
-    """y = step · round(u / step), halves to even: the lattice of a converter. `step` in the signal's own unit."""
+    """y = step · round(u / step), halves to even: the lattice of a converter. `step` in the signal's own unit; 0: none."""
 
     name: ClassVar[str] = "quantization"
     step: Any
 
     def check(self) -> None:
-        require_positive(self.step, "step", "(signal unit)")
+        require_positive(self.step, "step", "(signal unit)", zero_allowed=True)
 
     def filter(self, sampling: Sampling) -> Filter:
         step = per_axis_scalar(self.step, sampling.axes, "step")
-        return StaticFilter(lambda u: step * np.rint(u / step), sampling.hold)
+        if np.all(step > 0):
+            return StaticFilter(lambda u: step * np.rint(u / step), sampling.hold)
+        divisor = np.where(step > 0, step, 1.0)
+        return StaticFilter(lambda u: np.where(step > 0, step * np.rint(u / divisor), u), sampling.hold)
