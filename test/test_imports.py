@@ -14,6 +14,7 @@ LAYERS = [  # a module imports from its own layer and from those after it
     {"cli", "nodes"},
     {"identify", "diagnose", "control", "experiments"},
     {"record", "model_file", "excitation", "bag_writer", "importing"},
+    {"effects"},
     {"chain"},
 ]
 

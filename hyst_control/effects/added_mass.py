@@ -1,0 +1,94 @@
+"""More or less mass on the main mode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hyst_control.chain.linear import LinearSystem, stacked, transfer_function_system
+from hyst_control.chain.stage import Array, Modifier, Stage, per_axis_scalar, register, require_finite
+from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.effects.modifying import Changed
+from hyst_control.effects.places import mechanics_index
+from hyst_control.errors import InputError
+
+SEEN = 0.1
+"""A pair of poles belongs to an axis if its share of the static deflection is this much of the largest one's."""
+
+
+@register
+@dataclass(frozen=True)
+class AddedMass(Modifier):
+    """Gives the main mode of the mechanics before it the mass 1 + mass_ratio; stiffness, damping constant, static gain stay.
+
+    The main mode s² + d s + k of an axis is its complex pair of poles of lowest frequency that carries a tenth of what the
+    strongest one does, or where none is complex the two fastest real ones; d and k are divided by 1 + mass_ratio. Where
+    the axes are coupled, the mode changes in everything that comes out on that axis.
+    """
+
+    name: ClassVar[str] = "added_mass"
+    mass_ratio: Any
+
+    def check(self) -> None:
+        require_finite(self.mass_ratio, "mass_ratio")
+        if np.any(np.array(self.mass_ratio, dtype=float) <= -1.0):
+            raise InputError(f"mass_ratio: {self.mass_ratio}: no mass would be left: give a value above -1")
+
+    def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
+        index = mechanics_index(before)
+        if index is None:
+            raise InputError("added_mass: no mechanics before it (transfer function or continuous state space): put it behind them")
+        if not np.any(per_axis_scalar(self.mass_ratio, axes, "mass_ratio")):
+            return before
+        return (*before[:index], Changed(before[index], self._heavier), *before[index + 1 :])
+
+    def _heavier(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
+        ratio = per_axis_scalar(self.mass_ratio, axes, "mass_ratio")
+        if len(systems) == axes:
+            return [_heavier(system, ratio[i : i + 1]) for i, system in enumerate(systems)]
+        return [_heavier(systems[0], ratio)]
+
+
+def _heavier(system: LinearSystem, ratio: Array) -> LinearSystem:
+    """The old mode cancelled and the new one put in its place, behind the system, output by output."""
+    ratios = []
+    for output, share in enumerate(ratio):
+        damping, stiffness = main_mode(system, output) if share else (1.0, 1.0)
+        mode = np.array([1.0, damping, stiffness])
+        heavier = np.array([1.0 + share, damping, stiffness])
+        ratios.append(transfer_function_system(mode, heavier) if share else _nothing())
+    return system.then(stacked(ratios))
+
+
+def _nothing() -> LinearSystem:
+    return LinearSystem(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), np.zeros(1))
+
+
+def main_mode(system: LinearSystem, output: int) -> tuple[float, float]:
+    """(d, k) of the main mode s² + d s + k from an axis' input to its output. Raises `InputError` where fewer than two poles are."""
+    poles, vectors = np.linalg.eig(system.A)
+    try:
+        from_input = np.linalg.solve(vectors, system.B[:, output].astype(complex))
+    except np.linalg.LinAlgError:
+        from_input = np.ones(len(poles))  # poles that coincide have no modes of their own: all count alike
+    share = np.abs(system.C[output] @ vectors * from_input / poles) if len(poles) else np.zeros(0)
+    oscillating = np.flatnonzero(poles.imag > 1e-9 * np.abs(poles))
+    if len(oscillating):
+        seen = oscillating[share[oscillating] >= SEEN * share[oscillating].max()]
+        pole = poles[seen[np.argmin(np.abs(poles[seen]))]]
+        return float(-2.0 * pole.real), float(abs(pole) ** 2)
+    if len(poles) < 2:
+        raise InputError("added_mass: the mechanics before it have fewer than two poles, there is no mass in them")
+    fastest = np.sort(poles.real)[:2]
+    return float(-fastest.sum()), float(fastest.prod())
+
+
+EFFECT = Effect(
+    "added_mass",
+    "mechanics",
+    "The moved mass is another one: the main mode is slower or faster, its stiffness and damping constant kept.",
+    lambda around: (Parameter("mass_ratio", "", 0.0, (0.02,), -0.4, 1.0, 0.15),),
+    lambda values, around: AddedMass(values["mass_ratio"]),
+)

@@ -1,0 +1,36 @@
+"""Play behind the mechanics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from hyst_control.chain.play import PlayOperator
+from hyst_control.chain.stage import Filter, Sampling, Stage, register, require_positive
+from hyst_control.effects.effect import Effect, Parameter
+
+
+@register
+@dataclass(frozen=True)
+class Backlash(Stage):
+    """Follows its input with a play of `half_width` (measurement unit) to either side; starts from 0 like every play."""
+
+    name: ClassVar[str] = "backlash"
+    half_width: Any
+
+    def check(self) -> None:
+        require_positive(self.half_width, "half_width", "(measurement unit)", zero_allowed=True)
+
+    def filter(self, sampling: Sampling) -> Filter:
+        return PlayOperator(self.half_width).filter(sampling)
+
+
+EFFECT = Effect(
+    "backlash",
+    "motion",
+    "Something between mechanics and sensor has play.",
+    lambda around: (
+        Parameter("half_width", "unit", 0.0, (0.002 * around.stroke,), 0.0, 0.05 * around.stroke, 0.01 * around.stroke),
+    ),
+    lambda values, around: Backlash(values["half_width"]),
+)

@@ -1,0 +1,52 @@
+"""Creep of the piezo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hyst_control.chain.linear import LinearStage, LinearSystem
+from hyst_control.chain.stage import per_axis_scalar, register, require_finite
+from hyst_control.effects.effect import Effect, Parameter
+
+BEGIN = 0.1
+DECADES = 4
+PER_DECADE = 3
+
+
+@register
+@dataclass(frozen=True)
+class Creep(LinearStage):
+    """y = u + gamma log10(1 + t / 0.1 s) of every step of u, the usual logarithmic creep, as a ladder of first-order lags.
+
+    Three elements per decade with time constants 0.1 s · 10^((i + 1/2)/3), i = 0 … 11, each gamma / 3: exact for a linear
+    neighbour; within 0.01 gamma of the logarithm from 1 to 100 s, later it comes to an end at 4 gamma. gamma: share per
+    decade.
+    """
+
+    name: ClassVar[str] = "creep"
+    gamma: Any
+
+    def check(self) -> None:
+        require_finite(self.gamma, "gamma")
+
+    def systems(self, axes: int) -> list[LinearSystem]:
+        count = DECADES * PER_DECADE
+        rates = 1.0 / (BEGIN * 10.0 ** ((np.arange(count) + 0.5) / PER_DECADE))
+        return [
+            LinearSystem(
+                -np.diag(rates), rates[:, None], np.full((1, count), gamma / PER_DECADE), np.ones((1, 1)), np.zeros(1)
+            )
+            for gamma in per_axis_scalar(self.gamma, axes, "gamma")
+        ]
+
+
+EFFECT = Effect(
+    "creep",
+    "piezo",
+    "After every step the piezo grows on with the logarithm of time.",
+    lambda around: (Parameter("gamma", "", 0.0, (0.01,), -0.1, 0.1, 0.02),),
+    lambda values, around: Creep(values["gamma"]),
+)

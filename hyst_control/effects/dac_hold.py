@@ -1,0 +1,95 @@
+"""A converter that holds, or that has few steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numba import njit
+
+from hyst_control.chain.stage import Array, Filter, Sampling, Stage, frozen, per_axis_scalar, register, require_positive
+from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
+from hyst_control.errors import InputError
+
+
+@register
+@dataclass(frozen=True)
+class DacHold(Stage):
+    """Takes every `samples`-th command, the first of the record being the first taken, and holds it, rounded to a multiple of `step`.
+
+    step V, 0: not rounded.
+    """
+
+    name: ClassVar[str] = "dac_hold"
+    commutes_with_delay: ClassVar[bool] = False
+    samples: Any = 1
+    step: Any = 0.0
+
+    def check(self) -> None:
+        require_positive(self.samples, "samples", "")
+        if np.any(np.mod(np.array(self.samples, dtype=float), 1.0)):
+            raise InputError(f"samples: {self.samples!r} is not a whole number of samples")
+        require_positive(self.step, "step", "V", zero_allowed=True)
+
+    def filter(self, sampling: Sampling) -> Filter:
+        axes = sampling.axes
+        return DacHoldFilter(per_axis_scalar(self.samples, axes, "samples"), per_axis_scalar(self.step, axes, "step"), sampling.hold)
+
+
+class DacHoldFilter(Filter):
+    """Streaming `DacHold`."""
+
+    def __init__(self, samples: Array, step: Array, hold: str) -> None:
+        self.hold = hold
+        self.samples, self.step = samples.astype(np.int64), step
+        self.held, self.count = np.zeros(len(step)), 0
+
+    def settle(self, value: Array) -> Array:
+        self.count = 0
+        take_and_hold(np.array(value, dtype=float).reshape(1, -1), 0, self.samples, self.step, self.held, np.empty((1, len(self.step))))
+        return self.held.copy()
+
+    def process(self, block: Array) -> Array:
+        output = np.empty_like(block)
+        take_and_hold(block, self.count, self.samples, self.step, self.held, output)
+        self.count += len(block)
+        return output
+
+
+@njit(cache=True, error_model="numpy")
+def take_and_hold(block, count, samples, step, held, output):
+    """block, output (N, A); count of samples before the block; samples, step, held (A,), of which the last is updated."""
+    for row in range(block.shape[0]):
+        for axis in range(block.shape[1]):
+            if (count + row) % samples[axis] == 0:
+                value = block[row, axis]
+                held[axis] = step[axis] * np.rint(value / step[axis]) if step[axis] > 0.0 else value
+            output[row, axis] = held[axis]
+
+
+def parameters(around: Surroundings) -> tuple[Parameter, ...]:
+    """Either several samples or a coarse lattice is where a fit begins."""
+    reach = max(around.command[1] - around.command[0], 1e-9)
+    held = (2.0, 3.0, 4.0, 5.0, 8.0, 10.0, 16.0)
+    steps = (0.002 * reach, 0.01 * reach, 0.05 * reach)
+    return (
+        Parameter("samples", "", 1.0, (*held, *(1.0 for _ in steps)), 1.0, 20.0, 3.0),
+        Parameter("step", "V", 0.0, (*(0.0 for _ in held), *steps), 0.0, 0.2 * reach, 0.01 * reach),
+    )
+
+
+def stage(values: Values, around: Surroundings) -> DacHold:
+    """The number of samples is rounded to a whole one."""
+    samples = frozen(np.maximum(np.rint(np.array(values.get("samples", 1.0), dtype=float)), 1.0))
+    return DacHold(samples, values.get("step", 0.0))
+
+
+EFFECT = Effect(
+    "dac_hold",
+    "dac",
+    "The command is held over several samples, or rounded to a coarse lattice.",
+    parameters,
+    stage,
+    exercised=lambda around: around.slew > 0,
+)

@@ -1,0 +1,78 @@
+"""Noise that grows towards low frequencies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numba import njit
+
+from hyst_control.chain.stage import Array, Filter, Sampling, register
+from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.effects.noise import NoiseFilter, RandomStage, check_noise, noise_level
+
+LOWEST = 0.03
+PER_DECADE = 3
+
+
+@register
+@dataclass(frozen=True)
+class FlickerNoise(RandomStage):
+    """Noise whose power density falls as 1/f from 0.03 Hz to half the sampling rate; `rms` (measurement unit) over all of it.
+
+    A sum of low-passed white noises of equal power whose corners are a third of a decade apart, from a generator with `seed`.
+    """
+
+    name: ClassVar[str] = "flicker_noise"
+    rms: Any
+    seed: int = 0
+
+    def check(self) -> None:
+        check_noise(self)
+
+    def filter(self, sampling: Sampling) -> Filter:
+        return FlickerFilter(noise_level(self, sampling), self.seed, sampling)
+
+
+class FlickerFilter(NoiseFilter):
+    """Streaming `FlickerNoise`."""
+
+    def __init__(self, rms: Array, seed: int, sampling: Sampling) -> None:
+        super().__init__(rms, seed, sampling.hold)
+        decades = max(np.log10(0.5 / sampling.sample_time / LOWEST), 0.0)
+        corners = LOWEST * 10.0 ** (np.arange(int(decades * PER_DECADE) + 1) / PER_DECADE)
+        self.keep = np.exp(-2 * np.pi * corners * sampling.sample_time)
+        self.state = np.zeros((len(rms), len(corners)))
+
+    def begin(self) -> None:
+        super().begin()
+        self.state = self.generator.standard_normal(self.state.shape)
+
+    def draw(self, count: int) -> Array:
+        output = np.empty((count, len(self.rms)))
+        draws = self.generator.standard_normal((count, *self.state.shape))
+        sum_of_lowpassed(draws, self.keep, np.sqrt(1.0 - self.keep**2), self.state, output)
+        return output / np.sqrt(len(self.keep))
+
+
+@njit(cache=True, error_model="numpy")
+def sum_of_lowpassed(draws, keep, fresh, state, output):
+    """draws (N, A, n); keep, fresh (n,); state (A, n) is updated; output (N, A)."""
+    for row in range(draws.shape[0]):
+        for axis in range(draws.shape[1]):
+            total = 0.0
+            for i in range(keep.size):
+                state[axis, i] = keep[i] * state[axis, i] + fresh[i] * draws[row, axis, i]
+                total += state[axis, i]
+            output[row, axis] = total
+
+
+EFFECT = Effect(
+    "flicker_noise",
+    "adc",
+    "The measurement has noise that grows towards low frequencies.",
+    lambda around: (Parameter("rms", "unit", 0.0, (0.002 * around.stroke,), 0.0, 0.2 * around.stroke, 0.01 * around.stroke),),
+    lambda values, around: FlickerNoise(values["rms"], values.get("seed", 0)),
+    waveform=False,
+)

@@ -1,0 +1,22 @@
+"""A gain other than the model's, in amplifier, piezo or sensor."""
+
+from __future__ import annotations
+
+from hyst_control.chain.stage import frozen, thawed
+from hyst_control.chain.static import Gain
+from hyst_control.effects.effect import Effect, Parameter
+
+
+def factor(gain: object) -> object:
+    """1 + gain, axis by axis."""
+    value = frozen(gain)
+    return [1.0 + item for item in thawed(value)] if isinstance(value, tuple) else 1.0 + value
+
+
+EFFECT = Effect(
+    "gain",
+    "sensor",
+    "The gain of amplifier, piezo or sensor is 1 + gain times the model's.",
+    lambda around: (Parameter("gain", "", 0.0, (0.01,), -0.2, 0.2, 0.03),),
+    lambda values, around: Gain(factor(values["gain"])),
+)

@@ -1,0 +1,46 @@
+"""A gain that drifts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hyst_control.chain.stage import Array, per_axis_scalar, register, require_finite, require_positive
+from hyst_control.effects.effect import Effect, Parameter, Surroundings
+from hyst_control.effects.timed import TimedStage
+
+
+@register
+@dataclass(frozen=True)
+class GainDrift(TimedStage):
+    """y = u (1 + change (1 - exp(-t / tau))), t from the start of the record; tau s."""
+
+    name: ClassVar[str] = "gain_drift"
+    change: Any
+    tau: Any
+
+    def check(self) -> None:
+        require_finite(self.change, "change")
+        require_positive(self.tau, "tau", "s")
+
+    def function(self, axes: int) -> Callable[[Array, Array], Array]:
+        change, tau = per_axis_scalar(self.change, axes, "change"), per_axis_scalar(self.tau, axes, "tau")
+        return lambda u, t: u * (1.0 - change * np.expm1(-t / tau))
+
+
+def tau_parameter(around: Surroundings) -> Parameter:
+    """Time constant of a drift: from a twentieth of the record to so long that the drift is straight."""
+    length = around.duration
+    return Parameter("tau", "s", length, (0.2 * length, length), 0.05 * length, 10.0 * length, 1.0, True)
+
+
+EFFECT = Effect(
+    "gain_drift",
+    "sensor",
+    "The gain changes over the record.",
+    lambda around: (Parameter("change", "", 0.0, (0.01,), -0.3, 0.3, 0.03), tau_parameter(around)),
+    lambda values, around: GainDrift(values["change"], values["tau"]),
+)

@@ -1,0 +1,52 @@
+"""Low-passes of an amplifier or a sensor: equal first-order ones in a row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hyst_control.chain.linear import LinearStage, LinearSystem
+from hyst_control.chain.stage import per_axis_scalar, require_positive
+from hyst_control.effects.effect import Parameter, Surroundings
+from hyst_control.errors import InputError
+
+
+@dataclass(frozen=True)
+class Lowpass(LinearStage):
+    """1 / (1 + s / (2π cutoff))^order; cutoff Hz, infinite: none on that axis. Exact: it merges with its linear neighbours."""
+
+    cutoff: Any
+    order: Any = 1
+
+    def check(self) -> None:
+        require_positive(self.cutoff, "cutoff", "Hz", infinite_allowed=True)
+        require_positive(self.order, "order", "")
+        if np.any(np.mod(np.array(self.order, dtype=float), 1.0)):
+            raise InputError(f"order: {self.order!r} is not a whole number of first-order low-passes")
+
+    def systems(self, axes: int) -> list[LinearSystem]:
+        return [
+            lowpass_system(cutoff, int(order))
+            for cutoff, order in zip(
+                per_axis_scalar(self.cutoff, axes, "cutoff"), per_axis_scalar(self.order, axes, "order"), strict=True
+            )
+        ]
+
+
+def lowpass_system(cutoff: float, order: int) -> LinearSystem:
+    """`order` first-order low-passes at `cutoff` Hz in a row."""
+    if np.isinf(cutoff):
+        return LinearSystem(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), np.zeros(1))
+    rate = 2 * np.pi * cutoff
+    a = rate * (np.eye(order, k=-1) - np.eye(order))
+    return LinearSystem(a, rate * np.eye(order, 1), np.eye(order)[-1:], np.zeros((1, 1)), np.zeros(1))
+
+
+def cutoff_parameters(around: Surroundings) -> tuple[Parameter, ...]:
+    """The cutoff, from what the record is just long enough to show up to what its sampling hardly does."""
+    nyquist = 0.5 / around.sample_time
+    starts = tuple(share * nyquist for share in (0.03, 0.2, 0.7))
+    lower = min(3.0 / around.duration, 0.01 * nyquist)
+    return (Parameter("cutoff", "Hz", np.inf, starts, lower, 5.0 * nyquist, 1.5, logarithmic=True),)

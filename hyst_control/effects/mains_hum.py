@@ -1,0 +1,54 @@
+"""The mains in the sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hyst_control.chain.stage import Array, per_axis_scalar, register, require_finite, require_positive
+from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.effects.timed import TimedStage
+
+
+@register
+@dataclass(frozen=True)
+class MainsHum(TimedStage):
+    """y = u + amplitude (sin φ + 0.3 sin 3φ + 0.1 sin 5φ), φ = 2π frequency t + phase; t from the start of the record.
+
+    amplitude in the measurement unit, frequency Hz, phase rad.
+    """
+
+    name: ClassVar[str] = "mains_hum"
+    amplitude: Any
+    frequency: Any = 50.0
+    phase: Any = 0.0
+
+    def check(self) -> None:
+        require_finite(self.amplitude, "amplitude")
+        require_positive(self.frequency, "frequency", "Hz")
+        require_finite(self.phase, "phase")
+
+    def function(self, axes: int) -> Callable[[Array, Array], Array]:
+        amplitude, frequency, phase = (per_axis_scalar(getattr(self, f), axes, f) for f in ("amplitude", "frequency", "phase"))
+
+        def hum(u: Array, t: Array) -> Array:
+            angle = 2 * np.pi * frequency * t + phase
+            return u + amplitude * (np.sin(angle) + 0.3 * np.sin(3.0 * angle) + 0.1 * np.sin(5.0 * angle))
+
+        return hum
+
+
+EFFECT = Effect(
+    "mains_hum",
+    "sensor",
+    "The mains and its third and fifth harmonic come into the measurement.",
+    lambda around: (
+        Parameter("amplitude", "unit", 0.0, (0.005 * around.stroke,), -0.2 * around.stroke, 0.2 * around.stroke, 0.01 * around.stroke),
+        Parameter("frequency", "Hz", 50.0, (50.0, 60.0), 45.0, 65.0, 1.0),
+    ),
+    lambda values, around: MainsHum(values["amplitude"], values["frequency"], values.get("phase", 0.0)),
+    exercised=lambda around: 0.5 / around.sample_time > 65.0,
+)

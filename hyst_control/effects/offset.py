@@ -1,0 +1,16 @@
+"""A zero other than the model's."""
+
+from __future__ import annotations
+
+from hyst_control.chain.static import Offset
+from hyst_control.effects.effect import Effect, Parameter
+
+EFFECT = Effect(
+    "offset",
+    "sensor",
+    "The sensor's zero is off.",
+    lambda around: (
+        Parameter("offset", "unit", 0.0, (0.01 * around.stroke,), -0.5 * around.stroke, 0.5 * around.stroke, 0.05 * around.stroke),
+    ),
+    lambda values, around: Offset(values["offset"]),
+)

@@ -1,0 +1,44 @@
+"""A zero that drifts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hyst_control.chain.stage import Array, per_axis_scalar, register, require_finite, require_positive
+from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.effects.gain_drift import tau_parameter
+from hyst_control.effects.timed import TimedStage
+
+
+@register
+@dataclass(frozen=True)
+class OffsetDrift(TimedStage):
+    """y = u + change (1 - exp(-t / tau)), t from the start of the record; change in the measurement unit, tau s."""
+
+    name: ClassVar[str] = "offset_drift"
+    change: Any
+    tau: Any
+
+    def check(self) -> None:
+        require_finite(self.change, "change")
+        require_positive(self.tau, "tau", "s")
+
+    def function(self, axes: int) -> Callable[[Array, Array], Array]:
+        change, tau = per_axis_scalar(self.change, axes, "change"), per_axis_scalar(self.tau, axes, "tau")
+        return lambda u, t: u - change * np.expm1(-t / tau)
+
+
+EFFECT = Effect(
+    "offset_drift",
+    "sensor",
+    "The zero changes over the record.",
+    lambda around: (
+        Parameter("change", "unit", 0.0, (0.01 * around.stroke,), -0.5 * around.stroke, 0.5 * around.stroke, 0.03 * around.stroke),
+        tau_parameter(around),
+    ),
+    lambda values, around: OffsetDrift(values["change"], values["tau"]),
+)

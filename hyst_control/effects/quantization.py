@@ -1,0 +1,15 @@
+"""The lattice of the measurement's converter."""
+
+from __future__ import annotations
+
+from hyst_control.chain.static import Quantization
+from hyst_control.effects.effect import Effect, Parameter
+
+EFFECT = Effect(
+    "quantization",
+    "adc",
+    "The measurement lies on a lattice.",
+    lambda around: (Parameter("step", "unit", 0.0, (0.003 * around.stroke,), 0.0, 0.1 * around.stroke, 0.003 * around.stroke),),
+    lambda values, around: Quantization(values["step"]),
+    waveform=False,
+)

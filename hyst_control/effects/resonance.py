@@ -1,0 +1,90 @@
+"""A further mode beside the mechanics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from hyst_control.chain.linear import LinearSystem, TransferFunction
+from hyst_control.chain.stage import Modifier, Stage, per_axis_scalar, register, require_finite, require_positive
+from hyst_control.effects.effect import Effect, Parameter, Surroundings
+from hyst_control.effects.modifying import Changed
+from hyst_control.effects.places import mechanics_index
+
+
+@register
+@dataclass(frozen=True)
+class Resonance(Modifier):
+    """Adds gain · G(0) · ω² / (s² + 2 damping ω s + ω²) to the mechanics G before it, fed alike; ω = 2π frequency (Hz).
+
+    A chain without mechanics has G = 1 behind what it has.
+    """
+
+    name: ClassVar[str] = "resonance"
+    frequency: Any
+    damping: Any
+    gain: Any
+
+    def check(self) -> None:
+        require_positive(self.frequency, "frequency", "Hz")
+        require_positive(self.damping, "damping", "")
+        require_finite(self.gain, "gain")
+
+    def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
+        index = mechanics_index(before)
+        if index is None:
+            index, before = len(before), (*before, TransferFunction((1.0,), (1.0,)))
+        return (*before[:index], Changed(before[index], self._with_mode), *before[index + 1 :])
+
+    def _with_mode(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
+        frequency, damping, gain = (per_axis_scalar(getattr(self, name), axes, name) for name in ("frequency", "damping", "gain"))
+        changed = []
+        first = 0
+        for system in systems:
+            own = range(first, first + len(system.D))
+            first += len(system.D)
+            blocks = [_oscillator(2 * np.pi * frequency[i], damping[i]) for i in own]
+            b = np.zeros((2 * len(own), len(own)))
+            c = np.zeros((len(own), 2 * len(own)))
+            for row, i in enumerate(own):
+                b[2 * row + 1, row] = 2 * np.pi * frequency[i]
+                c[row, 2 * row] = gain[i]
+            changed.append(
+                LinearSystem(
+                    block_diag(system.A, *blocks),
+                    np.vstack([system.B, b @ system.static_gain()]),
+                    np.hstack([system.C, c]),
+                    system.D,
+                    system.bias,
+                )
+            )
+        return changed
+
+
+def _oscillator(w: float, damping: float) -> np.ndarray:
+    """A of a mode in position and velocity / w: the input enters the velocity with w, the position is the output."""
+    return np.array([[0.0, w], [-w, -2.0 * damping * w]])
+
+
+def parameters(around: Surroundings) -> tuple[Parameter, ...]:
+    """Frequencies up to the sampling's half, and as far down as the record shows a few periods."""
+    nyquist = 0.5 / around.sample_time
+    lower, upper = min(max(3.0 / around.duration, 5.0), 0.05 * nyquist), 0.95 * nyquist
+    starts = tuple(np.geomspace(max(min(200.0, 0.2 * nyquist), lower), 0.8 * nyquist, 6))
+    return (
+        Parameter("frequency", "Hz", starts[3], starts, lower, upper, 1.0, True),
+        Parameter("damping", "", 0.02, (0.02,), 0.002, 0.2, 1.0, True),
+        Parameter("gain", "", 0.0, (0.01,), -1.0, 1.0, 0.1),
+    )
+
+
+EFFECT = Effect(
+    "resonance",
+    "mechanics",
+    "The mechanics have a further mode.",
+    parameters,
+    lambda values, around: Resonance(values["frequency"], values["damping"], values["gain"]),
+)

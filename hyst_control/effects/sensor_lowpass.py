@@ -1,0 +1,27 @@
+"""The sensor's bandwidth, behind the mechanics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from hyst_control.chain.stage import register
+from hyst_control.effects.effect import Effect
+from hyst_control.effects.lowpass import Lowpass, cutoff_parameters
+
+
+@register
+@dataclass(frozen=True)
+class SensorLowpass(Lowpass):
+    """A low-pass of the measurement; see `Lowpass`."""
+
+    name: ClassVar[str] = "sensor_lowpass"
+
+
+EFFECT = Effect(
+    "sensor_lowpass",
+    "sensor",
+    "The sensor is slower than the model says: first-order low-passes, as many as `order`, after the mechanics.",
+    cutoff_parameters,
+    lambda values, around: SensorLowpass(values["cutoff"], values.get("order", 1)),
+)

@@ -1,0 +1,67 @@
+"""A bent characteristic of the sensor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hyst_control.chain.stage import Array, Filter, Sampling, Stage, per_axis_scalar, register, require_finite
+from hyst_control.chain.static import StaticFilter
+from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
+from hyst_control.errors import InputError
+
+
+@register
+@dataclass(frozen=True)
+class SensorNonlinearity(Stage):
+    """y = u + second P2(x) + third P3(x), Legendre polynomials of x = 2 (u - lower) / (upper - lower) - 1; measurement unit."""
+
+    name: ClassVar[str] = "sensor_nonlinearity"
+    second: Any
+    third: Any
+    lower: Any
+    upper: Any
+
+    def check(self) -> None:
+        for field in ("second", "third", "lower", "upper"):
+            require_finite(getattr(self, field), field)
+        if np.any(np.array(self.lower) >= np.array(self.upper)):
+            raise InputError(f"lower: {self.lower} is not below upper {self.upper}")
+
+    def filter(self, sampling: Sampling) -> Filter:
+        second, third, lower, upper = (
+            per_axis_scalar(getattr(self, field), sampling.axes, field) for field in ("second", "third", "lower", "upper")
+        )
+
+        def bent(u: Array) -> Array:
+            x = 2.0 * (u - lower) / (upper - lower) - 1.0
+            return u + second * 0.5 * (3.0 * x * x - 1.0) + third * 0.5 * (5.0 * x * x - 3.0) * x
+
+        return StaticFilter(bent, sampling.hold)
+
+
+def parameters(around: Surroundings) -> tuple[Parameter, ...]:
+    """second, third: up to 5 % of the stroke."""
+    size = around.stroke
+    return tuple(
+        Parameter(name, "unit", 0.0, (0.002 * size,), -0.05 * size, 0.05 * size, 0.01 * size) for name in ("second", "third")
+    )
+
+
+def stage(values: Values, around: Surroundings) -> SensorNonlinearity:
+    """Over the record's range of measurement, unless `lower` and `upper` are among the values."""
+    lower, upper = around.measurement
+    upper = max(upper, lower + 1e-9)
+    return SensorNonlinearity(values["second"], values["third"], values.get("lower", lower), values.get("upper", upper))
+
+
+EFFECT = Effect(
+    "sensor_nonlinearity",
+    "sensor",
+    "The sensor's characteristic is bent.",
+    parameters,
+    stage,
+    exercised=lambda around: around.stroke > 0,
+)

@@ -1,0 +1,43 @@
+"""Stages that depend on the time since the start of the record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from hyst_control.chain.stage import Array, Filter, Sampling, Stage
+
+
+@dataclass(frozen=True)
+class TimedStage(Stage):
+    """A function of the signal and of the time t (s); settling is t = 0. `function` gives it for a number of axes."""
+
+    commutes_with_delay: ClassVar[bool] = False
+
+    def function(self, axes: int) -> Callable[[Array, Array], Array]:
+        """f(values (N, A), times (N, 1)) -> (N, A)."""
+        raise NotImplementedError
+
+    def filter(self, sampling: Sampling) -> Filter:
+        return TimedFilter(self.function(sampling.axes), sampling)
+
+
+class TimedFilter(Filter):
+    """Streaming `TimedStage`: the k-th value processed is the one at (k + ahead) sample times."""
+
+    def __init__(self, function: Callable[[Array, Array], Array], sampling: Sampling) -> None:
+        self.hold = sampling.hold
+        self.function, self.sample_time, self.ahead = function, sampling.sample_time, sampling.ahead
+        self.count = 0
+
+    def settle(self, value: Array) -> Array:
+        self.count = 0
+        return self.function(np.array(value, dtype=float).reshape(1, -1), np.zeros((1, 1)))[0]
+
+    def process(self, block: Array) -> Array:
+        times = (self.count + self.ahead + np.arange(len(block))) * self.sample_time
+        self.count += len(block)
+        return self.function(block, times[:, None])

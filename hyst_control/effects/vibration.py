@@ -1,0 +1,56 @@
+"""A narrow-band disturbance that moves what is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hyst_control.chain.stage import Array, per_axis_scalar, register, require_finite, require_positive
+from hyst_control.effects.effect import Effect, Parameter, Surroundings
+from hyst_control.effects.timed import TimedStage
+
+
+@register
+@dataclass(frozen=True)
+class Vibration(TimedStage):
+    """y = u + amplitude sin(2π frequency t + phase), t from the start of the record.
+
+    amplitude in the measurement unit, frequency Hz, phase rad.
+    """
+
+    name: ClassVar[str] = "vibration"
+    amplitude: Any
+    frequency: Any
+    phase: Any = 0.0
+
+    def check(self) -> None:
+        require_finite(self.amplitude, "amplitude")
+        require_positive(self.frequency, "frequency", "Hz")
+        require_finite(self.phase, "phase")
+
+    def function(self, axes: int) -> Callable[[Array, Array], Array]:
+        amplitude, frequency, phase = (per_axis_scalar(getattr(self, f), axes, f) for f in ("amplitude", "frequency", "phase"))
+        return lambda u, t: u + amplitude * np.sin(2 * np.pi * frequency * t + phase)
+
+
+def parameters(around: Surroundings) -> tuple[Parameter, ...]:
+    """A line has a narrow basin: fits begin at many frequencies."""
+    nyquist = 0.5 / around.sample_time
+    starts = tuple(np.geomspace(min(10.0, 0.1 * nyquist), 0.8 * nyquist, 8))
+    size = around.stroke
+    return (
+        Parameter("amplitude", "unit", 0.0, (0.005 * size,), -0.2 * size, 0.2 * size, 0.01 * size),
+        Parameter("frequency", "Hz", starts[4], starts, min(1.0, 0.05 * nyquist), 0.98 * nyquist, 1.5, True),
+    )
+
+
+EFFECT = Effect(
+    "vibration",
+    "motion",
+    "A disturbance of one frequency moves the mechanics or the sensor's head.",
+    parameters,
+    lambda values, around: Vibration(values["amplitude"], values["frequency"], values.get("phase", 0.0)),
+)
