@@ -1,0 +1,201 @@
+"""Candidates: effects of the catalogue as unknowns of a fit, alone and together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from hyst_control.chain.stage import Array, Stage
+from hyst_control.diagnose.fit import Unknowns
+from hyst_control.diagnose.problem import Problem
+from hyst_control.effects import EFFECTS, insert
+from hyst_control.effects.effect import Effect, Parameter
+
+SINE_HARMONICS = {"mains_hum": (1, 3, 5), "vibration": (1,)}
+"""Effects that are lines in the residual's spectrum: which harmonics are fitted, each with its own amplitude and phase."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """An effect on an axis (None: all that the problem has) with its parameters on a record."""
+
+    effect: Effect
+    parameters: tuple[Parameter, ...]
+    problem: Problem
+    axis: int | None = None
+    frequency: float = 0.0
+    """Hz, of a line."""
+
+    @property
+    def name(self) -> str:
+        return self.effect.name
+
+    @property
+    def is_line(self) -> bool:
+        return self.name in SINE_HARMONICS
+
+    @property
+    def is_extra(self) -> bool:
+        """Whether it is added to the output instead of standing in the chain."""
+        return self.is_line or (self.effect.couples and len(self.problem.model.axes) == 1)
+
+    @property
+    def size(self) -> int:
+        return 2 * len(SINE_HARMONICS[self.name]) + 1 if self.is_line else len(self.parameters)
+
+    def starts(self) -> list[Array]:
+        """Where fits begin: every parameter's starts in turn, those of several parameters side by side."""
+        if self.is_line:
+            return [np.zeros(self.size)]
+        longest = max(len(p.starts) for p in self.parameters)
+        found = [np.array([_scaled(p, p.starts[min(i, len(p.starts) - 1)]) for p in self.parameters]) for i in range(longest)]
+        return found
+
+    def bounds(self) -> tuple[Array, Array, Array]:
+        """Lower, upper and the prior's centre of the scaled parameters."""
+        if self.is_line:
+            wide = np.full(self.size, 1e6)
+            wide[-1] = 3.0
+            return -wide, wide, np.zeros(self.size)
+        lower, upper = (np.array([_scaled(p, getattr(p, side)) for p in self.parameters]) for side in ("lower", "upper"))
+        centre = np.array([_scaled(p, p.starts[len(p.starts) // 2]) if p.logarithmic or not np.isfinite(p.absent)
+                           else _scaled(p, p.absent) for p in self.parameters])
+        return lower, upper, centre
+
+    def values(self, x: Array) -> dict[str, float]:
+        """Parameter values, by the names of the gap report."""
+        if self.is_line:
+            return {"amplitude": float(np.hypot(x[0], x[1])) * self._line_scale, "frequency": self._line_frequency(x)}
+        return {p.name: _natural(p, value) for p, value in zip(self.parameters, x, strict=True)}
+
+    def units(self) -> dict[str, str]:
+        """Units by parameter name."""
+        unit = self.problem.model.units["measurement"]
+        if self.is_line:
+            return {"amplitude": unit, "frequency": "Hz"}
+        return {p.name: unit if p.unit == "unit" else p.unit for p in self.parameters}
+
+    def stage(self, x: Array) -> Stage:
+        """The stage for scaled parameters."""
+        values: dict[str, Any] = self.values(x)
+        count = len(self.problem.model.axes)
+        if self.axis is not None and count > 1:
+            absent = {p.name: p.absent for p in self.parameters}
+            values = {name: [value if i == self.axis else absent[name] for i in range(count)] for name, value in values.items()}
+        return self.effect.stage(values, self.problem.surroundings)
+
+    def extra(self, x: Array) -> Array:
+        """What is added to the output, flat, in units of the noise."""
+        return self._lines(x) if self.is_line else self._coupled(x)
+
+    def _coupled(self, x: Array) -> Array:
+        values = self.values(x)
+        keep = np.exp(-2 * np.pi * values["corner"] * self.problem.sample_time) if np.isfinite(values.get("corner", np.inf)) else 0.0
+        found = []
+        for piece in self.problem.pieces:
+            other = piece.others.sum(axis=1)
+            # The step-invariant low-pass with half a step of lag taken off: the mean of held and ahead.
+            slow, _ = lfilter([0.5 * (1 - keep), 0.5 * (1 - keep)], [1.0, -keep], other, zi=[other[0] * (keep + 0.5 * (1 - keep))])
+            found.append(piece.counted(values["coupling"] * (slow if keep else other)))
+        return np.concatenate(found) / self.problem.sigma[0]
+
+    @cached_property
+    def _line_scale(self) -> float:
+        return float(np.mean(self.problem.sigma))
+
+    def _line_frequency(self, x: Array) -> float:
+        return float(self.frequency + x[-1] * 0.2 / max(len(p.command) for p in self.problem.pieces) / self.problem.sample_time)
+
+    def _lines(self, x: Array) -> Array:
+        frequency, found = self._line_frequency(x), []
+        for piece in self.problem.pieces:
+            time = piece.counted(np.arange(len(piece.command))) * self.problem.sample_time
+            total = np.zeros(len(time))
+            for i, harmonic in enumerate(SINE_HARMONICS[self.name]):
+                angle = 2 * np.pi * frequency * harmonic * time
+                total += x[2 * i] * np.sin(angle) + x[2 * i + 1] * np.cos(angle)
+            block = np.zeros((len(time), len(self.problem.model.axes)))
+            block[:, 0 if self.axis is None else self.axis] = total
+            found.append(block.reshape(-1))
+        return np.concatenate(found)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One explanation: one or several effects together."""
+
+    members: tuple[Member, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(member.name for member in self.members)
+
+    def starts(self) -> list[Array]:
+        """Starts of a single effect."""
+        return self.members[0].starts()
+
+    def slices(self) -> list[slice]:
+        """Which scaled parameters are whose."""
+        edges = np.cumsum([0, *(member.size for member in self.members)])
+        return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+    def unknowns(self) -> Unknowns:
+        """The candidate as unknowns of a fit."""
+        parts = list(zip(self.members, self.slices(), strict=True))
+        bounds = [member.bounds() for member in self.members]
+
+        def stages(nominal: tuple[Stage, ...], x: Array) -> tuple[Stage, ...]:
+            for member, part in parts:
+                if not member.is_extra:
+                    nominal = insert(nominal, member.effect.place, member.stage(x[part]))
+            return nominal
+
+        def extra(x: Array) -> Array:
+            return sum(member.extra(x[part]) for member, part in parts if member.is_extra)
+
+        lower, upper, centre = (np.concatenate([bound[i] for bound in bounds]) for i in range(3))
+        return Unknowns(stages, extra if any(member.is_extra for member in self.members) else None, lower, upper, centre)
+
+    def with_member(self, member: Member) -> Candidate:
+        """Together with another effect, in signal order."""
+        order = list(EFFECTS)
+        return Candidate(tuple(sorted((*self.members, member), key=lambda found: order.index(found.name))))
+
+    def without(self, index: int) -> Candidate:
+        """Without one of its effects."""
+        return Candidate(tuple(member for i, member in enumerate(self.members) if i != index))
+
+
+def catalogue(problem: Problem, lines: Mapping[str, Sequence[float]], without: Sequence[str] = ()) -> list[Member]:
+    """Every effect with a waveform that the record could show, on every axis of the problem.
+
+    lines: frequencies (Hz) of `mains_hum` and `vibration` that the residual's spectrum suggests; without: names left out.
+    """
+    surroundings = problem.surroundings
+    count = len(problem.model.axes)
+    axes: list[int | None] = [None] if count == 1 else list(range(count))
+    found: list[Member] = []
+    for name, effect in EFFECTS.items():
+        if name in without or (not effect.waveform and name not in SINE_HARMONICS) or not effect.exercised(surroundings):
+            continue
+        if effect.couples and count == 1 and (problem.pieces[0].others is None or not problem.pieces[0].others.shape[1]):
+            continue
+        parameters = effect.parameters(surroundings)
+        if name in SINE_HARMONICS:
+            found += [Member(effect, parameters, problem, axis, frequency) for axis in axes for frequency in lines.get(name, ())]
+        else:
+            found += [Member(effect, parameters, problem, axis) for axis in axes]
+    return found
+
+
+def _scaled(parameter: Parameter, value: float) -> float:
+    return float(np.log(value) if parameter.logarithmic else value) / parameter.scale
+
+
+def _natural(parameter: Parameter, value: float) -> float:
+    return float(np.exp(value * parameter.scale) if parameter.logarithmic else value * parameter.scale)

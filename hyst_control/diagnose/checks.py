@@ -1,0 +1,155 @@
+"""Checks that fit nothing: repeated samples, the lattice of a converter, lines of the mains, noise above what the model states.
+
+They find transport and noise effects nearly always, and come first: fitted candidates would absorb them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import periodogram
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.fit import noise_of
+from hyst_control.diagnose.problem import Problem
+
+MAINS = (50.0, 60.0)
+LINE_RATIO = 40.0
+"""How far a line stands out of the spectrum around it, in power, to be a suggestion (chance alone: 1 in e^40 per bin)."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that a check found on an axis: effect, parameter values and their 90 % intervals, and how sure (nats)."""
+
+    name: str
+    axis: int
+    values: dict[str, float]
+    ci90: dict[str, tuple[float, float]]
+    rms: float
+    evidence: float
+
+
+def lattice_of(values: Array) -> float:
+    """The step of the lattice that all values lie on, 0 when there is none."""
+    levels = np.unique(values)
+    if len(levels) < 4 or len(levels) > 0.7 * len(values):
+        return 0.0
+    steps = np.diff(levels)
+    step = float(np.median(steps[steps <= 1.5 * steps.min()]))
+    if step <= 0 or step < 1e-9 * np.ptp(levels):
+        return 0.0
+    step = float(np.ptp(levels) / np.rint(np.ptp(levels) / step))
+    off = np.abs((levels - levels[0]) / step - np.rint((levels - levels[0]) / step))
+    return step if np.mean(off < 1e-3) > 0.999 else 0.0
+
+
+def repeated_samples(values: Array, step: float, sigma: float) -> tuple[float, int]:
+    """Share of samples that repeat the one before exactly beyond what a lattice explains, and of how many it was counted."""
+    if step > 0:
+        # On a lattice neighbours coincide by chance: only where the signal moves by several steps a sample does a repeat say much.
+        smooth = np.convolve(values, np.ones(5) / 5, "same")
+        moving = np.abs(np.gradient(smooth)) > 3.0 * step
+        moving[:3] = moving[-3:] = False
+    else:
+        moving = np.ones(len(values), bool)
+    same = np.concatenate([[False], np.diff(values) == 0.0])
+    count = int(moving.sum())
+    if count < 200:
+        return 0.0, count
+    share = float(np.mean(same[moving]))
+    if step == 0 and sigma < 1e-12 * max(np.ptp(values), 1e-300):
+        return 0.0, count  # a noise-free record at rest repeats itself
+    return share, count
+
+
+def findings(problem: Problem, residuals: Array, stated: Array) -> list[Finding]:
+    """Held samples, lattice and excess noise of a problem.
+
+    residuals (M, A), measurement minus simulation in the measurement's unit; stated (A,): the model's own noise, 0 where unknown.
+    """
+    found: list[Finding] = []
+    for axis in range(len(problem.model.axes)):
+        values = np.concatenate([piece.counted(piece.measurement)[:, axis] for piece in problem.pieces])
+        noise = noise_of([residuals[:, axis]])
+        step = lattice_of(values)
+        share, count = repeated_samples(values, step, noise)
+        if share * count > 10 and share > 0.002:
+            spread = 1.645 * np.sqrt(share * (1 - share) / count)
+            moved = np.abs(np.diff(values))
+            found.append(Finding("held_samples", axis, {"fraction": share}, {"fraction": (share - spread, share + spread)},
+                                 float(np.sqrt(share * np.mean(moved ** 2))), share * count))
+        if step > 0 and step / np.sqrt(12.0) > 0.2 * noise and not _has_quantization(problem):
+            found.append(Finding("quantization", axis, {"step": step}, {"step": (step * 0.999, step * 1.001)}, step / np.sqrt(12.0),
+                                 float(len(values))))
+        explained = np.sqrt(sum(f.rms ** 2 for f in found if f.axis == axis))
+        bare = np.sqrt(max(noise ** 2 - explained ** 2, 0.0))
+        if stated[axis] > 0 and bare > 1.15 * stated[axis] and not any(f.axis == axis and f.name == "held_samples" for f in found):
+            rms = float(np.sqrt(bare ** 2 - stated[axis] ** 2))
+            bins = 0.38 * len(values) / 2
+            error = 1.645 * bare ** 2 / rms / np.sqrt(bins)
+            found.append(Finding("sensor_noise", axis, {"rms": rms}, {"rms": (max(rms - error, 0.0), rms + error)}, rms,
+                                 float(bins * (np.log(stated[axis] / bare) + 0.5 * (bare / stated[axis]) ** 2 - 0.5))))
+    return found
+
+
+def lines(problem: Problem, unexplained: Array) -> dict[str, list[float]]:
+    """Frequencies (Hz) of `mains_hum` and `vibration` at which the residual's spectrum has a narrow line.
+
+    unexplained (M,): residual without what the scattered coefficients explain, of all rows. A line of the command's is none.
+    """
+    suggestions: dict[str, list[float]] = {"mains_hum": [], "vibration": []}
+    rows = problem.rows(unexplained)
+    longest = max(problem.pieces, key=lambda piece: len(piece.command))
+    begin = 0
+    for piece in problem.pieces:
+        count = len(piece.command)
+        if piece is longest:
+            break
+        begin += count
+    rate = 1.0 / problem.sample_time
+    for axis in range(rows.shape[1]):
+        signal = rows[begin:begin + count, axis]
+        frequency, power = periodogram(signal, rate, "hann")
+        _, driven = periodogram(longest.command[:, axis], rate, "hann", detrend="linear")
+        width = rate / count
+        ratio = power / np.maximum(_background(power), 1e-300)
+        for mains in MAINS:
+            near = np.abs(frequency - mains) < max(0.7, 1.2 * width)
+            if near.any() and ratio[near].max(initial=0.0) > LINE_RATIO / 2:
+                suggestions["mains_hum"].append(mains)
+        sure = ratio > LINE_RATIO
+        sure &= (frequency > 4 * width) & ~(driven > 1e-3 * driven.max())
+        for mains in MAINS:
+            for harmonic in (1, 2, 3, 5, 7):
+                sure &= np.abs(frequency - harmonic * mains) > max(0.7, 2.0 * width)
+        if sure.any():
+            top = int(np.argmax(np.where(sure, power, 0.0)))
+            suggestions["vibration"].append(_peak(frequency, power, top))
+    return {name: _distinct(values, 2.0 / (count * problem.sample_time)) for name, values in suggestions.items()}
+
+
+def _background(power: Array, reach: int = 40) -> Array:
+    """Mean power around every bin, from the median, which no line moves."""
+    padded = np.pad(power, reach, mode="reflect") if len(power) > reach + 1 else np.pad(power, reach, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
+    return np.median(windows, axis=1) / np.log(2.0)
+
+
+def _peak(frequency: Array, power: Array, top: int) -> float:
+    around = slice(max(top - 1, 0), top + 2)
+    return float(np.sum(frequency[around] * power[around]) / np.sum(power[around]))
+
+
+def _distinct(values: Sequence[float], width: float) -> list[float]:
+    kept: list[float] = []
+    for value in values:
+        if all(abs(value - other) > width for other in kept):
+            kept.append(value)
+    return kept
+
+
+def _has_quantization(problem: Problem) -> bool:
+    return any(stage.name == "quantization" for stage in problem.model.chain.stages)

@@ -1,0 +1,121 @@
+"""From scores to a verdict: nothing, coefficients, an effect, several that cannot be told apart, or nothing known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+import yaml
+
+from hyst_control.diagnose.search import Found, Scored
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """See thresholds.yaml."""
+
+    practical_floor: float
+    discrepancy: float
+    margin: float
+    sharpness: float
+    sure: float
+    possible: float
+    unknown: float
+
+
+@cache
+def thresholds() -> Thresholds:
+    """The committed thresholds."""
+    document = yaml.safe_load((files("hyst_control.diagnose") / "thresholds.yaml").read_text(encoding="utf-8"))
+    return Thresholds(**{field.name: float(document[field.name]) for field in fields(Thresholds)})
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What is concluded about one problem.
+
+    verdict: no_gap, parameters, effect, ambiguous or unknown. chosen: the best explanation (None: the nominal model as it is).
+    listed: explanations that the data cannot tell from it, best first, itself among them. probability: by explanation's names.
+    remainder: share of the gap's energy that the best explanation leaves.
+    """
+
+    verdict: str
+    chosen: Scored
+    listed: tuple[Scored, ...]
+    probability: dict[tuple[str, ...], float]
+    remainder: float
+
+    def of(self, name: str) -> float:
+        """Probability that an effect is at work."""
+        return float(sum(p for names, p in self.probability.items() if name in names))
+
+
+PARAMETERS = ("parameters",)
+
+
+def key(scored: Scored) -> tuple[str, ...]:
+    """What an explanation is called in `Decision.probability`."""
+    return PARAMETERS if scored.inflated else scored.names
+
+
+def decide(found: Found, threshold: float, floor: float, limits: Thresholds) -> Decision:
+    """The verdict. threshold: 99 % quantile of the simulated null (nats); floor: practical size, rms in units of the noise."""
+    size = len(found.linearised.measured)
+    before = energy(found.none, size)
+    strain = 0.5 * float(found.none.solution.z @ found.none.solution.z)
+
+    def worth_naming(scored: Scored) -> bool:
+        """It takes off more than the practical size, or relieves coefficients that had to leave their tolerance for it."""
+        relief = strain - 0.5 * float(scored.solution.z @ scored.solution.z)
+        return before - energy(scored, size) > floor ** 2 or found.temper * relief > threshold + limits.margin
+
+    claims = [scored for scored in (*found.singles, *found.combinations)
+              if scored.score > 0 and worth_naming(scored)
+              and found.temper * (found.none.solution.misfit - scored.solution.misfit) > threshold + limits.margin]
+    if found.parameters.score > limits.margin:
+        claims.append(found.parameters)
+    claims = _without_idle_members(sorted(claims, key=lambda scored: -scored.score), threshold + limits.margin, found.temper)
+    hypotheses = claims or [found.none]
+    weights = np.exp(limits.sharpness * (np.array([scored.score for scored in hypotheses]) - hypotheses[0].score))
+    weights /= weights.sum()
+    probability: dict[tuple[str, ...], float] = {}
+    for scored, weight in zip(hypotheses, weights, strict=True):
+        probability[key(scored)] = probability.get(key(scored), 0.0) + float(weight)
+    chosen = hypotheses[0]
+    after = energy(chosen, size)
+    excess = max(before - 1.0, 1e-12)
+    remainder = float(np.clip((after - 1.0) / excess, 0.0, 1.0)) if before - 1.0 > floor ** 2 else 0.0
+    left_over = after - 1.0 > floor ** 2
+    if left_over and remainder > limits.unknown:
+        return Decision("unknown", chosen, (chosen,), probability, remainder)
+    if not claims:
+        return Decision("no_gap", chosen, (), probability, remainder)
+    if probability[key(chosen)] >= limits.sure:
+        return Decision("parameters" if chosen.inflated else "effect", chosen, (chosen,), probability, remainder)
+    listed, seen = [], set()
+    for scored in hypotheses:
+        if key(scored) not in seen and probability[key(scored)] >= limits.possible:
+            seen.add(key(scored))
+            listed.append(scored)
+    return Decision("ambiguous" if len(listed) > 1 else "parameters" if chosen.inflated else "effect", chosen, tuple(listed),
+                    probability, remainder)
+
+
+def energy(scored: Scored, size: int) -> float:
+    """Mean square of what an explanation leaves, in units of the noise's variance."""
+    return float(scored.solution.residual @ scored.solution.residual) / size
+
+
+def _without_idle_members(claims: list[Scored], gain: float, temper: float) -> list[Scored]:
+    """Combinations count only where they are better than each of their parts by what a claim needs."""
+    kept = []
+    for scored in claims:
+        names = set(scored.names)
+        parts = [other for other in claims if set(other.names) < names]
+        needed = max((other.solution.misfit for other in parts), default=np.inf)
+        better = min((other.solution.misfit for other in parts), default=np.inf) - scored.solution.misfit
+        if len(scored.names) <= 1 or not np.isfinite(needed) or temper * better > gain:
+            kept.append(scored)
+    return kept

@@ -1,0 +1,197 @@
+"""A whole diagnosis: records and a model in, what the gap is and what explains it out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.candidates import Candidate, catalogue
+from hyst_control.diagnose.checks import Finding, findings, lines
+from hyst_control.diagnose.coloured import Flicker, flicker
+from hyst_control.diagnose.decision import Decision, Thresholds, decide, thresholds
+from hyst_control.diagnose.fit import Linearised, fit, noise_of
+from hyst_control.diagnose.null import threshold
+from hyst_control.diagnose.problem import Piece, Problem, check_units, split
+from hyst_control.diagnose.scatter import scatter_of
+from hyst_control.diagnose.search import Found, search
+from hyst_control.errors import InputError
+from hyst_control.model_file import Model
+from hyst_control.record import Record
+
+LEAST_ROWS = 200
+LEAST_NOISE = 2e-5
+"""Share of the range below which noise is not believed: numbers are rounded, and models discretised."""
+
+
+@dataclass(frozen=True)
+class AxisDiagnosis:
+    """The diagnosis of one problem: an axis, or all axes of a model that mixes them.
+
+    axes: indices in the model. floor: practical size (rms, in units of the noise). null: the simulated null's threshold (nats).
+    """
+
+    axes: tuple[int, ...]
+    problem: Problem
+    linearised: Linearised
+    found: Found
+    decision: Decision
+    findings: tuple[Finding, ...]
+    flicker: Flicker | None
+    null: float
+    floor: float
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All axes together, with the whole problem they were split from and sentences on the records."""
+
+    model: Model
+    problem: Problem
+    parts: tuple[AxisDiagnosis, ...]
+    notes: tuple[str, ...]
+    seed: int
+
+
+def diagnose(records: Sequence[Record], model: Model, seed: int = 0, without: Sequence[str] = (), cache: bool = True,
+             limits: Thresholds | None = None, progress: Callable[[str], None] = lambda _: None) -> Diagnosis:
+    """Diagnose records against a model.
+
+    without: effects left out of the catalogue; cache: keep the null's threshold between runs. Raises `InputError` when the
+    records cannot be used.
+    """
+    limits = limits or thresholds()
+    problem, notes = problem_of(records, model)
+    parts = []
+    axis = 0
+    for part in split(problem):
+        count = len(part.model.axes)
+        parts.append(_axis(part, tuple(range(axis, axis + count)), seed, without, cache, limits, progress))
+        axis += count
+    return Diagnosis(model, problem, tuple(parts), tuple(notes), seed)
+
+
+def problem_of(records: Sequence[Record], model: Model) -> tuple[Problem, list[str]]:
+    """The records as pieces of one problem, and sentences on what was met in them."""
+    pieces, notes, sample_times, holds = [], [], set(), set()
+    for record in records:
+        check_units(model, record.signal("measurement").unit, record.source)
+        stretches = record.aligned(("command", "measurement"), allow_gaps=True)
+        used = [stretch for stretch in stretches if len(stretch.time) >= LEAST_ROWS]
+        if not used:
+            raise InputError(f"{record.source}: no gapless stretch of {LEAST_ROWS} samples: record longer, or mend the transport")
+        if len(stretches) > 1:
+            notes.append(f"{record.source}: ticks are missing between {len(stretches)} stretches; only the first starts settled")
+        notes += record.notes
+        for i, stretch in enumerate(used):
+            command, measurement = stretch.values["command"], stretch.values["measurement"]
+            if measurement.shape[1] != len(model.axes) or command.shape[1] != len(model.axes):
+                raise InputError(f"{record.source}: has {command.shape[1]} commands and {measurement.shape[1]} measurements, the model "
+                                 f"{len(model.axes)} axes ({', '.join(model.axes)}): give the model of this plant")
+            if not np.ptp(command):
+                raise InputError(f"{record.source}: the command never moves: record with an excitation")
+            keep = None
+            if i or stretch is not stretches[0]:
+                keep = np.arange(len(command)) >= len(command) // 3  # the memory of the hysteresis has to fill first
+            pieces.append(Piece(command, measurement, keep))
+            sample_times.add(stretch.sample_time)
+        holds.add(model.hold if record.hold == "zoh" and model.hold == "foh" else record.hold)
+    if len({float(f"{step:.6g}") for step in sample_times}) > 1:
+        raise InputError(f"records have different sample times ({', '.join(f'{step:g} s' for step in sorted(sample_times))}): "
+                         "diagnose them one by one")
+    if len(holds) > 1:
+        raise InputError("some records hold the command (zoh), others do not (foh): diagnose them one by one")
+    problem = Problem(model, tuple(pieces), sample_times.pop(), holds.pop(), np.ones(len(model.axes)))
+    valid = model.valid.get("command")
+    if valid:
+        commands = np.concatenate([piece.command for piece in pieces])
+        outside = float(np.mean((commands < valid[0] - 1e-9) | (commands > valid[1] + 1e-9)))
+        if outside > 0:
+            notes.append(f"{outside:.1%} of the command lies outside the {valid[0]:g} … {valid[1]:g} V that the model is valid for")
+    return _with_noise(problem, problem.rows(problem.measured() - problem.simulate(model.chain.stages))), notes
+
+
+def _with_noise(problem: Problem, residuals: Array) -> Problem:
+    """The same problem with the noise (A,) that the residuals' upper spectrum has."""
+    measured = np.concatenate([piece.measurement for piece in problem.pieces])
+    sigma = [max(noise_of([residuals[:, axis]]), LEAST_NOISE * float(np.ptp(measured[:, axis])), 1e-12)
+             for axis in range(residuals.shape[1])]
+    return replace(problem, sigma=np.array(sigma))
+
+
+def _axis(problem: Problem, axes: tuple[int, ...], seed: int, without: Sequence[str], cache: bool, limits: Thresholds,
+          progress: Callable[[str], None]) -> AxisDiagnosis:
+    model = problem.model
+    stated = np.broadcast_to(np.atleast_1d(np.asarray(model.noise.get("sigma", 0.0), dtype=float)), len(model.axes)).copy()
+    progress("coefficients of the model")
+    scatter = scatter_of(model)
+    linearised = Linearised(problem, scatter)
+    none = fit(linearised)
+    found_by_looking = [finding for finding in findings(problem, problem.rows(none.residual), stated) if finding.name not in without]
+    suggested = lines(problem, linearised.unexplained(none.residual))
+    # The first estimate of the noise still had the gap's own leakage in it.
+    problem = _with_noise(problem, problem.rows(none.residual))
+    problem = _without_repeats(problem, found_by_looking)
+    linearised = Linearised(problem, scatter)
+    if any(finding.name == "held_samples" for finding in found_by_looking):
+        problem = _with_noise(problem, problem.rows(fit(linearised).residual))
+        linearised = Linearised(problem, scatter)
+    members = catalogue(problem, suggested, without)
+    progress("records without a gap")
+    null = threshold(linearised, members, seed, cache=cache)
+    floor = practical_floor(problem, stated, limits)
+    found = search(linearised, members, null + limits.margin, floor, progress=progress)
+    decision = decide(found, null, floor, limits)
+    noise = None
+    if len(axes) == 1 and "flicker_noise" not in without and all(piece.keep is None for piece in problem.pieces):
+        noise = _flicker(problem, found, decision, null + limits.margin, floor, stated)
+        if noise is not None and decision.chosen.candidate is None:
+            decision = replace(decision, verdict="no_gap" if not decision.chosen.inflated else "parameters", remainder=0.0)
+    return AxisDiagnosis(axes, problem, linearised, found, decision, tuple(found_by_looking), noise, null, floor)
+
+
+def practical_floor(problem: Problem, stated: Array, limits: Thresholds) -> float:
+    """The rms (in units of the noise) that an effect must take off to be worth naming.
+
+    A model's stated noise that exceeds the measured one says how far the model itself was off when it was identified.
+    """
+    measured = np.concatenate([piece.measurement for piece in problem.pieces])
+    size = limits.practical_floor * np.ptp(measured, axis=0) / problem.sigma
+    excess = np.sqrt(np.maximum((stated / problem.sigma) ** 2 - 1.0, 0.0))
+    return float(np.sqrt(np.mean(size ** 2 + (limits.discrepancy * excess) ** 2)))
+
+
+def _without_repeats(problem: Problem, found: Sequence[Finding]) -> Problem:
+    """Rows that only repeat the one before say nothing of the plant."""
+    axes = [finding.axis for finding in found if finding.name == "held_samples"]
+    if not axes:
+        return problem
+    pieces = []
+    for piece in problem.pieces:
+        same = np.zeros(len(piece.command), bool)
+        same[1:] = (np.diff(piece.measurement[:, axes], axis=0) == 0.0).any(axis=1)
+        pieces.append(replace(piece, keep=~same if piece.keep is None else piece.keep & ~same))
+    return replace(problem, pieces=tuple(pieces))
+
+
+def _flicker(problem: Problem, found: Found, decision: Decision, threshold: float, floor: float, stated: Array) -> Flicker | None:
+    """1/f noise, where it explains more than any candidate, or what the chosen explanation leaves."""
+    command = np.concatenate([piece.command[:, 0] for piece in problem.pieces])
+    before = flicker(found.none.solution.residual, command)
+    best = found.temper * (found.none.solution.misfit - decision.chosen.solution.misfit)
+    if decision.chosen.candidate is not None and best < before.gain and before.stationary:
+        candidate = before
+    else:
+        candidate = flicker(decision.chosen.solution.residual, command)
+    size = candidate.rms
+    if candidate.stationary and candidate.gain > threshold + 5.0 and size > max(floor, 0.1):
+        scale = float(problem.sigma[0])
+        return Flicker(size * scale, (candidate.ci90[0] * scale, candidate.ci90[1] * scale), candidate.gain, True)
+    return None
+
+
+def explanation(candidate: Candidate | None) -> str:
+    """An explanation in words."""
+    return "no effect" if candidate is None else " and ".join(candidate.names)

@@ -1,0 +1,128 @@
+"""What a diagnosis works on: records of one model, simulated from the recorded command, one axis at a time where axes do not mix."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+
+from hyst_control.chain import Chain, Parallel, Sampling, Stage
+from hyst_control.chain.stage import Array, depth
+from hyst_control.diagnose.scatter import LISTS, MATRICES
+from hyst_control.effects.effect import Surroundings
+from hyst_control.errors import InputError
+from hyst_control.model_file import Model
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A gapless stretch of a record: command (N, A) in V, measurement (N, A), and which rows (N,) count (None: all).
+
+    others: measurement (N, B) of the plant's other axes, which a simulation of these axes alone does not give.
+    """
+
+    command: Array
+    measurement: Array
+    keep: Array | None = None
+    others: Array | None = None
+
+    def counted(self, values: Array) -> Array:
+        """The rows that count."""
+        return values if self.keep is None else values[self.keep]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Records of a model, its uncertain coefficients, and the noise (A,) of the measurement."""
+
+    model: Model
+    pieces: tuple[Piece, ...]
+    sample_time: float
+    hold: str
+    sigma: Array
+
+    def simulate(self, stages: Sequence[Stage]) -> Array:
+        """Simulated measurement of all rows that count, (M,), in units of the noise. Raises `InputError` like the stages do."""
+        sampling = Sampling(self.sample_time, len(self.model.axes), self.hold)
+        chain = Chain(tuple(stages))
+        return np.concatenate([self._piece(chain, sampling, piece) for piece in self.pieces])
+
+    def _piece(self, chain: Chain, sampling: Sampling, piece: Piece) -> Array:
+        running = chain.filter(sampling)
+        first = running.settle(piece.command[0])
+        output = running.process(piece.command)
+        if self.hold == "zoh":
+            output = np.concatenate([first[None], output[:-1]])
+        return (piece.counted(output) / self.sigma).reshape(-1)
+
+    def measured(self) -> Array:
+        """The measurement in the same form."""
+        return np.concatenate([(piece.counted(piece.measurement) / self.sigma).reshape(-1) for piece in self.pieces])
+
+    def rows(self, flat: Array) -> Array:
+        """A flat vector as rows (M, A) in the measurement's unit."""
+        return flat.reshape(-1, len(self.model.axes)) * self.sigma
+
+    @cached_property
+    def surroundings(self) -> Surroundings:
+        """What the size of an effect is judged by."""
+        command = np.concatenate([piece.command for piece in self.pieces])
+        measurement = np.concatenate([piece.measurement for piece in self.pieces])
+        slew = max(float(np.max(np.abs(np.diff(piece.command, axis=0)), initial=0.0)) for piece in self.pieces) / self.sample_time
+        return Surroundings(self.sample_time, max(len(piece.command) for piece in self.pieces) * self.sample_time,
+                            (float(command.min()), float(command.max())), slew,
+                            (float(measurement.min()), float(measurement.max())), len(self.model.axes))
+
+
+def mixes_axes(stages: Sequence[Stage]) -> bool:
+    """Whether an axis' output depends on another's input anywhere."""
+    for stage in stages:
+        if isinstance(stage, Parallel):
+            if any(mixes_axes(branch) for branch in stage.branches):
+                return True
+        elif stage.mixes_axes or getattr(stage, "coupled", False) or stage.name in ("state_space", "cross_coupling"):
+            return True
+    return False
+
+
+def axis_model(model: Model, axis: int) -> Model:
+    """The model of one axis of a model that does not mix them."""
+    noise = {name: _of_axis(value, axis, 0) for name, value in model.noise.items()}
+    stages = tuple(_stage_of_axis(stage, axis) for stage in model.chain.stages)
+    return replace(model, axes=(model.axes[axis],), chain=Chain(stages), noise=noise)
+
+
+def _of_axis(value: object, axis: int, due: int) -> object:
+    if isinstance(value, (list, tuple, np.ndarray)):
+        value = tuple(value)
+        return value[axis] if depth(value) > due else value
+    return value
+
+
+def _stage_of_axis(stage: Stage, axis: int) -> Stage:
+    if isinstance(stage, Parallel):
+        return Parallel(tuple(tuple(_stage_of_axis(member, axis) for member in branch) for branch in stage.branches))
+    changed = {field.name: _of_axis(getattr(stage, field.name), axis, int(field.name in LISTS))
+               for field in fields(stage) if field.name not in MATRICES}
+    return replace(stage, **changed)
+
+
+def split(problem: Problem) -> list[Problem]:
+    """One problem per axis where the axes do not mix, else the problem itself."""
+    if len(problem.model.axes) == 1 or mixes_axes(problem.model.chain.stages):
+        return [problem]
+    found = []
+    for axis in range(len(problem.model.axes)):
+        pieces = tuple(Piece(np.ascontiguousarray(piece.command[:, axis:axis + 1]),
+                             np.ascontiguousarray(piece.measurement[:, axis:axis + 1]), piece.keep,
+                             np.delete(piece.measurement, axis, axis=1)) for piece in problem.pieces)
+        found.append(replace(problem, model=axis_model(problem.model, axis), pieces=pieces, sigma=problem.sigma[axis:axis + 1]))
+    return found
+
+
+def check_units(model: Model, unit: str, source: str) -> None:
+    """Raise `InputError` unless the record's measurement has the model's unit."""
+    if unit not in ("unknown", model.units["measurement"]):
+        raise InputError(f"{source}: measurement is in {unit}, the model's in {model.units['measurement']}: give the model of this plant")

@@ -1,0 +1,253 @@
+"""Which effect: every candidate fitted and weighed against the nominal model, then combinations by a beam search.
+
+The weight of a candidate is its evidence (Laplace) relative to "no effect":
+
+    score = τ (Φ_0 - Φ_c) - ½ log det(1 + τ (I_c - 1)) - log(number of alternatives)
+
+τ ≤ 1 tempers the misfit where even the best explanation leaves more than noise: what is left is the same kind of thing all
+along the record, so its samples do not count as independent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.candidates import Candidate, Member
+from hyst_control.diagnose.forked import forked
+from hyst_control.diagnose.fit import Linearised, Solution, Unknowns, fit
+from hyst_control.errors import InputError
+
+SPENT = 0.03
+"""Energy beyond the noise's, as a share of it, under which no further effect is looked for: the noise is not known better."""
+
+FAR = 3.0
+"""Standard deviations beyond which the nominal columns of the coefficients no longer hold."""
+
+INFLATION = 5.0
+"""`parameters`: the nominal coefficients may be off by this many times their tolerance."""
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A candidate (None: no effect; `inflated`: only the nominal coefficients) with its fit and its score."""
+
+    candidate: Candidate | None
+    solution: Solution
+    score: float
+    inflated: bool = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Effects, none for the nominal model."""
+        return () if self.candidate is None else self.candidate.names
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search found on one problem: no effect, coefficients only, single effects, combinations (best first), and τ."""
+
+    linearised: Linearised
+    none: Scored
+    parameters: Scored
+    singles: tuple[Scored, ...]
+    combinations: tuple[Scored, ...]
+    temper: float
+
+
+def inflated(linearised: Linearised, factor: float = INFLATION) -> Linearised:
+    """The same columns with every tolerance multiplied."""
+    wide = object.__new__(Linearised)
+    wide.problem, wide.count = linearised.problem, linearised.count
+    wide.measured, wide.nominal = linearised.measured, linearised.nominal
+    wide.scatter = replace(linearised.scatter, coefficients=tuple(
+        replace(c, tolerance=c.tolerance * factor) for c in linearised.scatter.coefficients))
+    wide.columns, wide.gram = linearised.columns * factor, linearised.gram * factor ** 2
+    wide.factor = cho_factor(wide.gram + np.eye(wide.count)) if wide.count else None
+    return wide
+
+
+def search(linearised: Linearised, members: Sequence[Member], threshold: float, floor: float, beam: int = 3, depth: int = 3,
+           progress: Callable[[str], None] = lambda _: None) -> Found:
+    """Fit and weigh all candidates.
+
+    threshold: score by which a further effect must be better; floor: rms in units of the noise that it must take off.
+    """
+    none = Scored(None, settled(linearised), 0.0)
+    wide = inflated(linearised)
+    parameters = Scored(None, settled(wide, none.solution.z / INFLATION), 0.0, True)
+    fits: list[tuple[Candidate, Solution]] = []
+    alone = [Candidate((member,)) for member in members]
+    solutions = forked(lambda i: _fitted(linearised, alone[i], alone[i].starts()), len(alone))
+    for candidate, found in zip(alone, solutions, strict=True):
+        progress(candidate.names[0])
+        if found is not None:
+            fits.append((candidate, found))
+    best = min([none.solution.misfit, *(solution.misfit for _, solution in fits)])
+    combinations: list[tuple[Candidate, Solution]] = []
+    parents = sorted(fits, key=lambda item: item[1].misfit)[:beam]
+    size = len(linearised.measured)
+    for _ in range(1, depth):
+        if all(_spent(solution, floor) for _, solution in parents[:1]):
+            break
+        grown = _grown(linearised, parents, members, 0.5 * threshold, progress)
+        if not grown:
+            break
+        gain = best - grown[0][1].misfit
+        if gain * _temper(grown[0][1].residual) < threshold or 2.0 * gain / size < floor ** 2:
+            break
+        best = grown[0][1].misfit
+        combinations += grown[:2 * beam]
+        parents = grown[:beam]
+    everything = [solution for _, solution in fits + combinations] + [none.solution]
+    temper = _temper(min(everything, key=lambda solution: solution.misfit).residual)
+    alternatives = np.log(max(len(members), 1))
+
+    def scored(candidate: Candidate, solution: Solution) -> Scored:
+        count = len(candidate.members)
+        return Scored(candidate, solution, temper * (none.solution.misfit - solution.misfit) - _occam(solution, temper)
+                      - count * alternatives)
+
+    def ranked(found: Sequence[tuple[Candidate, Solution]]) -> tuple[Scored, ...]:
+        return tuple(sorted((scored(*item) for item in found), key=lambda item: -item.score))
+
+    wider = 0.5 * (np.linalg.slogdet(np.eye(wide.count) + temper * wide.gram)[1]
+                   - np.linalg.slogdet(np.eye(wide.count) + temper * linearised.gram)[1]) if wide.count else 0.0
+    parameters = replace(parameters, score=temper * (none.solution.misfit - parameters.solution.misfit) - wider - alternatives)
+    return Found(linearised, none, parameters, ranked(fits), ranked(combinations), temper)
+
+
+def _spent(solution: Solution, floor: float) -> bool:
+    """Whether a fit leaves nothing but noise, and did not strain its coefficients for it."""
+    size, count = len(solution.residual), len(solution.z)
+    left = float(solution.residual @ solution.residual) / size - 1.0
+    return left < max(SPENT, 0.5 * floor ** 2) and float(solution.z @ solution.z) < count + 4.0 * np.sqrt(2.0 * count)
+
+
+def _grown(linearised: Linearised, parents: Sequence[tuple[Candidate, Solution]], members: Sequence[Member], least: float,
+           progress: Callable[[str], None]) -> list[tuple[Candidate, Solution]]:
+    """The parents with one effect more each, best first."""
+    promising = forked(lambda i: _promising(linearised, *parents[i], members, least), len(parents))
+    wanted: list[tuple[Candidate, Array]] = []
+    for (candidate, solution), found in zip(parents, promising, strict=True):
+        for index, start in found:
+            pair = candidate.with_member(members[index])
+            if not any(_same(pair, other) for other, _ in wanted):
+                wanted.append((pair, _merged(pair, candidate, solution.x, members[index], start)))
+    fitted = forked(lambda i: _fitted(linearised, wanted[i][0], [wanted[i][1]]), len(wanted))
+    grown = []
+    for (pair, _), found in zip(wanted, fitted, strict=True):
+        progress("+".join(pair.names))
+        if found is not None:
+            grown.append((pair, found))
+    return sorted(grown, key=lambda item: item[1].misfit)
+
+
+def _occam(solution: Solution, temper: float) -> float:
+    """½ log of how much narrower the data make the parameters than the prior has them."""
+    if not len(solution.information):
+        return 0.0
+    eye = np.eye(len(solution.information))
+    sign, value = np.linalg.slogdet(eye + temper * (solution.information - eye))
+    return 0.5 * max(float(value), 0.0) if sign > 0 else 0.0
+
+
+def _temper(residual: Array) -> float:
+    """How much a residual's samples count: 1 for white noise of the stated size, less for what is larger and correlated."""
+    size = float(np.mean(residual ** 2))
+    return 1.0 / max(size, 1.0)
+
+
+def settled(linearised: Linearised, z: Array | None = None) -> Solution:
+    """The fit of the coefficients alone, their columns renewed while they end far from where those were taken."""
+    solution = fit(linearised, z=z)
+    at = np.zeros(linearised.count)
+    for _ in range(2):
+        if np.max(np.abs(solution.z - at), initial=0.0) < FAR:
+            break
+        at = solution.z
+        try:
+            again = fit(Linearised(linearised.problem, linearised.scatter, at), z=at)
+        except InputError:
+            break
+        if not again.misfit < solution.misfit:
+            break
+        solution = again
+    return solution
+
+
+def _fitted(linearised: Linearised, candidate: Candidate, starts: Sequence[Array]) -> Solution | None:
+    """The best fit over the starts; only the two that a first step makes most of are followed."""
+    unknowns = candidate.unknowns()
+    tried = []
+    for start in starts:
+        try:
+            tried.append(fit(linearised, unknowns, start, rounds=2 if len(starts) > 2 else 8))
+        except InputError:
+            continue
+    tried.sort(key=lambda solution: solution.misfit)
+    if len(starts) > 2:
+        tried = [fit(linearised, unknowns, solution.x, solution.z) for solution in tried[:2]]
+    return min(tried, key=lambda solution: solution.misfit, default=None)
+
+
+def _promising(linearised: Linearised, candidate: Candidate, solution: Solution, members: Sequence[Member], least: float,
+               count: int = 5) -> list[tuple[int, Array]]:
+    """The effects (by index) that a linear step on top of a candidate makes most of, at least so much, and from which start."""
+    found = []
+    nominal = np.zeros(linearised.count)
+    before = _misfit(linearised, linearised.measured - linearised.simulate(nominal, candidate.unknowns(), solution.x))
+    for index, member in enumerate(members):
+        if any(member.name == other.name and member.axis == other.axis and member.frequency == other.frequency
+               for other in candidate.members):
+            continue
+        best = None
+        pair = candidate.with_member(member)
+        unknowns = pair.unknowns()
+        for start in member.starts():
+            x = _merged(pair, candidate, solution.x, member, start)
+            try:
+                gain = before - _after_step(linearised, unknowns, pair, member, x)
+            except InputError:
+                continue
+            if best is None or gain > best[0]:
+                best = gain, start
+        if best is not None and best[0] > least:
+            found.append((best[0], index, best[1]))
+    return [(index, start) for _, index, start in sorted(found, key=lambda item: -item[0])[:count]]
+
+
+def _after_step(linearised: Linearised, unknowns: Unknowns, pair: Candidate, member: Member, x: Array) -> float:
+    """The misfit after a linear step in the new effect's parameters from x, coefficients marginalised about the nominal ones."""
+    nominal = np.zeros(linearised.count)
+    simulated = linearised.simulate(nominal, unknowns, x)
+    residual = linearised.measured - simulated
+    place = next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)
+    design = np.empty((len(residual), place.stop - place.start))
+    for column, i in enumerate(range(place.start, place.stop)):
+        moved = x.copy()
+        moved[i] += unknowns.step if x[i] + unknowns.step <= unknowns.upper[i] else -unknowns.step
+        design[:, column] = (linearised.simulate(nominal, unknowns, moved) - simulated) / (moved[i] - x[i])
+    known = linearised.unexplained(design)
+    right = known.T @ residual
+    gain = 0.5 * float(right @ np.linalg.solve(design.T @ known + np.eye(design.shape[1]), right))
+    return _misfit(linearised, residual) - gain
+
+
+def _misfit(linearised: Linearised, residual: Array) -> float:
+    """½ of a residual's squared size, coefficients marginalised."""
+    return 0.5 * float(residual @ linearised.unexplained(residual))
+
+
+def _merged(pair: Candidate, candidate: Candidate, x: Array, member: Member, start: Array) -> Array:
+    """Scaled parameters of a pair from those of the candidate and the start of the new effect."""
+    parts = iter(zip(candidate.members, candidate.slices(), strict=True))
+    return np.concatenate([start if one is member else x[next(parts)[1]] for one in pair.members])
+
+
+def _same(one: Candidate, other: Candidate) -> bool:
+    return [(m.name, m.axis, m.frequency) for m in one.members] == [(m.name, m.axis, m.frequency) for m in other.members]
