@@ -6,7 +6,9 @@ result exact instead of approximate:
 - a delay commutes with every time-invariant stage, so it moves to the nearest linear stage, which carries its fraction of a
   sample exactly;
 - a linear stage distributes over parallel branches, so that a branch's own dynamics are not sampled in between;
-- neighbouring linear stages merge into one system.
+- neighbouring linear stages merge into one system;
+- a lag of a held signal in front of a hysteresis (`effects.amplifier_lowpass`) bends it between the samples, and the hysteresis'
+  output alike: it is followed at the samples, and bent on the way to what is linear behind.
 
 Before that, stages that change others (`Modifier`) are applied to the stages before them.
 """
@@ -22,6 +24,7 @@ import numpy as np
 
 from hyst_control.chain.linear import Delay, linear_filter
 from hyst_control.chain.stage import Array, Filter, Modifier, Sampling, Stage, register
+from hyst_control.chain.static import Gain
 from hyst_control.errors import InputError
 
 
@@ -33,7 +36,7 @@ class Chain:
 
     def filter(self, sampling: Sampling) -> Filter:
         """A running filter of the whole chain."""
-        return started(arrange(resolved(self.stages, sampling.axes)), sampling)
+        return started(arrange(resolved(self.stages, sampling.axes), sampling.hold), sampling)
 
 
 def resolved(stages: Sequence[Stage], axes: int) -> tuple[Stage, ...]:
@@ -114,9 +117,45 @@ def started(stages: Sequence[Stage], sampling: Sampling) -> Filter:
     return filters[0] if len(filters) == 1 else SeriesFilter(filters, sampling.hold)
 
 
-def arrange(stages: Sequence[Stage]) -> tuple[Stage, ...]:
-    """The same chain with its delays where a linear stage carries them, and linear stages inside the branches before them."""
-    return _distribute(_place_delays(stages))
+def arrange(stages: Sequence[Stage], hold: str = "foh") -> tuple[Stage, ...]:
+    """The same chain with its delays where a linear stage carries them, and linear stages inside the branches before them.
+
+    hold: of the signal that enters.
+    """
+    placed = _place_delays(stages)
+    return _distribute(_pass_bends(placed) if hold == "zoh" else placed)
+
+
+def _pass_bends(stages: Sequence[Stage]) -> list[Stage]:
+    """Take what a lag does between the samples over the memory that follows it, to the next linear stage or into branches.
+
+    Where nothing linear follows, the samples are all that is seen. A stage with dynamics of its own gets the mean instead.
+    """
+    passed: list[Stage] = []
+    waiting: tuple[Stage, ...] = ()
+    for index, stage in enumerate(stages):
+        following = next((other for other in stages[index + 1 :] if not isinstance(other, Delay)), None)
+        bends = getattr(stage, "averaged", False) and not any(_is_system(before) for before in passed)
+        if bends and isinstance(following, Parallel):
+            waiting = (*waiting, stage)
+        elif bends and following is not None and not _is_system(following) and not following.mixes_axes:
+            passed.append(stage.at_samples())
+            waiting = (*waiting, *stage.between_samples())
+        elif waiting and isinstance(stage, Parallel):
+            passed.append(Parallel(tuple((*waiting, *branch) for branch in stage.branches)))
+            waiting = ()
+        elif waiting and (_is_system(stage) or stage.mixes_axes):
+            passed += [*waiting, stage]
+            waiting = ()
+        elif waiting and isinstance(stage, Delay):
+            waiting = (*waiting, stage)
+        else:
+            passed.append(stage)
+    return [*passed, *(stage for stage in waiting if isinstance(stage, Delay))]
+
+
+def _is_system(stage: Stage) -> bool:
+    return _in_linear_run(stage) and not isinstance(stage, Delay)
 
 
 def _in_linear_run(stage: Stage) -> bool:
@@ -130,7 +169,8 @@ def _averaged(run: Sequence[Stage]) -> bool:
 
 
 def _carries_delay(stage: Stage) -> bool:
-    return isinstance(stage, Parallel) or (stage.linear and not getattr(stage, "discrete", False))
+    # A mean is taken over the intervals of the command: a delay waits until behind it.
+    return isinstance(stage, Parallel) or (_in_linear_run(stage) and not getattr(stage, "averaged", False))
 
 
 def _place_delays(stages: Sequence[Stage]) -> list[Stage]:
@@ -194,9 +234,20 @@ def _cut_before_uneven_delays(run: Sequence[Stage]) -> list[list[Stage]]:
     return pieces
 
 
+def _gains_last(stages: Sequence[Stage]) -> list[Stage]:
+    """A gain between parallel branches and a linear stage that does not mix axes would part them: it changes places with that."""
+    ordered = list(stages)
+    for index in range(1, len(ordered) - 1):
+        before, gain, after = ordered[index - 1 : index + 2]
+        in_between = isinstance(gain, Gain) and (isinstance(before, Parallel) or _in_linear_run(before))
+        if in_between and _in_linear_run(after) and not _couples(after):
+            ordered[index], ordered[index + 1] = after, gain
+    return ordered
+
+
 def _distribute(stages: list[Stage]) -> tuple[Stage, ...]:
     arranged: list[Stage] = []
-    for stage in stages:
+    for stage in _gains_last(stages):
         if arranged and isinstance(arranged[-1], Parallel) and _in_linear_run(stage):
             arranged[-1] = Parallel(tuple((*branch, stage) for branch in arranged[-1].branches))
         else:

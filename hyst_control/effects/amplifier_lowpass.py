@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from hyst_control.chain.stage import register
+import numpy as np
+
+from hyst_control.chain.stage import Stage, frozen, register
 from hyst_control.effects.effect import Effect
-from hyst_control.effects.lowpass import Lowpass, cutoff_parameters
+from hyst_control.effects.lowpass import AtSamples, Lowpass, Rebuilt, cutoff_parameters
 
 
 @register
@@ -15,12 +17,22 @@ from hyst_control.effects.lowpass import Lowpass, cutoff_parameters
 class AmplifierLowpass(Lowpass):
     """A low-pass (see `Lowpass`) of a held command.
 
-    In front of a hysteresis its output, which bends between the samples, is handed on held at its exact mean over each
-    interval: no half sample is lost, and an infinite cutoff is the held command itself.
+    A hysteresis behind it is followed at the samples, exactly; in between its output is taken to bend as the voltage does, like
+    one first-order lag of `order` times the time constant, until the next linear stage (`chain.arrange`). No half sample is
+    lost, and an infinite cutoff is the held command itself. A stage with dynamics of its own gets the mean over each interval.
     """
 
     name: ClassVar[str] = "amplifier_lowpass"
     averaged: ClassVar[bool] = True
+
+    def at_samples(self) -> Stage:
+        """The voltage at the ends of the intervals."""
+        return AtSamples(self)
+
+    def between_samples(self) -> tuple[Stage, ...]:
+        """Stages that bend a signal known at the samples as this low-pass bends the voltage."""
+        cutoff = np.array(self.cutoff, dtype=float) / np.array(self.order)
+        return Rebuilt(frozen(cutoff)), AmplifierLowpass(frozen(cutoff))
 
 
 EFFECT = Effect(

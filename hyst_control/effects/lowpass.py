@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.chain.linear import LinearStage, LinearSystem
-from hyst_control.chain.stage import per_axis_scalar, require_positive
+from hyst_control.chain.linear import LinearStage, LinearSystem, linear_filter
+from hyst_control.chain.stage import Array, Filter, Sampling, Stage, per_axis_scalar, require_positive
 from hyst_control.effects.effect import Parameter, Surroundings
 from hyst_control.errors import InputError
 
@@ -33,6 +33,50 @@ class Lowpass(LinearStage):
                 per_axis_scalar(self.cutoff, axes, "cutoff"), per_axis_scalar(self.order, axes, "order"), strict=True
             )
         ]
+
+
+@dataclass(frozen=True)
+class AtSamples(Stage):
+    """The values of a linear stage's output at the ends of the intervals, handed on as if held; part of a started chain only."""
+
+    base: Any
+
+    def filter(self, sampling: Sampling) -> Filter:
+        running = linear_filter([self.base], sampling)
+        running.hold = sampling.hold
+        return running
+
+
+@dataclass(frozen=True)
+class Rebuilt(Stage):
+    """The held signal that a first-order low-pass turns into one with the given values at the samples; started chains only.
+
+    z_k = (u_k - e u_{k-1}) / (1 - e) with e = exp(-2π cutoff · sample time), per axis.
+    """
+
+    cutoff: Any
+
+    def filter(self, sampling: Sampling) -> Filter:
+        cutoff = per_axis_scalar(self.cutoff, sampling.axes, "cutoff")
+        return RebuiltFilter(np.exp(-2 * np.pi * cutoff * sampling.sample_time), sampling.hold)
+
+
+class RebuiltFilter(Filter):
+    """Streaming `Rebuilt`; keep: e (A,)."""
+
+    def __init__(self, keep: Array, hold: str) -> None:
+        self.hold = hold
+        self.keep, self.last = keep, np.zeros(len(keep))
+
+    def settle(self, value: Array) -> Array:
+        self.last = np.array(value, dtype=float)
+        return self.last.copy()
+
+    def process(self, block: Array) -> Array:
+        before = np.concatenate([self.last[None], block])[: len(block)]
+        self.last = block[-1].copy() if len(block) else self.last
+        # In this order a signal at rest stays what it is to the last bit.
+        return block + self.keep / (1.0 - self.keep) * (block - before)
 
 
 def lowpass_system(cutoff: float, order: int) -> LinearSystem:
