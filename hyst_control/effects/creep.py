@@ -19,11 +19,10 @@ PER_DECADE = 3
 @register
 @dataclass(frozen=True)
 class Creep(LinearStage):
-    """y = u + gamma log10(1 + t / 0.1 s) of every step of u, the usual logarithmic creep, as a ladder of first-order lags.
+    """Logarithmic creep: after a step of u the output grows on by about gamma log10(1 + t / 0.1 s) of it; gamma share per decade.
 
-    Three elements per decade with time constants 0.1 s · 10^((i + 1/2)/3), i = 0 … 11, each gamma / 3: exact for a linear
-    neighbour; within 0.01 gamma of the logarithm from 1 to 100 s, later it comes to an end at 4 gamma. gamma: share per
-    decade.
+    A ladder of first-order lags, three per decade with time constants 0.1 s · 10^((i + 1/2)/3), i = 0 … 11, each gamma / 3: from
+    0.5 s on gamma (log10(t / 0.1 s) + 0.25) within 0.03 gamma, to 40 s, then slower, to 4 gamma in the end.
     """
 
     name: ClassVar[str] = "creep"
