@@ -10,9 +10,10 @@ import pytest
 from scipy.signal import welch
 
 from hyst_control.chain import Chain, Parallel, Sampling
-from hyst_control.chain.linear import CrossCoupling, Delay, RateCorrection, StateSpace, TransferFunction
+from hyst_control.chain.linear import CrossCoupling, Delay, RateCorrection, StateSpace, TransferFunction, linear_filter
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.play import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
+from hyst_control.chain.softening_modal import SofteningModal
 from hyst_control.chain.stage import STAGES
 from hyst_control.chain.static import Gain, Quantization
 from hyst_control.effects import EFFECTS, insert
@@ -360,3 +361,27 @@ def test_rounding_stands_behind_noise_and_before_transport():
     stages = insert(stages, "transport", EFFECTS["held_samples"].stage({"fraction": 0.1}, around("linear")))
     stages = insert(stages, "sensor", Gain(1.1))
     assert [stage.name for stage in stages] == ["gain", "gain", "quantization", "held_samples"]
+
+
+def test_the_mean_of_a_lag_over_an_interval():
+    """After a step, 1 - (τ / T) (1 - exp(-T / τ)) exp(-k T / τ) in interval k; here 0.3 T late, in closed form from the integral."""
+    ts, tau, late = 1e-4, 7e-5, 0.3e-4
+    running = linear_filter([Delay(late), STAGES["amplifier_lowpass"](1 / (2 * np.pi * tau))], Sampling(ts, 1), averaged=True)
+    running.settle(np.zeros(1))
+    found = running.process(np.ones((6, 1)))[:, 0]
+    edges = np.maximum(np.arange(7) * ts - late, 0.0)
+    integral = edges - tau * (1.0 - np.exp(-edges / tau))
+    np.testing.assert_allclose(found, np.diff(integral) / ts, rtol=1e-12)
+    assert running.hold == "zoh"
+
+
+def test_a_stage_with_dynamics_of_its_own_sees_no_lag_of_infinite_cutoff():
+    structure = SofteningModal(
+        decay=[5.0], frequency=[2e3], outputs=[[[0.3]], [[0.1]]], inputs=[[[100.0]], [[0.0]]], feedthrough=[[0.1]], amplitude=50.0
+    )
+    stages, u = (structure, TransferFunction([4e6], [1.0, 400.0, 4e7])), command("linear")
+    lag = STAGES["amplifier_lowpass"](np.inf)
+    assert insert(stages, "drive", lag)[0] is lag
+    np.testing.assert_allclose(run([lag, *stages], u), run(stages, u), rtol=0, atol=1e-12)
+    with pytest.raises(InputError, match="hysteresis_width"):
+        run([structure, HysteresisWidth(0.1)], u)
