@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,8 +16,11 @@ from hyst_control.diagnose.problem import Problem
 from hyst_control.effects import EFFECTS, insert
 from hyst_control.effects.effect import Effect, Parameter
 
-SINE_HARMONICS = {"mains_hum": (1, 3, 5), "vibration": (1,)}
+HARMONICS = {"mains_hum": (1, 3, 5), "vibration": (1,)}
 """Effects that are lines in the residual's spectrum: which harmonics are fitted, each with its own amplitude and phase."""
+
+SWELLS = {"mains_hum": 1, "vibration": 6}
+"""Legendre polynomials over the record by which a line's amplitude and phase may change: a vibration comes and goes."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,8 @@ class Member:
     axis: int | None = None
     frequency: float = 0.0
     """Hz, of a line."""
+    fixed: tuple[tuple[str, float], ...] = ()
+    """Parameters that are counts, and so are tried instead of fitted."""
 
     @property
     def name(self) -> str:
@@ -37,7 +42,7 @@ class Member:
 
     @property
     def is_line(self) -> bool:
-        return self.name in SINE_HARMONICS
+        return self.name in HARMONICS
 
     @property
     def is_extra(self) -> bool:
@@ -45,14 +50,19 @@ class Member:
         return self.is_line or (self.effect.couples and len(self.problem.model.axes) == 1)
 
     @property
+    def variant(self) -> tuple[Any, ...]:
+        """What tells it from other members of a candidate: two of one kind make no combination."""
+        return self.name, self.axis, round(self.frequency)
+
+    @property
     def size(self) -> int:
-        return 2 * len(SINE_HARMONICS[self.name]) + 1 if self.is_line else len(self.parameters)
+        return 2 * len(HARMONICS[self.name]) * SWELLS[self.name] + 1 if self.is_line else len(self.parameters)
 
     def starts(self) -> list[Array]:
         """Where fits begin: every parameter's starts in turn, those of several parameters side by side."""
         if self.is_line:
             return [np.zeros(self.size)]
-        longest = max(len(p.starts) for p in self.parameters)
+        longest = max((len(p.starts) for p in self.parameters), default=1)
         found = [np.array([_scaled(p, p.starts[min(i, len(p.starts) - 1)]) for p in self.parameters]) for i in range(longest)]
         return found
 
@@ -70,22 +80,25 @@ class Member:
     def values(self, x: Array) -> dict[str, float]:
         """Parameter values, by the names of the gap report."""
         if self.is_line:
-            return {"amplitude": float(np.hypot(x[0], x[1])) * self._line_scale, "frequency": self._line_frequency(x)}
-        return {p.name: _natural(p, value) for p, value in zip(self.parameters, x, strict=True)}
+            swells = SWELLS[self.name]
+            # Mean square of the swelling amplitude: that of a Legendre polynomial of degree i is 1 / (2 i + 1).
+            square = sum((x[i] ** 2 + x[swells + i] ** 2) / (2 * i + 1) for i in range(swells))
+            return {"amplitude": float(np.sqrt(square)) * self._line_scale, "frequency": self._line_frequency(x)}
+        return {**{p.name: _natural(p, value) for p, value in zip(self.parameters, x, strict=True)}, **dict(self.fixed)}
 
     def units(self) -> dict[str, str]:
         """Units by parameter name."""
         unit = self.problem.model.units["measurement"]
         if self.is_line:
             return {"amplitude": unit, "frequency": "Hz"}
-        return {p.name: unit if p.unit == "unit" else p.unit for p in self.parameters}
+        return {p.name: unit if p.unit == "unit" else p.unit for p in self.effect.parameters(self.problem.surroundings)}
 
     def stage(self, x: Array) -> Stage:
         """The stage for scaled parameters."""
         values: dict[str, Any] = self.values(x)
         count = len(self.problem.model.axes)
         if self.axis is not None and count > 1:
-            absent = {p.name: p.absent for p in self.parameters}
+            absent = {p.name: p.absent for p in self.effect.parameters(self.problem.surroundings)}
             values = {name: [value if i == self.axis else absent[name] for i in range(count)] for name, value in values.items()}
         return self.effect.stage(values, self.problem.surroundings)
 
@@ -116,9 +129,14 @@ class Member:
         for piece in self.problem.pieces:
             time = piece.counted(np.arange(len(piece.command))) * self.problem.sample_time
             total = np.zeros(len(time))
-            for i, harmonic in enumerate(SINE_HARMONICS[self.name]):
+            swells = SWELLS[self.name]
+            span = max(len(piece.command) * self.problem.sample_time, 1e-12)
+            shapes = np.polynomial.legendre.legvander(2.0 * time / span - 1.0, swells - 1)
+            for i, harmonic in enumerate(HARMONICS[self.name]):
                 angle = 2 * np.pi * frequency * harmonic * time
-                total += x[2 * i] * np.sin(angle) + x[2 * i + 1] * np.cos(angle)
+                first = 2 * i * swells
+                total += shapes @ x[first:first + swells] * np.sin(angle)
+                total += shapes @ x[first + swells:first + 2 * swells] * np.cos(angle)
             block = np.zeros((len(time), len(self.problem.model.axes)))
             block[:, 0 if self.axis is None else self.axis] = total
             found.append(block.reshape(-1))
@@ -176,18 +194,26 @@ def catalogue(problem: Problem, lines: Mapping[str, Sequence[float]], without: S
 
     lines: frequencies (Hz) of `mains_hum` and `vibration` that the residual's spectrum suggests; without: names left out.
     """
-    surroundings = problem.surroundings
     count = len(problem.model.axes)
+    others = 0 if problem.pieces[0].others is None else problem.pieces[0].others.shape[1]
+    surroundings = replace(problem.surroundings, axes=count + others)
     axes: list[int | None] = [None] if count == 1 else list(range(count))
     found: list[Member] = []
     for name, effect in EFFECTS.items():
-        if name in without or (not effect.waveform and name not in SINE_HARMONICS) or not effect.exercised(surroundings):
+        if name in without or (not effect.waveform and name not in HARMONICS) or not effect.exercised(surroundings):
             continue
-        if effect.couples and count == 1 and (problem.pieces[0].others is None or not problem.pieces[0].others.shape[1]):
+        if effect.couples and count + others < 2:
             continue
         parameters = effect.parameters(surroundings)
-        if name in SINE_HARMONICS:
+        if name in HARMONICS:
             found += [Member(effect, parameters, problem, axis, frequency) for axis in axes for frequency in lines.get(name, ())]
+        elif name == "dac_hold":
+            samples, step = parameters
+            counts = sorted({value for value in samples.starts if value > 1.0})
+            found += [Member(effect, (), problem, axis, fixed=((samples.name, value), (step.name, step.absent)))
+                      for axis in axes for value in counts]
+            step = replace(step, starts=tuple(sorted({value for value in step.starts if value > 0.0})))
+            found += [Member(effect, (step,), problem, axis, fixed=((samples.name, samples.absent),)) for axis in axes]
         else:
             found += [Member(effect, parameters, problem, axis) for axis in axes]
     return found

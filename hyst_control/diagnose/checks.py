@@ -12,10 +12,13 @@ import numpy as np
 from scipy.signal import periodogram
 
 from hyst_control.chain.stage import Array
-from hyst_control.diagnose.fit import noise_of
+from hyst_control.diagnose.floor import noise_of
 from hyst_control.diagnose.problem import Problem
 
 MAINS = (50.0, 60.0)
+EXCESS = 1.15
+"""How far the noise must exceed the stated one: it is never stated better."""
+
 LINE_RATIO = 40.0
 """How far a line stands out of the spectrum around it, in power, to be a suggestion (chance alone: 1 in e^40 per bin)."""
 
@@ -51,7 +54,7 @@ def repeated_samples(values: Array, step: float, sigma: float) -> tuple[float, i
     if step > 0:
         # On a lattice neighbours coincide by chance: only where the signal moves by several steps a sample does a repeat say much.
         smooth = np.convolve(values, np.ones(5) / 5, "same")
-        moving = np.abs(np.gradient(smooth)) > 3.0 * step
+        moving = np.abs(np.gradient(smooth)) > 6.0 * step
         moving[:3] = moving[-3:] = False
     else:
         moving = np.ones(len(values), bool)
@@ -65,18 +68,15 @@ def repeated_samples(values: Array, step: float, sigma: float) -> tuple[float, i
     return share, count
 
 
-def findings(problem: Problem, residuals: Array, stated: Array) -> list[Finding]:
-    """Held samples, lattice and excess noise of a problem.
-
-    residuals (M, A), measurement minus simulation in the measurement's unit; stated (A,): the model's own noise, 0 where unknown.
-    """
+def findings(problem: Problem, residuals: Array) -> list[Finding]:
+    """Held samples and lattice of a problem. residuals (M, A): measurement minus simulation in the measurement's unit."""
     found: list[Finding] = []
     for axis in range(len(problem.model.axes)):
         values = np.concatenate([piece.counted(piece.measurement)[:, axis] for piece in problem.pieces])
         noise = noise_of([residuals[:, axis]])
         step = lattice_of(values)
         share, count = repeated_samples(values, step, noise)
-        if share * count > 10 and share > 0.002:
+        if share * count > 10 and share > (0.01 if step else 0.002):
             spread = 1.645 * np.sqrt(share * (1 - share) / count)
             moved = np.abs(np.diff(values))
             found.append(Finding("held_samples", axis, {"fraction": share}, {"fraction": (share - spread, share + spread)},
@@ -84,15 +84,21 @@ def findings(problem: Problem, residuals: Array, stated: Array) -> list[Finding]
         if step > 0 and step / np.sqrt(12.0) > 0.2 * noise and not _has_quantization(problem):
             found.append(Finding("quantization", axis, {"step": step}, {"step": (step * 0.999, step * 1.001)}, step / np.sqrt(12.0),
                                  float(len(values))))
-        explained = np.sqrt(sum(f.rms ** 2 for f in found if f.axis == axis))
-        bare = np.sqrt(max(noise ** 2 - explained ** 2, 0.0))
-        if stated[axis] > 0 and bare > 1.15 * stated[axis] and not any(f.axis == axis and f.name == "held_samples" for f in found):
-            rms = float(np.sqrt(bare ** 2 - stated[axis] ** 2))
-            bins = 0.38 * len(values) / 2
-            error = 1.645 * bare ** 2 / rms / np.sqrt(bins)
-            found.append(Finding("sensor_noise", axis, {"rms": rms}, {"rms": (max(rms - error, 0.0), rms + error)}, rms,
-                                 float(bins * (np.log(stated[axis] / bare) + 0.5 * (bare / stated[axis]) ** 2 - 0.5))))
     return found
+
+
+def excess_noise(noise: float, stated: float, others: Sequence[Finding], axis: int, count: int) -> Finding | None:
+    """White noise beyond what the model states: noise as measured (upper spectrum), without what other findings bring in."""
+    if stated <= 0 or any(finding.name == "held_samples" and finding.axis == axis for finding in others):
+        return None
+    bare = float(np.sqrt(max(noise ** 2 - sum(finding.rms ** 2 for finding in others if finding.axis == axis), 0.0)))
+    if not bare > EXCESS * stated:
+        return None
+    rms = float(np.sqrt(bare ** 2 - stated ** 2))
+    bins = 0.19 * count
+    error = 1.645 * bare ** 2 / rms / np.sqrt(bins)
+    evidence = bins * (np.log(stated / bare) + 0.5 * (bare / stated) ** 2 - 0.5)
+    return Finding("sensor_noise", axis, {"rms": rms}, {"rms": (max(rms - error, 0.0), rms + error)}, rms, float(evidence))
 
 
 def lines(problem: Problem, unexplained: Array) -> dict[str, list[float]]:

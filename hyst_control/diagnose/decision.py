@@ -9,7 +9,7 @@ from importlib.resources import files
 import numpy as np
 import yaml
 
-from hyst_control.diagnose.search import Found, Scored
+from hyst_control.diagnose.search import SPENT, Found, Scored
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,7 @@ class Thresholds:
     sure: float
     possible: float
     unknown: float
+    further: float
 
 
 @cache
@@ -76,7 +77,8 @@ def decide(found: Found, threshold: float, floor: float, limits: Thresholds) -> 
               and found.temper * (found.none.solution.misfit - scored.solution.misfit) > threshold + limits.margin]
     if found.parameters.score > limits.margin:
         claims.append(found.parameters)
-    claims = _without_idle_members(sorted(claims, key=lambda scored: -scored.score), threshold + limits.margin, found.temper)
+    claims = _without_idle_members(sorted(claims, key=lambda scored: -scored.score), threshold + limits.margin, found.temper,
+                                   found.none.solution.misfit, limits.further)
     hypotheses = claims or [found.none]
     weights = np.exp(limits.sharpness * (np.array([scored.score for scored in hypotheses]) - hypotheses[0].score))
     weights /= weights.sum()
@@ -87,7 +89,7 @@ def decide(found: Found, threshold: float, floor: float, limits: Thresholds) -> 
     after = energy(chosen, size)
     excess = max(before - 1.0, 1e-12)
     remainder = float(np.clip((after - 1.0) / excess, 0.0, 1.0)) if before - 1.0 > floor ** 2 else 0.0
-    left_over = after - 1.0 > floor ** 2
+    left_over = after - 1.0 > max(floor ** 2, SPENT)
     if left_over and remainder > limits.unknown:
         return Decision("unknown", chosen, (chosen,), probability, remainder)
     if not claims:
@@ -108,7 +110,7 @@ def energy(scored: Scored, size: int) -> float:
     return float(scored.solution.residual @ scored.solution.residual) / size
 
 
-def _without_idle_members(claims: list[Scored], gain: float, temper: float) -> list[Scored]:
+def _without_idle_members(claims: list[Scored], gain: float, temper: float, before: float, further: float) -> list[Scored]:
     """Combinations count only where they are better than each of their parts by what a claim needs."""
     kept = []
     for scored in claims:
@@ -116,6 +118,7 @@ def _without_idle_members(claims: list[Scored], gain: float, temper: float) -> l
         parts = [other for other in claims if set(other.names) < names]
         needed = max((other.solution.misfit for other in parts), default=np.inf)
         better = min((other.solution.misfit for other in parts), default=np.inf) - scored.solution.misfit
-        if len(scored.names) <= 1 or not np.isfinite(needed) or temper * better > gain:
+        if len(scored.names) <= 1 or not np.isfinite(needed) or (
+                temper * better > gain and better > further * (before - scored.solution.misfit)):
             kept.append(scored)
     return kept

@@ -9,10 +9,11 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.candidates import Candidate, catalogue
-from hyst_control.diagnose.checks import Finding, findings, lines
+from hyst_control.diagnose.checks import Finding, excess_noise, findings, lines
 from hyst_control.diagnose.coloured import Flicker, flicker
 from hyst_control.diagnose.decision import Decision, Thresholds, decide, thresholds
-from hyst_control.diagnose.fit import Linearised, fit, noise_of
+from hyst_control.diagnose.fit import Linearised, fit
+from hyst_control.diagnose.floor import noise_of
 from hyst_control.diagnose.null import threshold
 from hyst_control.diagnose.problem import Piece, Problem, check_units, split
 from hyst_control.diagnose.scatter import scatter_of
@@ -116,8 +117,10 @@ def problem_of(records: Sequence[Record], model: Model) -> tuple[Problem, list[s
 def _with_noise(problem: Problem, residuals: Array) -> Problem:
     """The same problem with the noise (A,) that the residuals' upper spectrum has."""
     measured = np.concatenate([piece.measurement for piece in problem.pieces])
-    sigma = [max(noise_of([residuals[:, axis]]), LEAST_NOISE * float(np.ptp(measured[:, axis])), 1e-12)
-             for axis in range(residuals.shape[1])]
+    edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in problem.pieces)])
+    sigma = [max(noise_of([residuals[a:b, axis] for a, b in zip(edges[:-1], edges[1:], strict=True)],
+                          [piece.counted(piece.command)[:, axis] for piece in problem.pieces]),
+                 LEAST_NOISE * float(np.ptp(measured[:, axis])), 1e-12) for axis in range(residuals.shape[1])]
     return replace(problem, sigma=np.array(sigma))
 
 
@@ -129,13 +132,13 @@ def _axis(problem: Problem, axes: tuple[int, ...], seed: int, without: Sequence[
     scatter = scatter_of(model)
     linearised = Linearised(problem, scatter)
     none = fit(linearised)
-    found_by_looking = [finding for finding in findings(problem, problem.rows(none.residual), stated) if finding.name not in without]
+    looked = [finding for finding in findings(problem, problem.rows(none.residual)) if finding.name not in without]
     suggested = lines(problem, linearised.unexplained(none.residual))
     # The first estimate of the noise still had the gap's own leakage in it.
     problem = _with_noise(problem, problem.rows(none.residual))
-    problem = _without_repeats(problem, found_by_looking)
+    problem = _without_repeats(problem, looked)
     linearised = Linearised(problem, scatter)
-    if any(finding.name == "held_samples" for finding in found_by_looking):
+    if any(finding.name == "held_samples" for finding in looked):
         problem = _with_noise(problem, problem.rows(fit(linearised).residual))
         linearised = Linearised(problem, scatter)
     members = catalogue(problem, suggested, without)
@@ -144,12 +147,19 @@ def _axis(problem: Problem, axes: tuple[int, ...], seed: int, without: Sequence[
     floor = practical_floor(problem, stated, limits)
     found = search(linearised, members, null + limits.margin, floor, progress=progress)
     decision = decide(found, null, floor, limits)
-    noise = None
-    if len(axes) == 1 and "flicker_noise" not in without and all(piece.keep is None for piece in problem.pieces):
-        noise = _flicker(problem, found, decision, null + limits.margin, floor, stated)
-        if noise is not None and decision.chosen.candidate is None:
-            decision = replace(decision, verdict="no_gap" if not decision.chosen.inflated else "parameters", remainder=0.0)
-    return AxisDiagnosis(axes, problem, linearised, found, decision, tuple(found_by_looking), noise, null, floor)
+    noise = _flicker(problem, found, decision, null + limits.margin, floor) if "flicker_noise" not in without else None
+    if noise is not None and _outweighs(noise, found, decision):
+        decision = replace(decide(replace(found, singles=(), combinations=()), null, floor, limits), remainder=0.0)
+        if decision.verdict == "unknown":
+            decision = replace(decision, verdict="no_gap")
+    if "sensor_noise" not in without:
+        left = problem.rows(decision.chosen.solution.residual)
+        for axis in range(len(axes)):
+            white = noise.white if noise is not None else _white(problem, left, axis)
+            # What falls with frequency levels off at the top, which looks white.
+            more = excess_noise(white / 1.5 if noise is not None else white, float(stated[axis]), looked, axis, len(left))
+            looked += [more] if more is not None else []
+    return AxisDiagnosis(axes, problem, linearised, found, decision, tuple(looked), noise, null, floor)
 
 
 def practical_floor(problem: Problem, stated: Array, limits: Thresholds) -> float:
@@ -176,20 +186,29 @@ def _without_repeats(problem: Problem, found: Sequence[Finding]) -> Problem:
     return replace(problem, pieces=tuple(pieces))
 
 
-def _flicker(problem: Problem, found: Found, decision: Decision, threshold: float, floor: float, stated: Array) -> Flicker | None:
-    """1/f noise, where it explains more than any candidate, or what the chosen explanation leaves."""
+def _white(problem: Problem, residuals: Array, axis: int) -> float:
+    edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in problem.pieces)])
+    return noise_of([residuals[a:b, axis] for a, b in zip(edges[:-1], edges[1:], strict=True)],
+                    [piece.counted(piece.command)[:, axis] for piece in problem.pieces])
+
+
+def _flicker(problem: Problem, found: Found, decision: Decision, threshold: float, floor: float) -> Flicker | None:
+    """1/f noise in what the coefficients leave, or in what the chosen explanation leaves; in the measurement's unit."""
+    if len(problem.model.axes) > 1 or any(piece.keep is not None for piece in problem.pieces):
+        return None
     command = np.concatenate([piece.command[:, 0] for piece in problem.pieces])
-    before = flicker(found.none.solution.residual, command)
-    best = found.temper * (found.none.solution.misfit - decision.chosen.solution.misfit)
-    if decision.chosen.candidate is not None and best < before.gain and before.stationary:
-        candidate = before
-    else:
-        candidate = flicker(decision.chosen.solution.residual, command)
-    size = candidate.rms
-    if candidate.stationary and candidate.gain > threshold + 5.0 and size > max(floor, 0.1):
-        scale = float(problem.sigma[0])
-        return Flicker(size * scale, (candidate.ci90[0] * scale, candidate.ci90[1] * scale), candidate.gain, True)
+    for solution in (found.none.solution, decision.chosen.solution):
+        seen = flicker(solution.residual, command)
+        if seen.plausible and seen.gain > threshold + 5.0 and seen.rms > max(floor, 0.1):
+            scale = float(problem.sigma[0])
+            return replace(seen, rms=seen.rms * scale, ci90=(seen.ci90[0] * scale, seen.ci90[1] * scale), white=seen.white * scale)
     return None
+
+
+def _outweighs(noise: Flicker, found: Found, decision: Decision) -> bool:
+    """Whether 1/f noise explains more than the chosen effect does."""
+    best = found.temper * (found.none.solution.misfit - decision.chosen.solution.misfit)
+    return decision.chosen.candidate is None or noise.gain > best
 
 
 def explanation(candidate: Candidate | None) -> str:

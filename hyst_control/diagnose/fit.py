@@ -11,7 +11,7 @@ changes them by a per cent, so a step leaves a per cent of the error, and only t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,7 +77,7 @@ class Linearised:
 
     def simulate(self, z: Array, unknowns: Unknowns | None = None, x: Array | None = None) -> Array:
         stages = self.scatter.at(z)
-        if unknowns is None or x is None:
+        if unknowns is None:
             return self.problem.simulate(stages)
         output = self.problem.simulate(unknowns.stages(stages, x))
         return output if unknowns.extra is None else output + unknowns.extra(x)
@@ -90,7 +90,7 @@ def fit(linearised: Linearised, unknowns: Unknowns | None = None, start: Array |
     A step that does not lower Φ is halved a few times, then the fit ends where it is.
     """
     y = linearised.measured if measured is None else measured
-    x = np.zeros(0) if start is None else np.clip(start, unknowns.lower, unknowns.upper)
+    x = np.zeros(0) if start is None or not len(start) else np.clip(start, unknowns.lower, unknowns.upper)
     z = np.zeros(linearised.count) if z is None else z
     count, size = linearised.count, len(x)
     columns, gram = linearised.columns, linearised.gram
@@ -99,7 +99,7 @@ def fit(linearised: Linearised, unknowns: Unknowns | None = None, start: Array |
         gram = columns.T @ columns
 
     def residual_of(z: Array, x: Array) -> Array:
-        found = y - linearised.simulate(z, unknowns, x if size else None)
+        found = y - linearised.simulate(z, unknowns, x)
         return found if weight is None else found * weight
 
     def misfit_of(residual: Array, z: Array, x: Array) -> float:
@@ -174,16 +174,3 @@ def _within(normal: Array, right: Array, step: Array, x: Array, unknowns: Unknow
     fresh[count + out] = held
     fresh[free] = np.linalg.solve(normal[np.ix_(free, free)], right[free] - normal[np.ix_(free, count + out)] @ held)
     return fresh
-
-
-def noise_of(residuals: Sequence[Array]) -> float:
-    """Rms of white noise in residuals from the upper part of their spectrum, robust against lines."""
-    powers = []
-    for residual in residuals:
-        spectrum = np.abs(np.fft.rfft(np.diff(residual) * np.hanning(len(residual) - 1))) ** 2
-        count = len(spectrum)
-        frequency = np.arange(count) * np.pi / max(count - 1, 1)
-        upper = slice(int(0.6 * count), int(0.98 * count))
-        window = np.sum(np.hanning(len(residual) - 1) ** 2)
-        powers.append(spectrum[upper] / (4.0 * np.sin(0.5 * frequency[upper]) ** 2) / window)
-    return float(np.sqrt(np.median(np.concatenate(powers)) / np.log(2.0)))

@@ -73,6 +73,8 @@ def tangents(linearised: Linearised, members: Sequence[Member]) -> list[Array]:
     found = []
     z = np.zeros(linearised.count)
     for member in members:
+        if not member.size:
+            continue  # a count: there or not, with no small first step
         unknowns = Candidate((member,)).unknowns()
         for x in member.starts():
             try:

@@ -18,9 +18,12 @@ from scipy.linalg import cho_factor
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.candidates import Candidate, Member
-from hyst_control.diagnose.forked import forked
 from hyst_control.diagnose.fit import Linearised, Solution, Unknowns, fit
+from hyst_control.diagnose.forked import forked
 from hyst_control.errors import InputError
+
+FOLLOWED = 2
+"""How many of an effect's starts are fitted to the end."""
 
 SPENT = 0.03
 """Energy beyond the noise's, as a share of it, under which no further effect is looked for: the noise is not known better."""
@@ -181,17 +184,22 @@ def settled(linearised: Linearised, z: Array | None = None) -> Solution:
 
 
 def _fitted(linearised: Linearised, candidate: Candidate, starts: Sequence[Array]) -> Solution | None:
-    """The best fit over the starts; only the two that a first step makes most of are followed."""
+    """The best fit over the starts of a single effect; only those that a first linear step makes most of are followed."""
     unknowns = candidate.unknowns()
+    if len(starts) > FOLLOWED:
+        ranked = []
+        for start in starts:
+            try:
+                ranked.append((_after_step(linearised, unknowns, candidate, candidate.members[0], start), len(ranked), start))
+            except InputError:
+                continue
+        starts = [start for *_, start in sorted(ranked, key=lambda item: item[:2])[:FOLLOWED]]
     tried = []
     for start in starts:
         try:
-            tried.append(fit(linearised, unknowns, start, rounds=2 if len(starts) > 2 else 8))
+            tried.append(fit(linearised, unknowns, start))
         except InputError:
             continue
-    tried.sort(key=lambda solution: solution.misfit)
-    if len(starts) > 2:
-        tried = [fit(linearised, unknowns, solution.x, solution.z) for solution in tried[:2]]
     return min(tried, key=lambda solution: solution.misfit, default=None)
 
 
@@ -202,8 +210,7 @@ def _promising(linearised: Linearised, candidate: Candidate, solution: Solution,
     nominal = np.zeros(linearised.count)
     before = _misfit(linearised, linearised.measured - linearised.simulate(nominal, candidate.unknowns(), solution.x))
     for index, member in enumerate(members):
-        if any(member.name == other.name and member.axis == other.axis and member.frequency == other.frequency
-               for other in candidate.members):
+        if any(member.variant == other.variant for other in candidate.members):
             continue
         best = None
         pair = candidate.with_member(member)
@@ -234,7 +241,7 @@ def _after_step(linearised: Linearised, unknowns: Unknowns, pair: Candidate, mem
         design[:, column] = (linearised.simulate(nominal, unknowns, moved) - simulated) / (moved[i] - x[i])
     known = linearised.unexplained(design)
     right = known.T @ residual
-    gain = 0.5 * float(right @ np.linalg.solve(design.T @ known + np.eye(design.shape[1]), right))
+    gain = 0.5 * float(right @ np.linalg.solve(design.T @ known + np.eye(design.shape[1]), right)) if len(right) else 0.0
     return _misfit(linearised, residual) - gain
 
 
@@ -250,4 +257,4 @@ def _merged(pair: Candidate, candidate: Candidate, x: Array, member: Member, sta
 
 
 def _same(one: Candidate, other: Candidate) -> bool:
-    return [(m.name, m.axis, m.frequency) for m in one.members] == [(m.name, m.axis, m.frequency) for m in other.members]
+    return [(m.variant, m.fixed) for m in one.members] == [(m.variant, m.fixed) for m in other.members]
