@@ -6,6 +6,7 @@ file: when the writer is killed, all but the last chunk can be read back with th
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -100,6 +101,12 @@ class BagWriter:
         finally:
             self._file.close()
         (self.path / "metadata.yaml").write_text(yaml.safe_dump(self._metadata(), sort_keys=False), encoding="utf-8")
+
+    def abandon(self) -> None:
+        """Leave the file as it is, after a write that failed: its whole chunks can be read."""
+        self._closed = True
+        with suppress(OSError):
+            self._file.close()
 
     def _metadata(self) -> dict[str, Any]:
         first = self._first or 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +13,18 @@ from std_msgs.msg import Int64
 from hyst_control.control.loop import Plant
 from hyst_control.errors import InputError
 from hyst_control.model_file import Simulator, load_model
-from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.base import LONGEST_GAP, SignalNode
 from hyst_control.nodes.messages import QUEUE
 from hyst_control.nodes.ports import Input
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.settings import Setting
+from hyst_control.nodes.timing import Durations
 from hyst_control.share import config_path
 
 Array = NDArray[np.float64]
 
+AWAITED = 64
+"""Measurements whose command is awaited, for the latency of the loop."""
 MOST_AHEAD = 2048  # ticks that the plant may be ahead of a recorder it waits for
 
 
@@ -41,7 +45,7 @@ class PlantNode(SignalNode):
         Setting("start", "rest", "", "settled at 0 V, or at the first command (open loop)",
                 choices=("rest", "first_command")),
         Setting("retry", 0.2, "s", "time without a command after which the newest measurement is repeated", 1e-3, 60.0),
-        Setting("wait_for_recorder", False, "", "keep within what the recorder has stored"),
+        Setting("wait_for_recorder", False, "", "keep within what the recorder has stored, in lockstep"),
     )
 
     def __init__(self, name: str = "plant", plant: Plant | None = None, **options: Any) -> None:
@@ -56,9 +60,11 @@ class PlantNode(SignalNode):
         self._held = rest
         self._recorded = -1
         self._repeats = 0
+        self._sent: dict[int, int] = {}  # ns since the epoch, by tick: when the newest measurements were sent
+        self._latency = Durations()
         self.measurement = self.output("measurement", self.unit)
         self.command = self.input("command", "V")
-        if self.settings.wait_for_recorder:
+        if self.settings.wait_for_recorder and self.lockstep:
             self.create_subscription(Int64, "recorded", self._on_recorded, QUEUE)
         self.reset()
         if self.lockstep:
@@ -94,7 +100,7 @@ class PlantNode(SignalNode):
             self._tick = tick
             self.measurement.send(tick, self._plant.reset(self._held)[None])
             return
-        first = max(self._tick, tick - max(self.settings.block, round(1.0 / period)))  # no more than 1 s is made up for
+        first = max(self._tick, tick - max(self.settings.block, round(LONGEST_GAP / period)))
         commands = np.empty((tick - first, len(self.axes)))
         for row in range(len(commands)):
             newest = rows.newest(first + row)
@@ -104,11 +110,18 @@ class PlantNode(SignalNode):
         if self.command.age > self.settings.timeout:
             self.warn("stale", f"no command for {self.settings.timeout:g} s: the newest one is held")
         measurements = self._plant.step(commands)
-        count = min(self.settings.block, len(measurements))
-        self.measurement.send(tick - count + 1, measurements[-count:])
+        self._sent[tick] = time.time_ns()
+        if len(self._sent) > AWAITED:
+            del self._sent[next(iter(self._sent))]
+        self.measurement.send(first + 1, measurements)  # those of missed ticks too: the sensor was there
         self._tick = tick
         if self.settings.ticks and self.counts["ticks"] * self.settings.block >= self.settings.ticks:
             self.finish(self.measurement.publisher)
+
+    def arrived(self, source: Input, tick: int, stamp: int) -> None:
+        sent = self._sent.pop(tick, None)
+        if sent is not None:
+            self._latency.add(1e-9 * (stamp - sent))
 
     def reset(self) -> None:
         self._tick = None
@@ -126,7 +139,7 @@ class PlantNode(SignalNode):
             source.rows.end = tick
 
     def status(self) -> dict[str, Any]:
-        return {"tick": self._tick, "recorded": self._recorded}
+        return {"tick": self._tick, "recorded": self._recorded, **self._latency.entries("loop latency")}
 
     def _settle(self, command: Array) -> None:
         first = self._plant.reset(command)

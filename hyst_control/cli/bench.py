@@ -1,6 +1,11 @@
-"""Measure speed: the chain's kernels beside the same loops in C (needs gcc), and reading and writing bags.
+"""Measure speed: the chain's kernels beside the same loops in C (needs gcc), reading and writing bags, and the running loop (rounds
+per second in lockstep; period, latency, loss and load at 1 kHz) beside the same loop written the plain way.
 
-The rates are of this machine at this moment; the table names the machine.
+The figures are of this machine at this moment; the table names the machine.
+
+examples:
+  hyst bench --only loops --json bench.json
+  hyst bench --soak 10                      long runs, to see that memory stays flat
 """
 
 from __future__ import annotations
@@ -8,18 +13,21 @@ from __future__ import annotations
 import argparse
 
 NAME = "bench"
-HELP = "measure the speed of kernels and bags on this machine"
+HELP = "measure the speed of kernels, bags and the running loop on this machine"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--only", choices=("kernels", "bags"), help="one group of measurements")
+    parser.add_argument("--only", choices=("kernels", "bags", "loops"), help="one group of measurements")
+    parser.add_argument("--seconds", type=float, default=6.0, help="length of every run of the loop (default 6)")
+    parser.add_argument("--soak", type=float, metavar="MINUTES", help="run the loop that long instead, half in lockstep, half on the "
+                        "wall clock, and look at its memory")
     parser.add_argument("--json", metavar="OUT", help="result table to write")
 
 
 def run(arguments: argparse.Namespace) -> int:
     from hyst_control.experiments import bench
 
-    table = bench.run(arguments.only)
+    table = bench.run(arguments.only, arguments.seconds, arguments.soak)
     if arguments.json:
         table.write(arguments.json)
     print(table.text())

@@ -1,4 +1,4 @@
-"""`hyst bench`: speed of kernels and bags on this machine, as a result table."""
+"""`hyst bench`: speed of kernels, bags and the running loop on this machine, as a result table."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 
 from hyst_control.bag_reader import read_bag
 from hyst_control.bag_writer import BagWriter
-from hyst_control.experiments import kernel_bench
+from hyst_control.errors import InputError
+from hyst_control.experiments import kernel_bench, loop_bench
 from hyst_control.signal_message import Encoder
 from hyst_control.tables import Table
 
@@ -19,14 +20,27 @@ MESSAGES, ROWS = 24_000, 50
 REPEATS = 5
 
 
-def run(only: str | None = None) -> Table:
-    """All groups, or one of "kernels" and "bags". Raises `InputError` when gcc is missing for the kernels."""
+GROUPS = ("kernels", "bags", "loops")
+
+
+def run(only: str | None = None, seconds: float = loop_bench.SECONDS, soak: float | None = None) -> Table:
+    """All groups, or one of "kernels", "bags" and "loops"; `seconds`: length of every run of the loop; `soak`: minutes of the long run,
+    in place of the groups. Raises `InputError` when gcc is missing for the kernels, or a node fails.
+    """
     table = Table("bench")
+    for name, value in (("seconds", seconds), ("soak", soak)):
+        if value is not None and not 0 < value < 1e6:
+            raise InputError(f"{name}: {value!r}, a positive time is due")
+    if soak is not None:
+        loop_bench.soak(table, soak)
+        return table
     if only in (None, "kernels"):
         for row in kernel_bench.run():
             table.add("kernels", row.case, row.subject, "kernel_rate", "samples/s", row.rate, n=kernel_bench.REPEATS)
     if only in (None, "bags"):
         bags(table)
+    if only in (None, "loops"):
+        loop_bench.run(table, seconds)
     return table
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -11,8 +12,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
-
-import yaml
 
 from hyst_control.errors import InputError
 from hyst_control.launch import environment
@@ -26,6 +25,7 @@ MODULES = {
     "recorder": "hyst_control.nodes.recorder",
     "identification": "hyst_control.nodes.identification",
     "pipeline": "hyst_control.nodes.pipeline",
+    "monitor": "hyst_control.nodes.monitor",
 }
 
 
@@ -43,15 +43,30 @@ class Processes:
     def start(self, node: str, parameters: Mapping[str, Any], name: str | None = None) -> subprocess.Popen[bytes]:
         """Start an executable with its parameters; its output goes to `name`.log."""
         name = name or node
-        file = self.folder / f"{name}.yaml"
-        file.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(parameters)}}), encoding="utf-8")
-        remaps = ["-r", f"__node:={name}"] + (["-r", f"__ns:={self.namespace}"] if self.namespace else [])
+        file = self._write(name, {"/**": parameters})
+        return self.run(name, MODULES[node], "--ros-args", "-r", f"__node:={name}", *self._remaps(), "--params-file", str(file))
+
+    def compose(self, parameters: Mapping[str, Mapping[str, Any]], name: str = "pipeline") -> subprocess.Popen[bytes]:
+        """Start nodes as one process: parameters by the node's name."""
+        file = self._write(name, {f"/**/{node}": own for node, own in parameters.items()})
+        return self.run(name, MODULES["pipeline"], *parameters, "--ros-args", *self._remaps(), "--params-file", str(file))
+
+    def run(self, name: str, module: str, *arguments: str) -> subprocess.Popen[bytes]:
+        """Start a module as a process on the domain; its output goes to `name`.log."""
         with open(self.log(name), "ab") as log:
-            process = subprocess.Popen([sys.executable, "-m", MODULES[node], "--ros-args", *remaps, "--params-file", str(file)],
-                                       env=self._environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
-                                       start_new_session=True)  # a Ctrl-C is passed on by `stop`, once
+            process = subprocess.Popen([sys.executable, "-m", module, *arguments], env=self._environment, stdin=subprocess.DEVNULL,
+                                       stdout=log, stderr=log, start_new_session=True)  # a Ctrl-C is passed on by `stop`, once
         self.running[name] = process
         return process
+
+    def _write(self, name: str, parameters: Mapping[str, Mapping[str, Any]]) -> Path:
+        file = self.folder / f"{name}.yaml"
+        document = {node: {"ros__parameters": dict(own)} for node, own in parameters.items()}
+        file.write_text(json.dumps(document, indent=1), encoding="utf-8")  # quoted: to ROS a bare y is a truth value
+        return file
+
+    def _remaps(self) -> list[str]:
+        return ["-r", f"__ns:={self.namespace}"] if self.namespace else []
 
     def log(self, name: str) -> Path:
         """The file with a node's output."""

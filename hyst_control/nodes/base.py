@@ -3,7 +3,8 @@
 Two schedules, one code path. In `lockstep` a node advances whenever its inputs allow it, the plant being the clock; rows
 have ticks 0, 1, 2, …, each is used once, and what was lost is asked for again by repeating the newest measurement: a node
 that meets rows it knows already repeats its own newest rows. In `timer` a node ticks on the wall clock; the tick is
-floor(monotonic clock / period), a count that all processes of a machine share, so a missed tick is a visible gap.
+floor(monotonic clock / period), a count that all processes of a machine share, so a missed tick is a visible gap. It then takes
+what has arrived: to be called for every message would cost more than all the rest.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import math
 import os
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -25,10 +26,13 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from hyst_control.errors import InputError
+from hyst_control.nodes.messages import Intake
 from hyst_control.nodes.ports import Input, Output
 from hyst_control.nodes.settings import Setting, declare
+from hyst_control.nodes.timing import Durations
 
 LOCKSTEP, TIMER = "lockstep", "timer"
+LONGEST_GAP = 1.0  # s, of missed ticks that are made up for
 LOG_INTERVAL = 5.0  # s, between two log lines about one thing
 
 COMMON = (
@@ -93,6 +97,7 @@ class SignalNode(EndingNode):
     """A node that turns signals into signals. Subclasses implement `advance` (lockstep) and `tick` (timer)."""
 
     def __init__(self, name: str, **options: Any) -> None:
+        self.polled: list[Intake] = []
         super().__init__(name, **options)
         self.settings = declare(self, (*COMMON, *self.SETTINGS), self.changed)
         self.lockstep = self.settings.schedule == LOCKSTEP
@@ -104,8 +109,13 @@ class SignalNode(EndingNode):
         self.inputs: list[Input] = []
         self.counts: Counter[str] = Counter()
         self._logged: dict[str, float] = {}
+        self.timer: Any = None
+        self._simulated = False
+        self.missed = 0  # timer: samples between the tick before and this one that nobody ticked for
         self._last_tick: int | None = None
+        self._ticked: float | None = None
         self._jitter = _Jitter()
+        self._intervals = Durations()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._diagnosed = (time.monotonic(), 0)
         self.every(1.0, self._publish_diagnostics)
@@ -117,7 +127,10 @@ class SignalNode(EndingNode):
         """Lockstep: use whatever rows are there."""
 
     def tick(self, tick: int) -> None:
-        """Timer: `block` samples from `tick` on are due."""
+        """Timer: `block` samples from `tick` on are due; the `missed` ones before it were not asked for."""
+
+    def arrived(self, source: Input, tick: int, stamp: int) -> None:
+        """Timer: rows of `source` up to this tick came at this time (ns since the epoch)."""
 
     def repeat(self, source: Input) -> None:
         """Lockstep: `source` was repeated; what followed from it may have been lost."""
@@ -135,6 +148,17 @@ class SignalNode(EndingNode):
         """More entries for the diagnostics."""
         return {}
 
+    @property
+    def subscriptions(self) -> Iterator[Any]:
+        """Without those that the node polls: the executor is to leave them alone."""
+        own = [intake.subscription for intake in self.polled]
+        yield from (each for each in super().subscriptions if not any(each is other for other in own))
+
+    def intake(self, topic: str) -> Intake:
+        """Subscribe to a topic whose messages are taken when the node asks for them."""
+        self.polled.append(Intake(self, topic, self.settings.message_objects))
+        return self.polled[-1]
+
     def input(self, topic: str, unit: str, every_row: bool = True) -> Input:
         """Subscribe to a signal whose values have this unit; `every_row`: in lockstep, none of its rows may be skipped."""
         signal = Input(self, topic, unit, contiguous=self.lockstep and every_row)
@@ -149,13 +173,31 @@ class SignalNode(EndingNode):
         """Timer schedule: tick from now on, `phase` of a tick after its beginning: a call a little late is the same tick."""
         if self.lockstep:
             return
-        interval = self.period * self.settings.block
-        simulated = self.get_parameter("use_sim_time").value
-        self._now: Callable[[], float] = (lambda: self.get_clock().now().nanoseconds * 1e-9) if simulated \
-            else time.monotonic
-        if not simulated:
-            time.sleep((phase - time.monotonic() / interval) % 1.0 * interval)
-        self.create_timer(interval, self._on_timer, clock=self.get_clock() if simulated else self._clock)
+        self.phase = phase
+        self._simulated = self.get_parameter("use_sim_time").value
+        if self._simulated:
+            self.timer = self.create_timer(self.interval, self.on_timer, clock=self.get_clock())
+        else:
+            self.set_timer(self.on_timer)
+
+    def set_timer(self, callback: Callable[[], None] | None) -> None:
+        """Call this at every tick of the steady clock from now on; None: somebody else does."""
+        if self.timer is not None:
+            self.destroy_timer(self.timer)
+        self.timer = None
+        if callback is not None:
+            time.sleep((self.phase - time.monotonic() / self.interval) % 1.0 * self.interval)
+            self.timer = self.create_timer(self.interval, callback, clock=self._clock)
+
+    @property
+    def interval(self) -> float:
+        """Seconds between two ticks of the timer."""
+        return self.period * self.settings.block
+
+    @property
+    def paced(self) -> bool:
+        """Whether the node ticks on the steady clock."""
+        return self.timer is not None and not self._simulated
 
     def drop(self, topic: str, kind: str, reason: str) -> None:
         """Count a refused message, and say so once in a while."""
@@ -179,18 +221,43 @@ class SignalNode(EndingNode):
         except OSError as error:
             self.get_logger().warning(f"realtime_priority, cpu: {error.strerror}: running without; see ulimit -r and nproc")
 
-    def _on_timer(self) -> None:
-        now = self._now()
-        number = math.floor(now / (self.period * self.settings.block))
+    def on_timer(self, now: float | None = None) -> None:
+        """A tick is due; now: s, of the clock that paces the node."""
+        if now is None:
+            now = self.get_clock().now().nanoseconds * 1e-9 if self._simulated else time.monotonic()
+        block = self.settings.block
+        number = math.floor(now / self.interval)
+        self.missed = 0
         if self._last_tick is not None:
-            if number <= self._last_tick:
+            if number < self._last_tick - 1:
+                self._time_ran_backwards(self._last_tick - number)
+            elif number <= self._last_tick:
                 self.counts["overruns"] += 1
                 return
-            self.counts["missed ticks"] += number - self._last_tick - 1
+            else:
+                skipped = number - self._last_tick - 1
+                self.counts["missed ticks"] += skipped
+                self.missed = min(skipped * block, round(LONGEST_GAP / self.period))
         self._last_tick = number
-        self._jitter.add(now)
+        if self._ticked is not None and now > self._ticked:
+            self._jitter.add(now - self._ticked)
+            self._intervals.add(now - self._ticked)
+        self._ticked = now
         self.counts["ticks"] += 1
-        self.tick(number * self.settings.block)
+        for signal in self.inputs:
+            signal.poll()
+        self.tick(number * block)
+        if not self._simulated and time.monotonic() - now > self.interval:
+            self.counts["overruns"] += 1
+            self.warn("overrun", f"a tick took longer than its {self.interval * 1e3:g} ms")
+
+    def _time_ran_backwards(self, ticks: int) -> None:
+        """The clock was set back (a simulation started again): everything begins anew."""
+        self.counts["time ran backwards"] += 1
+        self.warn("backwards", f"time ran backwards by {ticks * self.interval:g} s: starting again")
+        for signal in self.inputs:
+            signal.rows.clear()
+        self.reset()
 
     def _reset(self) -> str:
         for signal in self.inputs:
@@ -218,7 +285,7 @@ class SignalNode(EndingNode):
         values = {"schedule": self.settings.schedule, "rate [Hz]": f"{(ticks - ticks_before) / (now - before):.1f}",
                   "ticks": ticks, "jitter [us]": f"{self._jitter.take() * 1e6:.1f}", "stale": ", ".join(stale) or "none",
                   "enabled": self.enabled, **{f"age of {signal.topic} [s]": f"{signal.age:.4f}" for signal in self.inputs},
-                  **faults, **self.status()}
+                  **self._intervals.entries("period"), **faults, **self.status()}
         status = DiagnosticStatus(name=f"{self.get_fully_qualified_name()}: loop", hardware_id="hyst_control",
                                   level=DiagnosticStatus.WARN if stale or not self.enabled else DiagnosticStatus.OK,
                                   message=f"stale: {', '.join(stale)}" if stale else "running",
@@ -232,16 +299,12 @@ class _Jitter:
     """Standard deviation of the intervals between ticks, in s, since it was last taken."""
 
     def __init__(self) -> None:
-        self._last: float | None = None
         self._count, self._sum, self._squares = 0, 0.0, 0.0
 
-    def add(self, now: float) -> None:
-        if self._last is not None:
-            interval = now - self._last
-            self._count += 1
-            self._sum += interval
-            self._squares += interval * interval
-        self._last = now
+    def add(self, interval: float) -> None:
+        self._count += 1
+        self._sum += interval
+        self._squares += interval * interval
 
     def take(self) -> float:
         count = max(self._count, 1)

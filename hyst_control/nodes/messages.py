@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -66,6 +67,43 @@ def receive(node: Node, topic: str, callback: Callable[[str, Array], None], refu
         except (TypeError, NotImplementedError):
             pass
     return node.create_subscription(Float64MultiArray, topic, on_message, QUEUE)
+
+
+class Intake:
+    """A subscription whose messages are taken when it suits the owner, many at a time, instead of one callback for each."""
+
+    def __init__(self, node: Node, topic: str, objects: bool = False) -> None:
+        self._decoder, self._objects = Decoder(), objects
+        self.subscription = node.create_subscription(Float64MultiArray, topic, lambda message: None, QUEUE, raw=not objects)
+
+    def take(self, refused: Callable[[str], None], merge: bool = False) -> list[tuple[str, Array, int]]:
+        """(label, block (N, C), time of reception in ns) of every message that has arrived; `refused(reason)` for what is none.
+
+        merge: successive messages of one form become one block, received when the last of them was.
+        """
+        handle, raw = self.subscription.handle, not self._objects
+        found: list[tuple[Any, int]] = []
+        with handle:
+            while (message := handle.take_message(Float64MultiArray, raw)) is not None:
+                found.append((message[0], message[1]["received_timestamp"] or time.time_ns()))
+        taken: list[tuple[str, Array, int]] = []
+        begin = 0
+        while begin < len(found):
+            end = begin + 1
+            try:
+                label, block = self._decoder.decode(found[begin][0]) if raw else from_message(found[begin][0])
+                if merge and raw and label:
+                    size, head = len(found[begin][0]), found[begin][0][:-block.nbytes]
+                    while end < len(found) and len(found[end][0]) == size and found[end][0].startswith(head):
+                        end += 1
+                    if end - begin > 1:
+                        data = b"".join([message[len(head):] for message, _ in found[begin:end]])
+                        block = np.frombuffer(data, np.float64).reshape(-1, block.shape[1])
+                taken.append((label, block, found[end - 1][1]))
+            except ValueError as error:
+                refused(str(error))
+            begin = end
+        return taken
 
 
 def to_message(label: str, block: Array) -> Float64MultiArray:

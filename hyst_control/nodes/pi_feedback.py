@@ -87,6 +87,7 @@ class PiFeedback(SignalNode):
             self._publish(first, *self._controller.step(reference, measurement, ahead))
 
     def tick(self, tick: int) -> None:
+        self._fill(tick - self.missed)
         stale = [signal.topic for signal in self.inputs if signal.age > self.settings.timeout]
         if stale:
             self.warn("stale", f"no {' and no '.join(stale)} for {self.settings.timeout:g} s: the command goes to its safe value")
@@ -119,6 +120,7 @@ class PiFeedback(SignalNode):
         resting = self.settings.start == "rest" or self.settings.schedule == TIMER
         self._controller.reset(np.zeros(len(self.axes)) if resting else None)
         self._away = False
+        self._newest: tuple[int, Any, Any] | None = None
         self.command.clear()
         self.feedback.clear()
 
@@ -130,9 +132,16 @@ class PiFeedback(SignalNode):
         command = self._controller.ramp(self._safe, self.settings.safe_rate, count)
         self._publish(first, command, np.zeros_like(command))
 
+    def _fill(self, first: int) -> None:
+        """Timer: in ticks that were missed the command before was held: say so, for whoever reads the record."""
+        if self.missed and self._newest is not None and self._newest[0] + 1 == first:
+            _, command, feedback = self._newest
+            self._publish(first, np.repeat(command, self.missed, axis=0), np.repeat(feedback, self.missed, axis=0))
+
     def _publish(self, first: int, command: Any, feedback: Any) -> None:
         self.feedback.send(first, feedback)  # first: once the command is out, a killed node could not make up for it
         self.command.send(first, command)
+        self._newest = first + len(command) - 1, command[-1:], feedback[-1:]
 
 
 def main() -> int:

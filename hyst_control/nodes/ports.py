@@ -32,10 +32,21 @@ class Input:
         self.rows = Rows(contiguous)
         self.arrived, self._repeated = time.monotonic(), -math.inf  # s, monotonic clock
         self._seen_label: str | None = None
-        receive(node, topic, self._receive, lambda reason: node.drop(topic, "unreadable", reason),
-                node.settings.message_objects)
+        if node.lockstep:
+            receive(node, topic, self._receive, self._refused, node.settings.message_objects)
+        else:
+            self._intake = node.intake(topic)
 
-    def _receive(self, label: str, block: Array) -> None:
+    def poll(self) -> None:
+        """Timer: take what has arrived."""
+        if not self.node.lockstep:
+            for label, block, stamp in self._intake.take(self._refused):
+                self._receive(label, block, stamp)
+
+    def _refused(self, reason: str) -> None:
+        self.node.drop(self.topic, "unreadable", reason)
+
+    def _receive(self, label: str, block: Array, stamp: int = 0) -> None:
         node = self.node
         if label is not self._seen_label:
             if label != self.label:
@@ -66,6 +77,8 @@ class Input:
         self.arrived = time.monotonic()
         if node.lockstep:
             node.advance()
+        else:
+            node.arrived(self, tick + len(block) - 1, stamp)
 
     @property
     def age(self) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -12,15 +11,19 @@ from std_msgs.msg import Int64
 from hyst_control.bag_writer import BagWriter
 from hyst_control.errors import InputError
 from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.messages import QUEUE, receive
+from hyst_control.nodes.messages import QUEUE
 from hyst_control.nodes.ports import tick_of
 from hyst_control.nodes.rows import DUPLICATE
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.settings import Setting
 from hyst_control.signal_message import Encoder
 
+Array = NDArray[np.float64]
+
 SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
 PROGRESS_INTERVAL = 64  # ticks
+DRAIN_INTERVAL = {"lockstep": 0.005, "timer": 0.02}
+"""s, between two looks at what has arrived: the queues hold far more, and a callback for every message would cost ten times as much."""
 
 
 class Recorder(SignalNode):
@@ -36,26 +39,33 @@ class Recorder(SignalNode):
         Setting("topics", SIGNALS, "", "topics to record"),
         Setting("merge", 1, "rows", "rows of a topic stored in one message at least, unless 0.5 s pass", 1, 65536),
         Setting("ticks", 0, "ticks", "rows of every topic after which the recorder ends, 0 for endless", 0, 2**52),
+        Setting("duration", 0.0, "s", "time after which the recorder ends, 0 for endless", 0.0, 1e9),
     )
+
+    _failure = ""
+    """Why the bag could not be written any further."""
 
     def __init__(self, name: str = "recorder", **options: Any) -> None:
         super().__init__(name, **options)
         if not self.settings.output:
             raise InputError(f"{self.get_name()}: parameter output: give the directory of the bag")
-        self.ends = self.settings.ticks > 0
+        self.ends = self.settings.ticks > 0 or self.settings.duration > 0
         self._writer = BagWriter(self.settings.output)
         self._progress = self.create_publisher(Int64, "recorded", QUEUE)
         self.told = -1
         self._topics = [_Topic(self, topic) for topic in self.settings.topics]
-        self._flushed = 0
+        self.every(DRAIN_INTERVAL[self.settings.schedule], self._drain)
         self.every(0.5, self._flush)
+        if self.settings.duration:
+            self.every(self.settings.duration, self._time_is_up)
 
-    def store(self, topic: str, message: bytes) -> None:
+    def store(self, topic: str, message: bytes, stamp: int) -> None:
         """Write a serialized message; a full disk ends the recorder with what is on it."""
-        try:
-            self._writer.write(topic, message, time.time_ns())
-        except OSError as error:
-            self._failed(error)
+        if not self.finished.done():
+            try:
+                self._writer.write(topic, message, stamp)
+            except OSError as error:
+                self._failed(error)
 
     def progress(self, repeat: bool = False) -> None:
         """Tell how far every topic is complete, unless that is little more than what was told last."""
@@ -63,8 +73,8 @@ class Recorder(SignalNode):
         if None in ends:
             return
         last = min(ends) - 1
-        done = self.ends and (last >= self.settings.ticks - 1 if self.lockstep else
-                              all(topic.arrived >= self.settings.ticks for topic in self._topics))
+        wanted = self.settings.ticks
+        done = wanted and (last >= wanted - 1 if self.lockstep else all(topic.arrived >= wanted for topic in self._topics))
         if repeat or done or last - self.told >= (PROGRESS_INTERVAL if self.told >= 0 else 1):
             self.told = last
             self._progress.publish(Int64(data=last))
@@ -76,12 +86,22 @@ class Recorder(SignalNode):
         return {"last complete tick": self.told}
 
     def close(self) -> None:
+        if self._failure:  # nothing more goes onto the disk
+            self._writer.abandon()
+            return
         try:
             for topic in self._topics:
+                topic.drain()
                 topic.store()
             self._writer.close()
         except OSError as error:
             self._failed(error)
+
+    def _drain(self) -> None:
+        if not self.finished.done():
+            for topic in self._topics:
+                topic.drain()
+            self.progress()
 
     def _flush(self) -> None:
         if not self.finished.done():
@@ -92,9 +112,16 @@ class Recorder(SignalNode):
             except OSError as error:
                 self._failed(error)
 
-    def _failed(self, error: OSError) -> None:
+    def _time_is_up(self) -> None:
         if not self.finished.done():
-            self.get_logger().error(f"{self.settings.output}: {error.strerror}: recording ends here")
+            self.close()
+            self.finish(self._progress)
+
+    def _failed(self, error: OSError) -> None:
+        if not self._failure:
+            self._failure = error.strerror or str(error)
+            self.get_logger().error(f"{self.settings.output}: {self._failure}: recording ends here; what was stored before is "
+                                    "readable")
             self.finish(self._progress, 2)
 
 
@@ -105,21 +132,49 @@ class _Topic:
         self._recorder, self._encoder = recorder, None
         self.end: int | None = None
         self.arrived = 0
-        self._pending: list[NDArray[Any]] = []
+        self._pending: list[Array] = []
         self._pending_rows = 0
-        subscription = receive(recorder, topic, self._receive, lambda reason: recorder.drop(topic, "unreadable", reason),
-                               recorder.settings.message_objects)
-        self.name = subscription.topic_name
+        self._stamp = 0  # ns, of the reception of the newest rows
+        self._intake = recorder.intake(topic)
+        self.name = self._intake.subscription.topic_name
         recorder._writer.add_topic(self.name)
 
-    def _receive(self, label: str, block: NDArray[Any]) -> None:
+    def drain(self) -> None:
+        """Take everything that has arrived."""
         recorder = self._recorder
-        if recorder.finished.done():
+        for label, block, stamp in self._intake.take(self._refused, recorder.settings.merge > 1):
+            self._stamp = stamp
+            if not self._take_at_once(label, block):
+                self._receive(label, block)
+
+    def _refused(self, reason: str) -> None:
+        self._recorder.drop(self.name, "unreadable", reason)
+
+    def _take_at_once(self, label: str, block: Array) -> bool:
+        """Take a block that is what is due, as it mostly is; False when it is not."""
+        recorder = self._recorder
+        if self._encoder is None or label != self._encoder.label or self.end is None:
+            return False
+        ticks = block[:, 0] / recorder.period
+        if not np.all(np.abs(ticks - np.arange(self.end, self.end + len(block))) < 1e-3):
+            return False
+        if recorder.settings.ticks and recorder.lockstep and self.end + len(block) > recorder.settings.ticks:
+            return False
+        self._append(block)
+        return True
+
+    def _receive(self, label: str, block: Array) -> None:
+        recorder = self._recorder
+        breaks = np.flatnonzero(~(np.abs(np.diff(block[:, 0]) / recorder.period - 1.0) < 1e-3)) + 1
+        if len(breaks):  # of several messages, with a gap or a repetition between them
+            for part in np.split(block, breaks):
+                self._receive(label, part)
             return
         try:
             if self._encoder is None or self._encoder.label != label:
+                encoder = Encoder(label)
                 self.store()
-                self._encoder = Encoder(label)
+                self._encoder = encoder
         except InputError as error:
             recorder.drop(self.name, "wrong label", str(error))
             return
@@ -128,7 +183,7 @@ class _Topic:
             recorder.drop(self.name, "off the clock", f"its times are not successive multiples of the period "
                                                       f"{recorder.period:g} s: is rate_hz the same everywhere?")
             return
-        if recorder.lockstep and recorder.ends:
+        if recorder.lockstep and recorder.settings.ticks:
             block = block[:max(recorder.settings.ticks - tick, 0)]
             if not len(block):
                 return
@@ -145,22 +200,23 @@ class _Topic:
                 self.store()  # the rows of one message are successive
             block = block[max(self.end - tick, 0):]
             tick = max(self.end, tick)
+        self.end = tick
+        self._append(block)
+
+    def _append(self, block: Array) -> None:
         self._pending.append(block)
         self._pending_rows += len(block)
-        if self._pending_rows >= recorder.settings.merge:
-            self.store()
-        self.end = end = tick + len(block)
+        self.end += len(block)
         self.arrived += len(block)
-        complete = recorder.ends and max(end, self.arrived) >= recorder.settings.ticks
-        if complete or recorder.told < 0 or end - recorder.told >= PROGRESS_INTERVAL:
-            recorder.progress()
+        if self._pending_rows >= self._recorder.settings.merge:
+            self.store()
 
     def store(self) -> None:
         """Write the rows that wait to be merged."""
         if self._pending:
             rows = self._pending[0] if len(self._pending) == 1 else np.concatenate(self._pending)
             self._pending, self._pending_rows = [], 0
-            self._recorder.store(self.name, self._encoder.encode(rows))
+            self._recorder.store(self.name, self._encoder.encode(rows), self._stamp)
 
 
 def main() -> int:

@@ -80,7 +80,8 @@ class ReferenceGenerator(SignalNode):
         if self._origin is None:
             self._origin = tick
         lead, block = self.settings.lead, self.settings.block
-        self.reference.send(tick + lead, self.rows(tick - self._origin, block))
+        first = max(tick - self.missed, self._origin)
+        self.reference.send(first + lead, self.rows(first - self._origin, tick + block - first))
 
     def reset(self) -> None:
         self._end, self._origin = 0, None

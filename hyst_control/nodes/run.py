@@ -16,7 +16,7 @@ from rclpy.task import Future
 
 from hyst_control.errors import InputError
 from hyst_control.launch import environment
-from hyst_control.nodes.base import EndingNode
+from hyst_control.nodes.base import EndingNode, SignalNode
 
 FOREVER = 1e6  # s
 INTERRUPT_LATENCY = 0.01  # s, in which a signal that rclpy has heard reaches Python
@@ -40,6 +40,7 @@ def run(nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER)
             ended.set_result(max(node.finished.result() for node in waiting))
 
     try:
+        tick_together(nodes)
         for node in nodes:
             executor.add_node(node)
         for node in waiting:
@@ -49,6 +50,23 @@ def run(nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER)
     finally:
         close(nodes)
         executor.shutdown()
+
+
+def tick_together(nodes: Sequence[EndingNode]) -> None:
+    """Let one timer tick all nodes of one interval, in the order of their phases: every timer wakes two threads."""
+    paced = [node for node in nodes if isinstance(node, SignalNode) and node.paced]
+    for interval in {node.interval for node in paced}:
+        group = sorted((node for node in paced if node.interval == interval), key=lambda node: node.phase)
+        if len(group) > 1:
+            for node in group[1:]:
+                node.set_timer(None)
+            group[0].set_timer(lambda group=group: _tick(group))
+
+
+def _tick(group: Sequence[SignalNode]) -> None:
+    now = time.monotonic()
+    for node in group:
+        node.on_timer(now)
 
 
 def close(nodes: Sequence[EndingNode]) -> None:
@@ -73,10 +91,18 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
         rclpy.try_shutdown()
 
 
+def _initialise(args: Sequence[str] | None) -> None:
+    try:
+        rclpy.init(args=args)
+    except Exception as error:  # of the middleware's own kinds: arguments or parameter files that it cannot read
+        text = " ".join(str(error).split()).removeprefix("failed to initialize rcl: ").partition(", at ")[0]
+        raise InputError(f"ROS arguments: {text}: in a parameter file quote texts such as 'y', 'on' or 'no'") from None
+
+
 def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | None) -> int:
     nodes: list[EndingNode] = []
     try:
-        rclpy.init(args=args)
+        _initialise(args)
         for factory in factories:
             nodes.append(factory())
         return run(nodes, rclpy.get_default_context()) or 0

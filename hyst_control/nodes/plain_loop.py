@@ -1,0 +1,199 @@
+"""The same loop the plain way, for `hyst bench` to compare with: SingleThreadedExecutor, message objects, one callback a message.
+
+Reference, feedforward, feedback and plant as four small nodes that compute what the package's nodes compute, and nothing else: no
+check of what arrives, no repetition, no recorder. Run by name: `python -m hyst_control.nodes.plain_loop plant SETTINGS.json`.
+"""
+
+from __future__ import annotations
+
+import array
+import json
+import math
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from std_msgs.msg import Float64MultiArray
+
+from hyst_control.control.feedforward import build_compensator
+from hyst_control.control.pi import PI
+from hyst_control.launch import environment
+from hyst_control.model_file import Simulator, load_model
+from hyst_control.nodes.timing import Durations
+
+LIMITS = (0.0, 100.0)
+
+
+class PlainNode(Node):
+    """What the four have in common: a period, rows in, rows out."""
+
+    def __init__(self, name: str, settings: Mapping[str, Any]) -> None:
+        super().__init__(name)
+        self.period = 1.0 / settings["rate_hz"]
+        self.timed = settings["schedule"] == "timer"
+        self.model = load_model(settings["model"])
+        self.axes = len(self.model.axes)
+        self.settings = settings
+        if self.timed:
+            self.create_timer(self.period, self.tick)
+
+    def tick(self) -> None:
+        """Timer: one sample is due."""
+
+    def hear(self, topic: str, callback: Any) -> None:
+        """`callback(tick, values (1, A))` for every message."""
+        def on_message(message: Float64MultiArray) -> None:
+            row = np.array(message.data)
+            callback(round(row[0] / self.period), row[1:].reshape(1, -1))
+
+        self.create_subscription(Float64MultiArray, topic, on_message, 5000)
+
+    def say(self, publisher: Any, tick: int, values: Any) -> None:
+        """Publish one row."""
+        publisher.publish(Float64MultiArray(data=array.array("d", [tick * self.period, *values.ravel().tolist()])))
+
+
+class PlainReference(PlainNode):
+    """Sends the row of every measurement's tick and the next one."""
+
+    def __init__(self, settings: Mapping[str, Any]) -> None:
+        super().__init__("plain_reference", settings)
+        self.count = 0
+        self.publisher = self.create_publisher(Float64MultiArray, "reference", 5000)
+        if not self.timed:
+            self.hear("measurement", lambda tick, values: self.send(tick))
+
+    def send(self, tick: int) -> None:
+        low, high = self.settings["range"]
+        value = 0.5 * (low + high) - 0.5 * (high - low) * math.cos(2 * math.pi * self.settings["frequency"] * tick * self.period)
+        self.say(self.publisher, tick, np.full(self.axes, value))
+
+    def tick(self) -> None:
+        self.send(self.count)
+        self.count += 1
+
+
+class PlainFeedforward(PlainNode):
+    """The inverse of the model."""
+
+    def __init__(self, settings: Mapping[str, Any]) -> None:
+        super().__init__("plain_feedforward", settings)
+        self.compensator = build_compensator(self.model, "mhl", sample_time=self.period, limits=LIMITS)
+        self.compensator.settle(np.zeros(self.axes))
+        self.publisher = self.create_publisher(Float64MultiArray, "feedforward", 5000)
+        self.hear("reference", lambda tick, values: self.say(self.publisher, tick, self.compensator.process(values)))
+
+
+class PlainFeedback(PlainNode):
+    """PI feedback on top of the feedforward."""
+
+    def __init__(self, settings: Mapping[str, Any]) -> None:
+        super().__init__("plain_feedback", settings)
+        self.controller = PI(settings["kp"], settings["ki"], self.period, *LIMITS).start(self.axes)
+        self.controller.reset(np.zeros(self.axes))
+        self.rows: dict[str, dict[int, Any]] = {topic: {} for topic in ("reference", "feedforward", "measurement")}
+        self.newest: dict[str, Any] = {}
+        self.count = 0
+        self.command = self.create_publisher(Float64MultiArray, "command", 5000)
+        self.feedback = self.create_publisher(Float64MultiArray, "feedback", 5000)
+        for topic in self.rows:
+            self.hear(topic, lambda tick, values, topic=topic: self.heard(topic, tick, values))
+
+    def heard(self, topic: str, tick: int, values: Any) -> None:
+        self.newest[topic] = tick, values
+        if not self.timed:
+            self.rows[topic][tick] = values
+            if all(tick in rows for rows in self.rows.values()):
+                self.control(tick, {name: rows.pop(tick) for name, rows in self.rows.items()})
+
+    def control(self, tick: int, rows: Mapping[str, Any]) -> None:
+        command, feedback = self.controller.step(rows["reference"], rows["measurement"], rows["feedforward"])
+        self.say(self.feedback, tick, feedback)
+        self.say(self.command, tick, command)
+
+    def tick(self) -> None:
+        if len(self.newest) == len(self.rows):
+            self.control(self.newest["measurement"][0], {topic: values for topic, (_, values) in self.newest.items()})
+
+
+class PlainPlant(PlainNode):
+    """The model as the plant; measures the loop and tells it in the diagnostics."""
+
+    def __init__(self, settings: Mapping[str, Any]) -> None:
+        super().__init__("plain_plant", settings)
+        self.plant = Simulator(self.model, self.period)
+        self.measured = self.plant.reset(np.zeros(self.axes))[None]
+        self.count, self.rounds = 0, 0
+        self.held = np.zeros((1, self.axes))
+        self.sent: dict[int, float] = {}
+        self.latency, self.intervals, self.last = Durations(), Durations(), math.nan
+        self.publisher = self.create_publisher(Float64MultiArray, "measurement", 5000)
+        self.hear("command", self.commanded)
+        self.diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_timer(1.0, self.tell)
+        if not self.timed:
+            self.create_timer(0.2, lambda: self.say(self.publisher, self.count, self.measured) if not self.rounds else None)
+
+    def commanded(self, tick: int, values: Any) -> None:
+        self.rounds += 1
+        if self.timed:
+            self.held = values
+            if tick in self.sent:
+                self.latency.add(time.monotonic() - self.sent.pop(tick))
+        elif tick == self.count:
+            self.send(values)
+
+    def send(self, command: Any) -> None:
+        self.measured = self.plant.step(command)
+        self.count += 1
+        if self.timed:
+            self.sent[self.count] = time.monotonic()
+            self.sent.pop(self.count - 1000, None)
+        self.say(self.publisher, self.count, self.measured)
+
+    def tick(self) -> None:
+        now = time.monotonic()
+        if not math.isnan(self.last):
+            self.intervals.add(now - self.last)
+        self.last = now
+        self.send(self.held)
+
+    def tell(self) -> None:
+        values = {"ticks": self.count if self.timed else self.rounds, "commands": self.rounds, **self.latency.entries("loop latency"),
+                  **self.intervals.entries("period")}
+        status = DiagnosticStatus(name="plain_plant: loop", values=[KeyValue(key=key, value=str(value))
+                                                                    for key, value in values.items()])
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self.diagnostics.publish(message)
+
+
+NODES = {"reference": PlainReference, "feedforward": PlainFeedforward, "feedback": PlainFeedback, "plant": PlainPlant}
+
+
+def main() -> None:
+    """Run the nodes that are named, or all, on one executor until interrupted."""
+    *names, path = sys.argv[1:]
+    settings = json.loads(Path(path).read_text(encoding="utf-8"))
+    environment.prepare()
+    rclpy.init()
+    executor = SingleThreadedExecutor()
+    for name in names or NODES:
+        executor.add_node(NODES[name](settings))
+    try:
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()
