@@ -9,7 +9,7 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.candidates import Candidate, catalogue
-from hyst_control.diagnose.checks import Finding, excess_noise, findings, lines
+from hyst_control.diagnose.checks import Finding, excess_noise, findings, lattice_of, lines
 from hyst_control.diagnose.coloured import Flicker, flicker
 from hyst_control.diagnose.decision import Decision, Thresholds, decide, thresholds
 from hyst_control.diagnose.fit import Linearised, fit
@@ -120,7 +120,7 @@ def _with_noise(problem: Problem, residuals: Array) -> Problem:
     edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in problem.pieces)])
     sigma = [max(noise_of([residuals[a:b, axis] for a, b in zip(edges[:-1], edges[1:], strict=True)],
                           [piece.counted(piece.command)[:, axis] for piece in problem.pieces]),
-                 LEAST_NOISE * float(np.ptp(measured[:, axis])), 1e-12) for axis in range(residuals.shape[1])]
+                 LEAST_NOISE * float(np.ptp(measured[:, axis])), lattice_of(measured[:, axis]) / np.sqrt(12.0), 1e-12) for axis in range(residuals.shape[1])]
     return replace(problem, sigma=np.array(sigma))
 
 

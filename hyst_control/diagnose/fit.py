@@ -5,8 +5,8 @@ their broad prior is N(x0, 1)):
 
     Φ(z, x) = ½ ‖y - ŷ(z, x)‖² + ½ ‖z‖² + ½ ‖x - x0‖²
 
-is minimised by Gauss-Newton steps whose z-columns J = ∂ŷ/∂z are those of the nominal model throughout: a scatter of a per cent
-changes them by a per cent, so a step leaves a per cent of the error, and only the effect's few columns are renewed.
+is minimised by Gauss-Newton steps whose z-columns J = ∂ŷ/∂z are those of the nominal model: a scatter of a per cent changes them by
+a per cent, so a step leaves a per cent of the error, and only the effect's few columns are renewed. `refined` renews them all.
 """
 
 from __future__ import annotations
@@ -57,17 +57,19 @@ class Solution:
 class Linearised:
     """The columns J (M, K) of a model's scattered coefficients on its records, prepared once for all fits."""
 
-    def __init__(self, problem: Problem, scatter: Scatter, z: Array | None = None) -> None:
+    def __init__(self, problem: Problem, scatter: Scatter, z: Array | None = None, unknowns: Unknowns | None = None,
+                 x: Array | None = None) -> None:
+        """About the nominal coefficients, or about others, with effects at x where unknowns are given."""
         self.problem, self.scatter = problem, scatter
         self.count = len(scatter.coefficients)
         self.measured = problem.measured()
         centre = np.zeros(self.count) if z is None else z
-        self.nominal = problem.simulate(scatter.at(centre))
+        self.nominal = self.simulate(centre, unknowns, x)
         self.columns = np.empty((len(self.nominal), self.count))
         for k in range(self.count):
             moved = centre.copy()
             moved[k] += STEP
-            self.columns[:, k] = (problem.simulate(scatter.at(moved)) - self.nominal) / STEP
+            self.columns[:, k] = (self.simulate(moved, unknowns, x) - self.nominal) / STEP
         self.gram = self.columns.T @ self.columns
         self.factor = cho_factor(self.gram + np.eye(self.count)) if self.count else None
 
@@ -174,3 +176,20 @@ def _within(normal: Array, right: Array, step: Array, x: Array, unknowns: Unknow
     fresh[count + out] = held
     fresh[free] = np.linalg.solve(normal[np.ix_(free, free)], right[free] - normal[np.ix_(free, count + out)] @ held)
     return fresh
+
+
+def refined(linearised: Linearised, unknowns: Unknowns | None, solution: Solution, rounds: int = 4) -> Solution:
+    """A fit gone on with columns taken where it ended, until that gains nothing more."""
+    for _ in range(rounds):
+        try:
+            here = Linearised(linearised.problem, linearised.scatter, solution.z, unknowns, solution.x)
+            again = fit(here, unknowns, solution.x, solution.z)
+        except InputError:
+            break
+        gained = solution.misfit - again.misfit
+        if gained < 0:
+            break
+        solution = again
+        if gained < 0.5:
+            break
+    return solution

@@ -18,12 +18,15 @@ from scipy.linalg import cho_factor
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.candidates import Candidate, Member
-from hyst_control.diagnose.fit import Linearised, Solution, Unknowns, fit
+from hyst_control.diagnose.fit import Linearised, Solution, Unknowns, fit, refined
 from hyst_control.diagnose.forked import forked
 from hyst_control.errors import InputError
 
 FOLLOWED = 2
 """How many of an effect's starts are fitted to the end."""
+
+REFINED = 8
+"""How many of the best fits go on with columns of their own."""
 
 SPENT = 0.03
 """Energy beyond the noise's, as a share of it, under which no further effect is looked for: the noise is not known better."""
@@ -90,6 +93,7 @@ def search(linearised: Linearised, members: Sequence[Member], threshold: float, 
         progress(candidate.names[0])
         if found is not None:
             fits.append((candidate, found))
+    fits = _refined(linearised, fits, REFINED)
     best = min([none.solution.misfit, *(solution.misfit for _, solution in fits)])
     combinations: list[tuple[Candidate, Solution]] = []
     parents = sorted(fits, key=lambda item: item[1].misfit)[:beam]
@@ -147,7 +151,7 @@ def _grown(linearised: Linearised, parents: Sequence[tuple[Candidate, Solution]]
         progress("+".join(pair.names))
         if found is not None:
             grown.append((pair, found))
-    return sorted(grown, key=lambda item: item[1].misfit)
+    return sorted(_refined(linearised, grown, REFINED // 2), key=lambda item: item[1].misfit)
 
 
 def _occam(solution: Solution, temper: float) -> float:
@@ -166,21 +170,16 @@ def _temper(residual: Array) -> float:
 
 
 def settled(linearised: Linearised, z: Array | None = None) -> Solution:
-    """The fit of the coefficients alone, their columns renewed while they end far from where those were taken."""
+    """The fit of the coefficients alone, with columns of their own where they end far from the nominal ones."""
     solution = fit(linearised, z=z)
-    at = np.zeros(linearised.count)
-    for _ in range(2):
-        if np.max(np.abs(solution.z - at), initial=0.0) < FAR:
-            break
-        at = solution.z
-        try:
-            again = fit(Linearised(linearised.problem, linearised.scatter, at), z=at)
-        except InputError:
-            break
-        if not again.misfit < solution.misfit:
-            break
-        solution = again
-    return solution
+    return refined(linearised, None, solution) if np.max(np.abs(solution.z), initial=0.0) > FAR else solution
+
+
+def _refined(linearised: Linearised, found: Sequence[tuple[Candidate, Solution]], count: int) -> list[tuple[Candidate, Solution]]:
+    """The best fits gone on with; the rest as they are."""
+    found = sorted(found, key=lambda item: item[1].misfit)
+    better = forked(lambda i: refined(linearised, found[i][0].unknowns(), found[i][1]), min(count, len(found)))
+    return [(candidate, solution) for (candidate, _), solution in zip(found, better, strict=False)] + found[count:]
 
 
 def _fitted(linearised: Linearised, candidate: Candidate, starts: Sequence[Array]) -> Solution | None:

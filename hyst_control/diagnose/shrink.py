@@ -41,15 +41,17 @@ def held_out(linearised: Linearised, scored: Scored, none: Scored) -> HeldOut:
     nominal = np.zeros(linearised.count)
     before = (linearised.measured - linearised.simulate(nominal)) ** 2
     after, before_fitted, after_fitted = before.copy(), np.empty(count), np.empty(count)
+    without = Linearised(linearised.problem, linearised.scatter, none.solution.z)
+    within = Linearised(linearised.problem, linearised.scatter, scored.solution.z, unknowns, scored.solution.x)
     for held in (0, 1):
         weight = (fold != held).astype(float)
         rows = fold == held
-        alone = fit(linearised, z=none.solution.z, weight=weight, rounds=4)
+        alone = fit(without, z=none.solution.z, weight=weight, rounds=4)
         before_fitted[rows] = (linearised.measured - linearised.simulate(alone.z))[rows] ** 2
         if unknowns is None:
             after_fitted[rows] = before_fitted[rows]
             continue
-        both = fit(linearised, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=4)
+        both = fit(within, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=4)
         after_fitted[rows] = (linearised.measured - linearised.simulate(both.z, unknowns, both.x))[rows] ** 2
         after[rows] = (linearised.measured - linearised.simulate(nominal, unknowns, both.x))[rows] ** 2
     return HeldOut(before, after, before_fitted, after_fitted)
