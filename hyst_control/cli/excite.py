@@ -1,0 +1,68 @@
+"""Build an excitation or a reference and write it: a table, an array, a bag, or a description that the reference generator takes.
+
+The signal is a kind (see --list) or a .yaml file with its description, followed by parameter=value.
+
+examples:
+  hyst excite --list
+  hyst excite hampi_identification peak=80 --rate 20000 --output excitation.yaml
+  hyst excite sine frequency=10 amplitude=20 offset=25 duration=2 --rate 5000 --output drive.csv
+  hyst excite raster width=1 height=1 lines=20 line_time=0.05 --axes 2 --unit mrad --rate 5000 --output scan.bag
+"""
+
+from __future__ import annotations
+
+import argparse
+
+NAME = "excite"
+HELP = "build an excitation and write it as a table, array, bag or description"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("signal", nargs="*", metavar="KIND parameter=value", help="the kind of signal, or a .yaml file, and parameters")
+    parser.add_argument("--list", action="store_true", help="print every kind with its parameters")
+    parser.add_argument("--output", metavar="FILE", help="to write: .csv, .npy, .yaml, else a bag; it must not exist")
+    parser.add_argument("--rate", type=float, default=20000.0, help="sample rate in Hz (default 20000)")
+    parser.add_argument("--axes", type=int, default=1, help="number of axes (default 1)")
+    parser.add_argument("--unit", default="V", help="V for an excitation (default), um or mrad for a reference")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    import numpy as np
+
+    from hyst_control.errors import InputError
+    from hyst_control.excitation import build
+    from hyst_control.excitation_files import read_description, write_excitation
+
+    if arguments.list:
+        print(listing())
+        return 0
+    if not arguments.signal:
+        raise InputError("give a kind of signal: --list names them")
+    if not arguments.output:
+        raise InputError("--output: give the file to write")
+    if not np.isfinite(arguments.rate) or arguments.rate <= 0:
+        raise InputError(f"rate: {arguments.rate!r} Hz, a positive rate is due")
+    if not 1 <= arguments.axes <= 100:
+        raise InputError(f"axes: {arguments.axes}, 1 to 100 is due")
+    spec = read_description(arguments.signal)
+    rows = build(spec, 1.0 / arguments.rate, arguments.axes)
+    write_excitation(arguments.output, spec, rows, 1.0 / arguments.rate, arguments.unit)
+    print(f"{len(rows)} samples, {len(rows) / arguments.rate:g} s, {rows.min():.6g} to {rows.max():.6g} {arguments.unit}, at most "
+          f"{np.abs(np.diff(rows, axis=0)).max(initial=0.0) * arguments.rate:.4g} {arguments.unit}/s")
+    print(f"written: {arguments.output}")
+    return 0
+
+
+def listing() -> str:
+    """Every kind: its parameters with their defaults, and what it is."""
+    import inspect
+
+    from hyst_control.excitation import KINDS
+
+    lines = []
+    for name in sorted(KINDS):
+        parameters = [parameter for key, parameter in inspect.signature(KINDS[name]).parameters.items()
+                      if key not in ("sample_time", "axes")]
+        words = [each.name if each.default is inspect.Parameter.empty else f"{each.name}={each.default}" for each in parameters]
+        lines += [f"{name} {' '.join(words)}", f"    {(inspect.getdoc(KINDS[name]) or '').splitlines()[0]}"]
+    return "\n".join([*lines, "Each takes besides: lower, upper, slew_limit (bounds that it is checked against), axis, idle."])

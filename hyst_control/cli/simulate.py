@@ -1,0 +1,72 @@
+"""Run a model file over a recorded command or an excitation; writes a bag with `command` and `measurement`.
+
+examples:
+  hyst simulate model.yaml run.bag --output simulated.bag
+  hyst simulate model.yaml --excitation diagnostic lowest=0 highest=80 --output simulated.bag --seed 1
+"""
+
+from __future__ import annotations
+
+import argparse
+
+NAME = "simulate"
+HELP = "run a model over a recorded command or an excitation"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("model", metavar="MODEL.yaml", help="model file")
+    parser.add_argument("bag", nargs="?", metavar="BAG", help="bag whose command is taken")
+    parser.add_argument("--excitation", nargs="+", metavar="WORD", help="kind or .yaml file, and parameter=value (see hyst excite)")
+    parser.add_argument("--output", metavar="BAG", required=True, help="bag to write, which must not exist")
+    parser.add_argument("--rate", type=float, help="sample rate of an excitation in Hz (default: the model's)")
+    parser.add_argument("--seed", type=int, help="add the model's noise, drawn with this seed (default: no noise)")
+    parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    import numpy as np
+
+    from hyst_control.bag_reader import read_bag
+    from hyst_control.errors import InputError
+    from hyst_control.excitation import build
+    from hyst_control.excitation_files import read_description
+    from hyst_control.importing import write_bag
+    from hyst_control.model_file import load_model, simulate
+    from hyst_control.record import Record, Signal
+
+    if bool(arguments.bag) == bool(arguments.excitation):
+        raise InputError("give either a bag or --excitation")
+    if arguments.seed is not None and arguments.seed < 0:
+        raise InputError(f"seed: {arguments.seed}, 0 or more is due")
+    model = load_model(arguments.model)
+    hold = model.hold
+    if arguments.bag:
+        if arguments.rate is not None:
+            raise InputError("rate: a bag has its own: leave --rate out")
+        record = read_bag(arguments.bag, arguments.namespace, topics=("command",))
+        [data] = record.aligned(["command"])
+        commands, sample_time, hold = data.values["command"], data.sample_time, record.hold
+        if commands.shape[1] != len(model.axes):
+            raise InputError(f"{arguments.bag}: command has {commands.shape[1]} axes, {arguments.model} {len(model.axes)}")
+        for note in record.notes:
+            print(f"note: {note}")
+    else:
+        rate = 1.0 / model.sample_time if arguments.rate is None else arguments.rate
+        if not np.isfinite(rate) or rate <= 0:
+            raise InputError(f"rate: {rate!r} Hz, a positive rate is due")
+        sample_time = 1.0 / rate
+        commands = build(read_description(arguments.excitation), sample_time, len(model.axes))
+    measurement = simulate(model, commands, sample_time, hold)
+    if arguments.seed is not None:
+        sigma = np.broadcast_to(np.asarray(model.noise.get("sigma", 0.0), dtype=float), len(model.axes))
+        measurement = measurement + sigma * np.random.default_rng(arguments.seed).standard_normal(measurement.shape)
+    if not np.isfinite(measurement).all():
+        raise InputError(f"{arguments.model}: the simulation does not stay finite with this command: is the model stable?")
+    time = np.arange(len(commands)) * sample_time
+    signals = {"command": Signal(time, commands, tuple(model.axes), "V"),
+               "measurement": Signal(time, measurement, tuple(model.axes), model.units["measurement"])}
+    write_bag(arguments.output, Record(signals, arguments.output, (), hold))
+    print(f"{len(commands)} samples at {1.0 / sample_time:g} Hz, measurement {measurement.min():.6g} to {measurement.max():.6g} "
+          f"{model.units['measurement']}")
+    print(f"written: {arguments.output}")
+    return 0
