@@ -42,6 +42,8 @@ COMMON = (
     Setting("axes", ("x",), "", "names of the axes"),
     Setting("unit", "um", "", "unit of reference and measurement", choices=("um", "mrad")),
     Setting("timeout", 0.1, "s", "age from which an input is stale, under the timer", 1e-4, 1e3, live=True),
+    Setting("backwards", 1.0, "s", "an input that goes back by so much has another time: dropped, under the timer", 1e-3, 1e9, live=True),
+    Setting("most_sources", 1, "", "publishers of one input from which on the diagnostics warn, less one", 1, 1000, live=True),
     Setting("realtime_priority", 0, "", "SCHED_FIFO priority of the process, 0 for the ordinary scheduler", 0, 99),
     Setting("cpu", -1, "", "core that the process is pinned to, -1 for any", -1, 1023),
     Setting("message_objects", False, "", "exchange message objects in place of serialized bytes"),
@@ -112,6 +114,7 @@ class SignalNode(EndingNode):
         self.timer: Any = None
         self._simulated = False
         self.missed = 0  # timer: samples between the tick before and this one that nobody ticked for
+        self.overrun_streak = 0  # ticks in a row that took longer than their time
         self._last_tick: int | None = None
         self._ticked: float | None = None
         self._jitter = _Jitter()
@@ -143,6 +146,10 @@ class SignalNode(EndingNode):
 
     def changed(self, name: str, value: Any) -> None:
         """A live parameter has a new value."""
+
+    def trouble(self) -> str:
+        """What keeps the node from its work, for the diagnostics; "" when nothing does."""
+        return ""
 
     def status(self) -> dict[str, Any]:
         """More entries for the diagnostics."""
@@ -232,7 +239,7 @@ class SignalNode(EndingNode):
             if number < self._last_tick - 1:
                 self._time_ran_backwards(self._last_tick - number)
             elif number <= self._last_tick:
-                self.counts["overruns"] += 1
+                self.counts["early calls"] += 1
                 return
             else:
                 skipped = number - self._last_tick - 1
@@ -249,20 +256,24 @@ class SignalNode(EndingNode):
         self.tick(number * block)
         if not self._simulated and time.monotonic() - now > self.interval:
             self.counts["overruns"] += 1
+            self.overrun_streak += 1
             self.warn("overrun", f"a tick took longer than its {self.interval * 1e3:g} ms")
+        else:
+            self.overrun_streak = 0
 
     def _time_ran_backwards(self, ticks: int) -> None:
         """The clock was set back (a simulation started again): everything begins anew."""
         self.counts["time ran backwards"] += 1
         self.warn("backwards", f"time ran backwards by {ticks * self.interval:g} s: starting again")
         for signal in self.inputs:
-            signal.rows.clear()
+            signal.forget()
         self.reset()
 
     def _reset(self) -> str:
         for signal in self.inputs:
-            signal.rows.clear()
+            signal.forget()
         self.enabled = True
+        self.overrun_streak = 0
         self.reset()
         return "reset"
 
@@ -281,14 +292,21 @@ class SignalNode(EndingNode):
         before, ticks_before = self._diagnosed
         self._diagnosed = (now, ticks)
         stale = [signal.topic for signal in self.inputs if not self.lockstep and signal.age > self.settings.timeout]
+        rivals = [signal.topic for signal in self.inputs
+                  if self.count_publishers(signal.topic) > self.settings.most_sources]
+        for topic in rivals:
+            self.warn(f"{topic}: sources", f"{topic}: {self.count_publishers(topic)} nodes publish it: was one started twice?")
         faults = {key: count for key, count in self.counts.items() if key != "ticks" and count}
         values = {"schedule": self.settings.schedule, "rate [Hz]": f"{(ticks - ticks_before) / (now - before):.1f}",
                   "ticks": ticks, "jitter [us]": f"{self._jitter.take() * 1e6:.1f}", "stale": ", ".join(stale) or "none",
+                  "several sources": ", ".join(rivals) or "none",
                   "enabled": self.enabled, **{f"age of {signal.topic} [s]": f"{signal.age:.4f}" for signal in self.inputs},
                   **self._intervals.entries("period"), **faults, **self.status()}
+        trouble = self.trouble() or (f"stale: {', '.join(stale)}" if stale else
+                                     f"several sources: {', '.join(rivals)}" if rivals else "")
         status = DiagnosticStatus(name=f"{self.get_fully_qualified_name()}: loop", hardware_id="hyst_control",
-                                  level=DiagnosticStatus.WARN if stale or not self.enabled else DiagnosticStatus.OK,
-                                  message=f"stale: {', '.join(stale)}" if stale else "running",
+                                  level=DiagnosticStatus.WARN if trouble or not self.enabled else DiagnosticStatus.OK,
+                                  message=trouble or "running",
                                   values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyst_control.control.pi import PI
 from hyst_control.errors import InputError
@@ -12,14 +14,18 @@ from hyst_control.nodes.base import TIMER, SignalNode
 from hyst_control.nodes.ports import Input
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.settings import Setting
+from hyst_control.nodes.watch import MOTION, MeasurementWatch
+
+Array = NDArray[np.float64]
 
 
 class PiFeedback(SignalNode):
     """`command` = limited (`feedforward` + `feedback`), in V.
 
     With `feedback: true` it goes tick by tick, as measurements come; without, it passes blocks of any length (open loop).
-    Stopped, disabled, or with stale inputs under the timer, the command goes to `safe_command` at `safe_rate`; the way
-    back has no jump.
+    Stopped, disabled, with a measurement that is frozen or out of range, and under the timer with inputs that are stale or of two
+    minds, or ticks that take too long, the command goes to `safe_command` at `safe_rate`. It comes back by itself when the fault is
+    over, or with `recovery: manual` after `~/reset`, and in both cases without a jump.
     """
 
     SETTINGS = (
@@ -32,7 +38,16 @@ class PiFeedback(SignalNode):
         Setting("slew_limit", 0.0, "V/s", "greatest slope of the command, 0 for none", 0.0, 1e12),
         Setting("start", "rest", "", "the first command is slewed from 0 V, or is free", choices=("rest", "first_command")),
         Setting("safe_command", (0.0,), "V", "command of a stopped loop, of all axes or of each", -1e6, 1e6),
-        Setting("safe_rate", 1000.0, "V/s", "slope on the way to the safe command", 1e-6, 1e12),
+        Setting("safe_rate", 1000.0, "V/s", "slope on the way to the safe command, and back where the integral cannot take over",
+                1e-6, 1e12, live=True),
+        Setting("recovery", "automatic", "", "after a fault", choices=("automatic", "manual"), live=True),
+        Setting("measurement_lower", -1e6, "um or mrad", "a measurement below is a fault", -1e12, 1e12),
+        Setting("measurement_upper", 1e6, "um or mrad", "a measurement above is a fault", -1e12, 1e12),
+        Setting("frozen_time", 0.1, "s", "a measurement that stays the same for so long while the command moves by 1 % of its range "
+                "is a fault, 0 for never", 0.0, 1e6),
+        Setting("saturation_time", 0.5, "s", "a command at its limits for so long is warned of", 1e-6, 1e6, live=True),
+        Setting("overrun_ticks", 100, "ticks", "ticks in a row that take longer than their time are a fault, 0 for never", 0, 1_000_000,
+                live=True),
     )
 
     def __init__(self, name: str = "pi_feedback", **options: Any) -> None:
@@ -49,6 +64,9 @@ class PiFeedback(SignalNode):
         self._controller = description.start(axes)
         self._controller.step(*np.zeros((3, 1, axes)))  # compiled before the first tick
         self._controller.pass_through(np.zeros((1, axes)))
+        self._watch = MeasurementWatch(given.measurement_lower, given.measurement_upper, self._ticks_in(given.frozen_time),
+                                       MOTION * (given.upper - given.lower))
+        self._newest: tuple[int, Any, Any] | None = None
         self._away = False
         self.command = self.output("command", "V")
         self.feedback = self.output("feedback", "V")
@@ -73,43 +91,31 @@ class PiFeedback(SignalNode):
         if not count:
             return
         ahead = rows[0].take(count)
-        if not self.enabled:
-            for each in rows[1:]:
-                each.take(count)
-            self._ramp(first, count)
-        elif self.measurement is None:
-            self._publish(first, *self._controller.pass_through(ahead))
-        else:
-            reference, measurement = rows[1].take(count), rows[2].take(count)
-            if self._away:
-                self._controller.resume(self._controller.command, reference[0], measurement[0], ahead[0])
-                self._away = False
-            self._publish(first, *self._controller.step(reference, measurement, ahead))
+        others = [each.take(count) for each in rows[1:]]
+        if self.measurement is None:
+            if self._safe_now("", first, count):
+                self._open_loop(first, ahead)
+            return
+        for row in range(count):
+            now = slice(row, row + 1)
+            self._closed_loop(first + row, ahead[now], others[0][now], others[1][now])
 
     def tick(self, tick: int) -> None:
         self._fill(tick - self.missed)
-        stale = [signal.topic for signal in self.inputs if signal.age > self.settings.timeout]
-        if stale:
-            self.warn("stale", f"no {' and no '.join(stale)} for {self.settings.timeout:g} s: the command goes to its safe value")
-        if stale or not self.enabled:
-            if not np.isnan(self._controller.command).any():
-                self._ramp(tick, self.settings.block)
-            return
+        fault, rows = self._timing_fault(), self.feedforward.rows
+        running = not np.isnan(self._controller.command).any()
         if self.measurement is None:
-            rows = self.feedforward.rows
-            if rows.available:
-                first = rows.start
-                self._publish(first, *self._controller.pass_through(rows.take(rows.available)))
+            if self._safe_now(fault, tick, self.settings.block if running else 0):
+                if rows.available:
+                    self._open_loop(rows.start, rows.take(rows.available))
+            else:
+                rows.skip_to(tick + 1)
             return
         newest = [signal.rows.newest(tick) for signal in self.inputs]
-        if any(row is None for row in newest):
-            return
-        ahead, reference, measurement = newest
-        if self._away:
-            self._controller.resume(self._controller.command, reference, measurement, ahead)
-            self._away = False
-        command, feedback = self._controller.step(reference, measurement, ahead)
-        self._publish(tick, command[None], feedback[None])
+        if all(row is not None for row in newest):
+            self._closed_loop(tick, *(row[None] for row in newest), fault)
+        elif self._newest is not None:  # nothing came since a reset
+            self._to_safety(tick, 1)
 
     def repeat(self, source: Input) -> None:
         if source is self._paced_by:
@@ -117,20 +123,95 @@ class PiFeedback(SignalNode):
             self.feedback.repeat()
 
     def reset(self) -> None:
-        resting = self.settings.start == "rest" or self.settings.schedule == TIMER
-        self._controller.reset(np.zeros(len(self.axes)) if resting else None)
-        self._away = False
-        self._newest: tuple[int, Any, Any] | None = None
+        """A fault is over, or a run begins; a command that is out is never left with a jump."""
+        timed = self.settings.schedule == TIMER
+        self._away = self._newest is not None and (timed or self._away)
+        if self._away:
+            self._controller.reset(self._controller.command)
+        else:
+            self._controller.reset(np.zeros(len(self.axes)) if timed or self.settings.start == "rest" else None)
+            self._newest = None
+        self._fault, self._saturated_ticks = "", 0
         self.command.clear()
         self.feedback.clear()
 
-    def status(self) -> dict[str, Any]:
-        return {"saturated samples": self._controller.saturated}
+    def trouble(self) -> str:
+        return self._fault or ("saturated" if self._saturated_ticks >= self._ticks_in(self.settings.saturation_time) else "")
 
-    def _ramp(self, first: int, count: int) -> None:
+    def status(self) -> dict[str, Any]:
+        return {"saturated samples": self._controller.saturated, "fault": self._fault or "none"}
+
+    def _ticks_in(self, seconds: float) -> int:
+        return int(np.ceil(seconds / self.period - 1e-9))
+
+    def _timing_fault(self) -> str:
+        """Timer: what is wrong with what arrives and when; "" when nothing is."""
+        stale = [signal.topic for signal in self.inputs if signal.age > self.settings.timeout]
+        if stale:
+            return f"no {' and no '.join(stale)} for {self.settings.timeout:g} s"
+        now = time.monotonic()
+        contradictory = [signal.topic for signal in self.inputs if now - signal.conflicted < self.settings.timeout]
+        if contradictory:
+            return f"two sources of {' and '.join(contradictory)}"
+        if 0 < self.settings.overrun_ticks <= self.overrun_streak:
+            return "ticks take longer than their time"
+        return ""
+
+    def _safe_now(self, fault: str, tick: int, count: int) -> bool:
+        """Whether to go on; otherwise the command goes on towards its safe value for `count` ticks."""
+        if fault and fault != self._fault:
+            self.counts["faults"] += 1
+            self.warn(fault, f"{fault}: the command goes to its safe value")
+        if fault or self.settings.recovery == "automatic":
+            self._fault = fault
+        if not self._fault and self.enabled:
+            return True
+        if count:
+            self._to_safety(tick, count)
+        return False
+
+    def _to_safety(self, tick: int, count: int) -> None:
         self._away = True
-        command = self._controller.ramp(self._safe, self.settings.safe_rate, count)
-        self._publish(first, command, np.zeros_like(command))
+        command = self._controller.ramp(self._safe, self._safe_rate, count)
+        self._publish(tick, command, np.zeros_like(command))
+
+    def _closed_loop(self, tick: int, ahead: Array, reference: Array, measurement: Array, fault: str = "") -> None:
+        """One tick with feedback; the arrays are (1, A)."""
+        last = self._controller.command
+        if not self._safe_now(fault or self._watch.check(measurement[0], last), tick, 1):
+            return
+        if self._away:
+            self._controller.resume(last, reference[0], measurement[0], ahead[0])
+        saturated = self._controller.saturated
+        command, feedback = self._controller.step(reference, measurement, ahead)
+        self._saturated_ticks = self._saturated_ticks + 1 if self._controller.saturated > saturated else 0
+        if self._away and not self.settings.ki:  # no integral that would lead back
+            wanted = command
+            self._controller.resume(last, reference[0], measurement[0], ahead[0])
+            command = self._controller.ramp(wanted[0], self._safe_rate)
+            self._away = not np.array_equal(command, wanted)
+        else:
+            self._away = False
+        self._publish(tick, command, feedback)
+
+    def _open_loop(self, first: int, ahead: Array) -> None:
+        """Rows (N, A) of the feedforward within the limits; after a fault back to them at the safe rate."""
+        while self._away and len(ahead):
+            target = np.clip(ahead[0], self.settings.lower, self.settings.upper)
+            command = self._controller.ramp(target, self._safe_rate)
+            self._away = not np.array_equal(command[0], target)
+            self._publish(first, command, np.zeros_like(command))
+            first, ahead = first + 1, ahead[1:]
+        if len(ahead):
+            saturated = self._controller.saturated
+            command, feedback = self._controller.pass_through(ahead)
+            self._saturated_ticks = self._saturated_ticks + len(ahead) if self._controller.saturated > saturated else 0
+            self._publish(first, command, feedback)
+
+    @property
+    def _safe_rate(self) -> float:
+        """V/s; never above the slew limit."""
+        return min(self.settings.safe_rate, self.settings.slew_limit or np.inf)
 
     def _fill(self, first: int) -> None:
         """Timer: in ticks that were missed the command before was held: say so, for whoever reads the record."""

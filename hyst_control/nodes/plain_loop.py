@@ -12,6 +12,7 @@ import math
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -192,7 +193,8 @@ def main() -> None:
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
-        rclpy.try_shutdown()
+        with suppress(RuntimeError):  # rclpy's own signal handler may be faster
+            rclpy.try_shutdown()
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 KEPT_ROWS, KEPT_BLOCKS = 4096, 8
+MOST_LOST = 1024  # lost ticks that are remembered, to know them when they come late
 REPEAT_INTERVAL = 0.02  # s, between two repetitions, so that duplicates do not multiply
 
 
@@ -31,7 +32,10 @@ class Input:
         self.label = label_for(node.axes, unit)
         self.rows = Rows(contiguous)
         self.arrived, self._repeated = time.monotonic(), -math.inf  # s, monotonic clock
+        self.conflicted = -math.inf  # s, monotonic clock: when two sources disagreed last
         self._seen_label: str | None = None
+        self._newest: tuple[int, Array] | None = None  # rows that came last, and the tick of the first of them
+        self._lost: deque[int] = deque(maxlen=MOST_LOST)
         if node.lockstep:
             receive(node, topic, self._receive, self._refused, node.settings.message_objects)
         else:
@@ -63,22 +67,56 @@ class Input:
             node.drop(self.topic, "off the clock", f"its times are not successive multiples of the period "
                                                    f"{node.period:g} s: is rate_hz the same everywhere?")
             return
-        outcome = self.rows.append(tick, block[:, 1:].copy())  # the message is read-only
+        due, rows = self.rows.end, block[:, 1:].copy()  # the message is read-only
+        outcome = self.rows.append(tick, rows)
         if outcome is DUPLICATE:
-            node.counts[f"{self.topic}: duplicate"] += 1
-            if node.lockstep and time.monotonic() - self._repeated > REPEAT_INTERVAL:
-                self._repeated = time.monotonic()
-                node.repeat(self)
+            self._seen_before(tick, rows)
             return
         if outcome is GAP:
             node.drop(self.topic, "out of order", f"tick {self.rows.end} is due, {tick} came")
             node.out_of_order(self, tick)
             return
         self.arrived = time.monotonic()
+        self._newest = tick, rows
         if node.lockstep:
             node.advance()
-        else:
-            node.arrived(self, tick + len(block) - 1, stamp)
+            return
+        if due is not None and tick > due:
+            node.counts[f"{self.topic}: lost"] += tick - due
+            self._lost.extend(range(max(due, tick - MOST_LOST), tick))
+        node.arrived(self, tick + len(block) - 1, stamp)
+
+    def forget(self) -> None:
+        """Begin anew: the next rows may have any tick."""
+        self.rows.clear()
+        self._newest = None
+        self._lost.clear()
+        self.conflicted = -math.inf
+
+    def _seen_before(self, tick: int, rows: Array) -> None:
+        """Rows of ticks that were there: a repetition, a late one, a second source, or a clock that was set back."""
+        node, end = self.node, tick + len(rows)
+        if (self.rows.end - end) * node.period >= node.settings.backwards and not node.lockstep:
+            node.drop(self.topic, "time ran backwards", f"tick {tick} comes after tick {self.rows.end - 1}: ~/reset takes the new time")
+            return
+        if not node.lockstep and tick in self._lost:
+            node.counts[f"{self.topic}: late"] += 1
+            return
+        node.counts[f"{self.topic}: duplicate"] += 1
+        if self._contradicts(tick, rows):
+            self.conflicted = time.monotonic()
+            node.drop(self.topic, "conflict", f"tick {tick} came twice, with other values: do two nodes publish it?")
+        if node.lockstep and time.monotonic() - self._repeated > REPEAT_INTERVAL:
+            self._repeated = time.monotonic()
+            node.repeat(self)
+
+    def _contradicts(self, tick: int, rows: Array) -> bool:
+        """Whether these rows differ from those that came last in a tick that both have."""
+        if self._newest is None:
+            return False
+        first, newest = self._newest
+        begin, end = max(first, tick), min(first + len(newest), tick + len(rows))
+        return begin < end and not np.array_equal(rows[begin - tick:end - tick], newest[begin - first:end - first])
 
     @property
     def age(self) -> float:

@@ -6,6 +6,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import rclpy
@@ -88,7 +89,8 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
         return 0
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C during the shutdown would leave a traceback
-        rclpy.try_shutdown()
+        with suppress(RuntimeError):  # rclpy's own signal handler may be faster
+            rclpy.try_shutdown()
 
 
 def _initialise(args: Sequence[str] | None) -> None:

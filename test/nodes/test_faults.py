@@ -103,7 +103,7 @@ def test_bad_messages_are_dropped_counted_and_leave_no_trace(bench):
     np.testing.assert_allclose(bench.rows("feedforward"), [[0.0, 10.0], [0.0, 10.0], [1e-3, 30.0]])
     assert {key: count for key, count in node.counts.items() if count} == {
         "reference: not finite": 2, "reference: wrong label": 2, "reference: off the clock": 1,
-        "reference: out of order": 1, "reference: duplicate": 1}
+        "reference: out of order": 1, "reference: duplicate": 1, "reference: conflict": 1}
 
 
 def Feedforward_named(**options):
