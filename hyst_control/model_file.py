@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
@@ -18,6 +16,7 @@ from hyst_control.chain import STAGES, Chain, Parallel, Sampling, Stage
 from hyst_control.chain.chain import resolved
 from hyst_control.chain.stage import HOLDS, Array
 from hyst_control.errors import InputError
+from hyst_control.files import write_text
 
 FORMAT = "hyst_control/model"
 VERSION = 1
@@ -110,20 +109,7 @@ def load_model(path: str | Path) -> Model:
 
 def save_model(model: Model, path: str | Path) -> None:
     """Write a model file: to a temporary file beside it, then renamed, so that a reader never meets half of one."""
-    path = Path(path)
-    text = yaml.dump(model_to_document(model), Dumper=_Dumper, sort_keys=False, width=120)
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}: choose a folder that exists and can be written") from None
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+    write_text(path, yaml.dump(model_to_document(model), Dumper=_Dumper, sort_keys=False, width=120))
 
 
 def model_from_document(document: Any) -> Model:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import platform
-import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hyst_control.errors import InputError
+from hyst_control.files import write_json
 
 SCHEMA = "hyst_control/table"
 VERSION = 1
@@ -125,25 +123,8 @@ class Table:
         return "\n".join(lines)
 
     def write(self, path: str | Path) -> None:
-        """Write the JSON to a temporary file beside `path`, then rename. Raises `InputError` where that is not
-        possible.
-        """
-        path = Path(path)
-        text = json.dumps(self.document(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        try:
-            handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-        except OSError as error:
-            raise InputError(
-                f"{path}: {error.strerror or error}: choose a folder that exists and can be written"
-            ) from None
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, path)
-        except OSError as error:
-            Path(temporary).unlink(missing_ok=True)
-            raise InputError(f"{path}: {error.strerror or error}: choose a file name that can be written") from None
+        """Write the JSON. Raises `InputError` where that is not possible."""
+        write_json(path, self.document())
 
 
 def aligned(headers: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[str] = ()) -> list[str]:

@@ -9,7 +9,7 @@ from importlib.resources import files
 import numpy as np
 import yaml
 
-from hyst_control.diagnose.search import SPENT, Found, Scored
+from hyst_control.diagnose.search import Found, Scored
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,7 @@ class Thresholds:
     possible: float
     unknown: float
     further: float
+    least_excess: float
 
 
 @cache
@@ -89,7 +90,7 @@ def decide(found: Found, threshold: float, floor: float, limits: Thresholds) -> 
     after = energy(chosen, size)
     excess = max(before - 1.0, 1e-12)
     remainder = float(np.clip((after - 1.0) / excess, 0.0, 1.0)) if before - 1.0 > floor ** 2 else 0.0
-    left_over = after - 1.0 > max(floor ** 2, SPENT)
+    left_over = after - 1.0 > max(floor ** 2, limits.least_excess)
     if left_over and remainder > limits.unknown:
         return Decision("unknown", chosen, (chosen,), probability, remainder)
     if not claims:

@@ -47,7 +47,8 @@ class Problem:
         """Simulated measurement of all rows that count, (M,), in units of the noise. Raises `InputError` like the stages do."""
         sampling = Sampling(self.sample_time, len(self.model.axes), self.hold)
         chain = Chain(tuple(stages))
-        return np.concatenate([self._piece(chain, sampling, piece) for piece in self.pieces])
+        with np.errstate(all="ignore"):  # a fit may try a chain that is unstable, and turns back
+            return np.concatenate([self._piece(chain, sampling, piece) for piece in self.pieces])
 
     def _piece(self, chain: Chain, sampling: Sampling, piece: Piece) -> Array:
         running = chain.filter(sampling)

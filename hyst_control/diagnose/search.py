@@ -31,9 +31,6 @@ REFINED = 8
 SPENT = 0.03
 """Energy beyond the noise's, as a share of it, under which no further effect is looked for: the noise is not known better."""
 
-FAR = 3.0
-"""Standard deviations beyond which the nominal columns of the coefficients no longer hold."""
-
 INFLATION = 5.0
 """`parameters`: the nominal coefficients may be off by this many times their tolerance."""
 
@@ -170,9 +167,8 @@ def _temper(residual: Array) -> float:
 
 
 def settled(linearised: Linearised, z: Array | None = None) -> Solution:
-    """The fit of the coefficients alone, with columns of their own where they end far from the nominal ones."""
-    solution = fit(linearised, z=z)
-    return refined(linearised, None, solution) if np.max(np.abs(solution.z), initial=0.0) > FAR else solution
+    """The fit of the coefficients alone, gone on with columns taken where it ended."""
+    return refined(linearised, None, fit(linearised, z=z))
 
 
 def _refined(linearised: Linearised, found: Sequence[tuple[Candidate, Solution]], count: int) -> list[tuple[Candidate, Solution]]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +10,7 @@ from typing import Any
 
 from hyst_control.bag_reader import read_bag
 from hyst_control.errors import InputError
+from hyst_control.files import write_json
 from hyst_control.identify import FAMILIES, PRANDTL_FAMILIES, identify
 from hyst_control.identify.dataset import Dataset, Fit
 from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, save_model
@@ -91,21 +90,6 @@ def datasets_of(record: Record, hold: str | None = None, start: str = "settled",
                        hold or record.hold, "unknown" if index else start)
         datasets.append(data)
     return datasets
-
-
-def write_json(path: str | Path, document: Any) -> None:
-    """Write JSON through a temporary file, so that a reader never meets half of one."""
-    path = Path(path)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            json.dump(document, file, indent=1, allow_nan=False)
-            file.write("\n")
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
 
 
 def _writable(path: str | Path) -> None:

@@ -1,0 +1,38 @@
+"""Say where the gap between a model and recorded bags lies, which effect causes it, and how far it shrinks once that is added.
+
+The bags need command and measurement; reference, feedforward and feedback are replayed where they are there. The first run for
+a model, command and noise calibrates its threshold on simulated records without a gap, and keeps it for the next.
+
+example:
+  hyst diagnose record --model hampi.yaml --json gap.json --report gap.html --augmented better.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+
+NAME = "diagnose"
+HELP = "explain the gap between a model and recorded bags"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("bags", nargs="+", metavar="BAG", help="recorded bags of one plant")
+    parser.add_argument("--model", required=True, metavar="MODEL.yaml", help="model file of the simulator")
+    parser.add_argument("--json", metavar="OUT", help="gap report to write")
+    parser.add_argument("--report", metavar="OUT.html", help="page to write, for people")
+    parser.add_argument("--augmented", metavar="OUT.yaml", help="model file to write: the model with the effects added")
+    parser.add_argument("--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the catalogue")
+    parser.add_argument("--seed", type=int, default=0, help="of the simulated records and the resampling")
+    parser.add_argument("--no-cache", action="store_true", help="calibrate the threshold anew")
+    parser.add_argument("--namespace", help="namespace of the topics")
+    parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from hyst_control.diagnose.workflow import diagnose_bags
+
+    print(diagnose_bags(arguments.bags, arguments.model, json=arguments.json, report=arguments.report, augmented=arguments.augmented,
+                        without=arguments.without, seed=arguments.seed, cache=not arguments.no_cache, namespace=arguments.namespace,
+                        unit=arguments.unit, progress=not arguments.quiet))
+    return 0

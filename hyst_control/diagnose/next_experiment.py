@@ -1,0 +1,91 @@
+"""What to measure next: the excitation that best separates the explanations that are still possible."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.diagnosis import AxisDiagnosis, Diagnosis
+from hyst_control.diagnose.fit import Linearised
+from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.diagnose.scatter import Scatter
+from hyst_control.diagnose.search import Scored
+from hyst_control.errors import InputError
+from hyst_control.excitation import build
+
+ENOUGH = 3.0
+"""Distance (standard deviations) from which two explanations are told apart."""
+
+DURATION = 1.0
+
+
+def library(lower: float, upper: float, sample_time: float) -> dict[str, dict[str, Any]]:
+    """Excitations by name, as reference-generator configurations, within lower … upper V."""
+    span, centre, nyquist = upper - lower, 0.5 * (upper + lower), 0.5 / sample_time
+    return {
+        "diagnostic record": {"signal": "diagnostic", "lowest": lower, "highest": upper, "duration": 1.5},
+        "multisine to a third of Nyquist": {"signal": "multisine", "period": 0.25, "lower_frequency": 4.0, "upper_frequency": nyquist / 3,
+                                            "rms": 0.12 * span, "offset": centre, "periods": 4, "lower": lower, "upper": upper},
+        "slow triangle": {"signal": "triangle", "frequency": 2.0, "amplitude": 0.5 * span, "offset": centre, "duration": DURATION},
+        "steps": {"signal": "steps", "lowest": lower, "highest": upper, "hold": DURATION / 12, "count": 10},
+        "long hold": {"signal": "step", "height": 0.8 * span, "offset": lower, "before": 0.1, "after": 5.0},
+        "sweep": {"signal": "sweep", "start_frequency": 5.0, "stop_frequency": nyquist / 4, "amplitude": 0.25 * span, "offset": centre,
+                  "duration": DURATION},
+    }
+
+
+def next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    """The excitation of largest worst-pair distance between what is still possible; None where nothing is ambiguous."""
+    part = next((part for part in diagnosis.parts if part.decision.verdict == "ambiguous"), None)
+    if part is None:
+        return None
+    rivals = [scored for scored in part.decision.listed][:3]
+    lower, upper = diagnosis.problem.surroundings.command
+    best: tuple[float, str, dict[str, Any]] | None = None
+    for name, configuration in library(lower, upper, diagnosis.problem.sample_time).items():
+        try:
+            command = build(configuration, diagnosis.problem.sample_time, len(diagnosis.model.axes))
+            distance = _distance(part, rivals, command)
+        except (InputError, TypeError):
+            continue
+        if best is None or distance > best[0]:
+            best = distance, name, configuration
+    if best is None:
+        return None
+    separates = ["+".join(scored.names) or "parameters" for scored in rivals]
+    note = "" if best[0] >= ENOUGH else _channel(separates)
+    return {"excitation": best[1], "separates": separates, "expected_odds": float(np.exp(min(0.5 * best[0] ** 2, 300.0))),
+            "distance": float(best[0]), "configuration": best[2], "note": note}
+
+
+def _channel(names: list[str]) -> str:
+    """The channel that would tell what no excitation can."""
+    if any("delay" in name or "lowpass" in name for name in names):
+        return "no excitation separates them: record the amplifier's output voltage as well"
+    return "no excitation separates them: record a second, independent displacement sensor as well"
+
+
+def _distance(part: AxisDiagnosis, rivals: list[Scored], command: Array) -> float:
+    """The smallest distance between two rivals' predictions, coefficients marginalised."""
+    problem = part.problem
+    axes = list(part.axes)
+    others = None if problem.pieces[0].others is None else np.zeros((len(command), problem.pieces[0].others.shape[1]))
+    fresh = Problem(problem.model, (Piece(np.ascontiguousarray(command[:, axes]), np.zeros((len(command), len(axes))), None, others),),
+                    problem.sample_time, problem.hold, problem.sigma)
+    linearised = Linearised(fresh, Scatter(part.linearised.scatter.model, part.linearised.scatter.coefficients))
+    predictions = []
+    for scored in rivals:
+        if scored.candidate is None:
+            predictions.append(linearised.nominal)
+            continue
+        members = type(scored.candidate)(tuple(replace(member, problem=fresh) for member in scored.candidate.members))
+        predictions.append(linearised.simulate(np.zeros(linearised.count), members.unknowns(), scored.solution.x))
+    distances = []
+    for i, one in enumerate(predictions):
+        for other in predictions[i + 1:]:
+            apart = one - other
+            distances.append(np.sqrt(max(float(apart @ linearised.unexplained(apart)), 0.0)))
+    return float(min(distances, default=0.0))

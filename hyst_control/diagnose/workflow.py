@@ -1,0 +1,79 @@
+"""From bags and a model file to the report, its page and the augmented model: what the command and the node call."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from hyst_control.bag_reader import read_bag
+from hyst_control.diagnose.augmented import augmented as augmented_model
+from hyst_control.diagnose.diagnosis import Diagnosis, diagnose
+from hyst_control.diagnose.explained import explain
+from hyst_control.diagnose.replay import replay
+from hyst_control.diagnose.report import gap_report, in_words
+from hyst_control.effects import EFFECTS
+from hyst_control.errors import InputError
+from hyst_control.files import write_json
+from hyst_control.model_file import Model, load_model, save_model
+from hyst_control.record import Record
+
+
+def diagnose_bags(bags: Sequence[str | Path], model: str | Path, json: str | None = None, report: str | None = None,
+                  augmented: str | None = None, without: Sequence[str] = (), seed: int = 0, cache: bool = True,
+                  namespace: str | None = None, unit: str = "unknown", progress: bool = False) -> str:
+    """Diagnose bags, write what is asked for, and return the report in words. Raises `InputError`."""
+    for name in without:
+        if name not in EFFECTS:
+            raise InputError(f"--without {name}: no such effect, one of {', '.join(EFFECTS)} is due")
+    for path in (json, report, augmented):
+        if path is not None and not Path(path).resolve().parent.is_dir():
+            raise InputError(f"{path}: {Path(path).resolve().parent} is no folder: choose one that exists")
+    nominal = load_model(model)
+    records = [read_bag(bag, namespace, unit) for bag in bags]
+    document, diagnosis, better = diagnosed(records, nominal, seed, without, cache, augmented, progress)
+    if report is not None:
+        from hyst_control.diagnose.page import write_page
+
+        write_page(Path(report), document, diagnosis, better)
+    if augmented is not None and better is not None:
+        save_model(better, augmented)
+    if json is not None:
+        write_json(json, document)
+    return in_words(document)
+
+
+def diagnosed(records: Sequence[Record], model: Model, seed: int = 0, without: Sequence[str] = (), cache: bool = True,
+              augmented: str | None = None, progress: bool = False) -> tuple[dict[str, Any], Diagnosis, Model | None]:
+    """The report document, the diagnosis behind it, and the augmented model (None where there is nothing to add).
+
+    augmented: the path that the report names for it.
+    """
+    meter = _Progress(progress and sys.stderr.isatty())
+    try:
+        diagnosis = diagnose(records, model, seed, without, cache, progress=meter)
+        meter("shrink on held-out blocks")
+        explanation = explain(diagnosis)
+        better = augmented_model(diagnosis) if explanation.effects else None
+        blocks = [block for record in records for block in replay(record)]
+        document = gap_report(diagnosis, explanation, blocks, str(augmented) if augmented and better is not None else None)
+    finally:
+        meter.close()
+    return document, diagnosis, better
+
+
+class _Progress:
+    """What is being done, on one line of the terminal."""
+
+    def __init__(self, shown: bool) -> None:
+        from tqdm import tqdm
+
+        self._bar = tqdm(disable=not shown, bar_format="{elapsed} {n} {desc}", leave=False)
+
+    def __call__(self, what: str) -> None:
+        self._bar.set_description_str(what, refresh=False)
+        self._bar.update()
+
+    def close(self) -> None:
+        self._bar.close()
