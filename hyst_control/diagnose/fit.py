@@ -136,7 +136,7 @@ def fit(linearised: Linearised, unknowns: Unknowns | None = None, start: Array |
             break
         gained = misfit - new
         z, x, residual, misfit = new_z, new_x, new_residual, new
-        if gained < 0.02 + 1e-6 * misfit:
+        if gained < 0.02 + 1e-5 * misfit:
             break
     covariance = np.linalg.inv(normal)
     information = np.linalg.inv(covariance[count:, count:]) if size else np.zeros((0, 0))

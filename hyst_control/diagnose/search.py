@@ -25,7 +25,10 @@ from hyst_control.errors import InputError
 FOLLOWED = 2
 """How many of an effect's starts are fitted to the end."""
 
-REFINED = 8
+SCREENED = 8
+"""How many of an effect's starts are looked at on top of another effect."""
+
+REFINED = 6
 """How many of the best fits go on with columns of their own."""
 
 SPENT = 0.03
@@ -95,8 +98,8 @@ def search(linearised: Linearised, members: Sequence[Member], threshold: float, 
     combinations: list[tuple[Candidate, Solution]] = []
     parents = sorted(fits, key=lambda item: item[1].misfit)[:beam]
     size = len(linearised.measured)
-    for _ in range(1, depth):
-        if all(_spent(solution, floor) for _, solution in parents[:1]):
+    for size_reached in range(1, depth):
+        if not parents or _spent(parents[0][1], floor, SPENT * size_reached ** 2):
             break
         grown = _grown(linearised, parents, members, 0.5 * threshold, progress)
         if not grown:
@@ -125,11 +128,11 @@ def search(linearised: Linearised, members: Sequence[Member], threshold: float, 
     return Found(linearised, none, parameters, ranked(fits), ranked(combinations), temper)
 
 
-def _spent(solution: Solution, floor: float) -> bool:
+def _spent(solution: Solution, floor: float, excess: float) -> bool:
     """Whether a fit leaves nothing but noise, and did not strain its coefficients for it."""
     size, count = len(solution.residual), len(solution.z)
     left = float(solution.residual @ solution.residual) / size - 1.0
-    return left < max(SPENT, 0.5 * floor ** 2) and float(solution.z @ solution.z) < count + 4.0 * np.sqrt(2.0 * count)
+    return left < max(excess, 0.5 * floor ** 2) and float(solution.z @ solution.z) < count + 4.0 * np.sqrt(2.0 * count)
 
 
 def _grown(linearised: Linearised, parents: Sequence[tuple[Candidate, Solution]], members: Sequence[Member], least: float,
@@ -210,7 +213,8 @@ def _promising(linearised: Linearised, candidate: Candidate, solution: Solution,
         best = None
         pair = candidate.with_member(member)
         unknowns = pair.unknowns()
-        for start in member.starts():
+        starts = member.starts()
+        for start in starts[::max(len(starts) // SCREENED, 1)]:
             x = _merged(pair, candidate, solution.x, member, start)
             try:
                 gain = before - _after_step(linearised, unknowns, pair, member, x)
