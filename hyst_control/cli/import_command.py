@@ -1,15 +1,22 @@
 """Turn recordings of other tools into bags: CSV, white-space tables (.gz too), .npy, .npz and MATLAB .mat files.
 
+A bag is taken too, also one whose recorder was killed: what can be read of it is written as a finished bag for every other tool.
+
 examples:
   hyst import Model_Vi_Do.dat --output model.bag --columns "command=1[V],measurement=5[um]" --rate 200 --rows 5: --hold foh
   hyst import run.csv --output run.bag --columns "command=drive[mV],measurement=pos[nm]" --rate 20e3
   hyst import run.mat --output fsm.bag --columns "command=ux+uy[V],measurement=tx+ty[rad]" --rate 5000
+  hyst import killed.bag --output repaired.bag
 Columns are numbered from 1, or named by the header or the file's own arrays; several axes are joined with +.
 """
 
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hyst_control.record import Record
 
 NAME = "import"
 HELP = "turn CSV, NPY, NPZ or MAT recordings into bags"
@@ -18,8 +25,8 @@ HELP = "turn CSV, NPY, NPZ or MAT recordings into bags"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="the recording")
     parser.add_argument("--output", metavar="BAG", required=True, help="bag to write, which must not exist")
-    parser.add_argument("--columns", required=True, help="topic=column[unit], separated by commas")
-    parser.add_argument("--rate", type=float, required=True, help="sample rate in Hz")
+    parser.add_argument("--columns", help="topic=column[unit], separated by commas (not for a bag)")
+    parser.add_argument("--rate", type=float, help="sample rate in Hz (not for a bag)")
     parser.add_argument("--rows", default=":", help="first:end, counted from 0 (default all)")
     parser.add_argument("--hold", choices=("zoh", "foh"), default="zoh", help="zoh: a DAC held the command; foh: a smooth source "
                         "was sampled")
@@ -27,17 +34,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from hyst_control.errors import InputError
-    from hyst_control.importing import import_table, parse_columns, write_bag
+    from pathlib import Path
 
+    from hyst_control.bag_reader import read_bag
+    from hyst_control.errors import InputError
+    from hyst_control.importing import import_table, parse_columns
+
+    if Path(arguments.file).is_dir() or arguments.file.endswith((".mcap", ".db3")):
+        record = read_bag(arguments.file)
+        for note in record.notes:
+            print(f"note: {note}")
+        return written(arguments.output, record)
+    for name in ("columns", "rate"):
+        if getattr(arguments, name) is None:
+            raise InputError(f"--{name}: is missing: a table does not say it by itself")
     try:
         first, _, last = arguments.rows.partition(":")
         rows = (int(first or 0), int(last) if last else None)
     except ValueError:
         raise InputError(f"rows: {arguments.rows!r}: first:end, whole numbers, is due") from None
     record = import_table(arguments.file, parse_columns(arguments.columns), arguments.rate, rows, arguments.hold, arguments.variable)
-    write_bag(arguments.output, record)
+    return written(arguments.output, record)
+
+
+def written(output: str, record: Record) -> int:
+    """Write the record and say what is in it."""
+    from hyst_control.importing import write_bag
+
+    write_bag(output, record)
     for topic, signal in record.signals.items():
         print(f"{topic}: {len(signal.time)} samples, {', '.join(signal.axes)} in {signal.unit}")
-    print(f"written: {arguments.output}")
+    print(f"written: {output}")
     return 0

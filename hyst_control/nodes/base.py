@@ -60,14 +60,15 @@ class EndingNode(Node):
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         self.finished = Future()
-        self._clock = Clock(clock_type=ClockType.STEADY_TIME)
+        # not _clock: that is the node's own one, which may be simulated
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
 
     def close(self) -> None:
         """Release what the node holds; called on every way out."""
 
     def every(self, seconds: float, callback: Callable[[], None]) -> Any:
         """Call back at this interval of the steady clock."""
-        return self.create_timer(seconds, callback, clock=self._clock)
+        return self.create_timer(seconds, callback, clock=self._steady)
 
     def once(self, callback: Callable[[], None]) -> None:
         """Call back once, as soon as the node spins."""
@@ -194,7 +195,7 @@ class SignalNode(EndingNode):
         self.timer = None
         if callback is not None:
             time.sleep((self.phase - time.monotonic() / self.interval) % 1.0 * self.interval)
-            self.timer = self.create_timer(self.interval, callback, clock=self._clock)
+            self.timer = self.create_timer(self.interval, callback, clock=self._steady)
 
     @property
     def interval(self) -> float:

@@ -41,6 +41,8 @@ class PiFeedback(SignalNode):
         Setting("safe_rate", 1000.0, "V/s", "slope on the way to the safe command, and back where the integral cannot take over",
                 1e-6, 1e12, live=True),
         Setting("recovery", "automatic", "", "after a fault", choices=("automatic", "manual"), live=True),
+        Setting("recovery_time", 0.1, "s", "time without a fault after which the loop goes on, with automatic recovery", 0.0, 1e6,
+                live=True),
         Setting("measurement_lower", -1e6, "um or mrad", "a measurement below is a fault", -1e12, 1e12),
         Setting("measurement_upper", 1e6, "um or mrad", "a measurement above is a fault", -1e12, 1e12),
         Setting("frozen_time", 0.1, "s", "a measurement that stays the same for so long while the command moves by 1 % of its range "
@@ -131,12 +133,15 @@ class PiFeedback(SignalNode):
         else:
             self._controller.reset(np.zeros(len(self.axes)) if timed or self.settings.start == "rest" else None)
             self._newest = None
-        self._fault, self._saturated_ticks = "", 0
+        self._fault, self._well_ticks = "", 0
+        self._saturated_ticks = self._longest_saturation = 0
         self.command.clear()
         self.feedback.clear()
 
     def trouble(self) -> str:
-        return self._fault or ("saturated" if self._saturated_ticks >= self._ticks_in(self.settings.saturation_time) else "")
+        """The fault that is there, or else whether the command was at its limits for too long since this was asked last."""
+        longest, self._longest_saturation = self._longest_saturation, self._saturated_ticks
+        return self._fault or ("saturated" if longest >= self._ticks_in(self.settings.saturation_time) else "")
 
     def status(self) -> dict[str, Any]:
         return {"saturated samples": self._controller.saturated, "fault": self._fault or "none"}
@@ -162,7 +167,8 @@ class PiFeedback(SignalNode):
         if fault and fault != self._fault:
             self.counts["faults"] += 1
             self.warn(fault, f"{fault}: the command goes to its safe value")
-        if fault or self.settings.recovery == "automatic":
+        self._well_ticks = 0 if fault else self._well_ticks + max(count, 1)
+        if fault or self.settings.recovery == "automatic" and self._well_ticks >= self._ticks_in(self.settings.recovery_time):
             self._fault = fault
         if not self._fault and self.enabled:
             return True
@@ -178,13 +184,14 @@ class PiFeedback(SignalNode):
     def _closed_loop(self, tick: int, ahead: Array, reference: Array, measurement: Array, fault: str = "") -> None:
         """One tick with feedback; the arrays are (1, A)."""
         last = self._controller.command
-        if not self._safe_now(fault or self._watch.check(measurement[0], last), tick, 1):
+        wrong = self._watch.check(measurement[0], last)
+        if not self._safe_now(fault or wrong, tick, 1):
             return
         if self._away:
             self._controller.resume(last, reference[0], measurement[0], ahead[0])
         saturated = self._controller.saturated
         command, feedback = self._controller.step(reference, measurement, ahead)
-        self._saturated_ticks = self._saturated_ticks + 1 if self._controller.saturated > saturated else 0
+        self._note_saturation(1 if self._controller.saturated > saturated else 0)
         if self._away and not self.settings.ki:  # no integral that would lead back
             wanted = command
             self._controller.resume(last, reference[0], measurement[0], ahead[0])
@@ -205,8 +212,12 @@ class PiFeedback(SignalNode):
         if len(ahead):
             saturated = self._controller.saturated
             command, feedback = self._controller.pass_through(ahead)
-            self._saturated_ticks = self._saturated_ticks + len(ahead) if self._controller.saturated > saturated else 0
+            self._note_saturation(len(ahead) if self._controller.saturated > saturated else 0)
             self._publish(first, command, feedback)
+
+    def _note_saturation(self, ticks: int) -> None:
+        self._saturated_ticks = self._saturated_ticks + ticks if ticks else 0
+        self._longest_saturation = max(self._longest_saturation, self._saturated_ticks)
 
     @property
     def _safe_rate(self) -> float:

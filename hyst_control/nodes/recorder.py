@@ -82,6 +82,9 @@ class Recorder(SignalNode):
             self.close()
             self.finish(self._progress)
 
+    def trouble(self) -> str:
+        return self._failure
+
     def status(self) -> dict[str, Any]:
         return {"last complete tick": self.told}
 

@@ -34,7 +34,7 @@ def run(nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER)
     None when that took longer than the timeout (s). The nodes are closed and destroyed whatever happens.
     """
     executor = EventsExecutor(context=context)
-    ended, waiting = Future(), [node for node in nodes if node.ends]
+    ended, waiting = Future(), [node for node in nodes if node.ends or len(nodes) == 1]  # alone, a node may also fail
 
     def one_ended(_: Future) -> None:
         if all(node.finished.done() for node in waiting):

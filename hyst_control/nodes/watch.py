@@ -15,7 +15,7 @@ class MeasurementWatch:
     """Looks at one sample after the other.
 
     lower, upper: range of the measurement; frozen_ticks: samples of one and the same value after which the sensor counts as frozen,
-    provided that the command has moved by `motion` V meanwhile (a stage at rest may well measure a constant); 0 for never.
+    counted from when the command has moved by `motion` V (a stage at rest may well measure a constant); 0 for never.
     """
 
     def __init__(self, lower: float, upper: float, frozen_ticks: int, motion: float) -> None:
@@ -32,11 +32,11 @@ class MeasurementWatch:
         if value != self._value:
             self._value, self._same, self._least, self._most = value, 0, sent, sent
         else:
-            self._same += 1
             self._least, self._most = list(map(min, self._least, sent)), list(map(max, self._most, sent))
+            if max(most - least for most, least in zip(self._most, self._least)) > self.motion:
+                self._same += 1
         if min(value) < self.lower or max(value) > self.upper:
             return "measurement out of range"
-        if self.frozen_ticks and self._same >= self.frozen_ticks and \
-                max(most - least for most, least in zip(self._most, self._least)) > self.motion:
+        if 0 < self.frozen_ticks <= self._same:
             return "measurement frozen"
         return ""

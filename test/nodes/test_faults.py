@@ -8,76 +8,20 @@ import time
 
 import numpy as np
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from loop_case import MODEL, RATE, parameters, recorded
-from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter
-from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from hyst_control.errors import InputError
 from hyst_control.launch.processes import Processes
 from hyst_control.nodes.feedforward import Feedforward
-from hyst_control.nodes.messages import Sender, receive
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
-from hyst_control.nodes.run import spin
 from hyst_plant_sim.node import PlantNode
 
 PERIOD = 1e-3
-
-
-class Bench:
-    """Nodes under test on one executor, and a node that talks to them."""
-
-    def __init__(self, context) -> None:
-        self.context, self.executor = context, EventsExecutor(context=context)
-        self.probe = rclpy.create_node("probe", context=context)
-        self.executor.add_node(self.probe)
-        self.nodes = [self.probe]
-        self.heard: dict[str, list[np.ndarray]] = {}
-
-    def add(self, make, /, **settings):
-        overrides = [Parameter(name, value=value) for name, value in settings.items()]
-        node = make(context=self.context, parameter_overrides=overrides)
-        self.executor.add_node(node)
-        self.nodes.append(node)
-        return node
-
-    def listen(self, *topics):
-        for topic in topics:
-            rows = self.heard.setdefault(topic, [])
-            receive(self.probe, topic, lambda label, block, rows=rows: rows.append(block.copy()), pytest.fail)
-
-    def sender(self, topic, label):
-        sender = Sender(self.probe, topic, label)
-        self.until(lambda: sender.publisher.get_subscription_count() > 0)
-        return sender
-
-    def until(self, condition, timeout=20.0):
-        end = time.monotonic() + timeout
-        while not condition():
-            assert time.monotonic() < end, "condition not met in time"
-            spin(self.executor, Future(), 0.005)
-
-    def rows(self, topic):
-        return np.concatenate(self.heard[topic]) if self.heard[topic] else np.zeros((0, 2))
-
-    def close(self):
-        for node in self.nodes:
-            node.destroy_node()
-        self.executor.shutdown()
-
-
-@pytest.fixture
-def bench(ros_context):
-    bench = Bench(ros_context)
-    try:
-        yield bench
-    finally:
-        bench.close()
 
 
 def row(tick, *values):
@@ -147,13 +91,9 @@ def test_stop_service_ramps_down_and_reset_returns(bench):
     bench.listen("command")
     sender = bench.sender("feedforward", "t[s],x[V]")
     bench.until(lambda: node.command.publisher.get_subscription_count() > 0)
-    client = bench.probe.create_client(Trigger, "pi_feedback/stop")
     sender.send(row(0, 4.5))
     bench.until(lambda: len(bench.rows("command")) == 1)
-    bench.until(client.service_is_ready)
-    called = client.call_async(Trigger.Request())
-    bench.until(called.done)
-    assert called.result().success
+    assert bench.call(Trigger, "pi_feedback/stop", Trigger.Request()).success
     for tick in range(1, 6):
         sender.send(row(tick, 4.5))
     bench.until(lambda: len(bench.rows("command")) == 6)
@@ -272,6 +212,7 @@ def test_interrupt_and_terminate_end_a_node_without_a_traceback(tmp_path, domain
 WAIT_FOR_NODE = """
 import sys, time
 import rclpy
+
 rclpy.init()
 node = rclpy.create_node("waiting")
 while sys.argv[1] not in node.get_node_names():
