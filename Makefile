@@ -15,12 +15,15 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONPATH
 
-.PHONY: demo test lint bench env clean
+.PHONY: demo test fuzz lint bench env clean
 demo: env
 	$(VENV)/bin/hyst demo $(ARGS)
 
 test: env
 	$(VENV)/bin/python -m pytest $(ARGS)
+
+fuzz: env
+	PYTHONPATH=. $(VENV)/bin/python test/fuzz $(ARGS)
 
 lint: env
 	$(VENV)/bin/python -m ruff check .

@@ -79,8 +79,10 @@ class Decoder:
         if len(buffer) == self._length and buffer.startswith(self._header):
             return self._label, np.frombuffer(buffer, np.float64, -1, len(self._header)).reshape(self._shape)
         label, block = decode(buffer)
-        if label and block.flags.c_contiguous and block.dtype.isnative:
-            self._header, self._length = bytes(buffer[:len(buffer) - block.nbytes]), len(buffer)
+        head = len(buffer) - block.nbytes
+        # bytes behind the data are allowed, but then the data is not where the header alone says it is
+        if label and buffer[1] == 1 and block.ctypes.data == np.frombuffer(buffer, np.uint8).ctypes.data + head:
+            self._header, self._length = bytes(buffer[:head]), len(buffer)
             self._label, self._shape = label, block.shape
         return label, block
 

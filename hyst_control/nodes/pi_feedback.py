@@ -98,6 +98,9 @@ class PiFeedback(SignalNode):
             if self._safe_now("", first, count):
                 self._open_loop(first, ahead)
             return
+        if count == 1:
+            self._closed_loop(first, ahead, *others)
+            return
         for row in range(count):
             now = slice(row, row + 1)
             self._closed_loop(first + row, ahead[now], others[0][now], others[1][now])

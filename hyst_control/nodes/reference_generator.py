@@ -54,6 +54,8 @@ class ReferenceGenerator(SignalNode):
     def rows(self, first: int, count: int) -> Array:
         """Rows (count, A) from tick `first` on."""
         last = len(self._signal) - 1
+        if self.settings.repeat:
+            first %= last + 1
         if first + count <= last + 1:
             return self._signal[first:first + count]
         ticks = np.arange(first, first + count)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 import time
@@ -46,9 +47,12 @@ def run(nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER)
             executor.add_node(node)
         for node in waiting:
             node.finished.add_done_callback(one_ended)
+        gc.collect()
+        gc.freeze()  # what is there now stays: to look through it again and again would cost ticks
         spin(executor, ended, timeout)
         return ended.result() if ended.done() else None
     finally:
+        gc.unfreeze()
         close(nodes)
         executor.shutdown()
 

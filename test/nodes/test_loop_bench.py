@@ -1,0 +1,56 @@
+"""`hyst bench`: the rows it promises, figures that are possible, and histograms that tell quantiles rightly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyst_control.cli import main
+from hyst_control.errors import InputError
+from hyst_control.experiments import bench, loop_bench
+from hyst_control.importing import write_bag
+from hyst_control.nodes.timing import Durations
+from hyst_control.record import Record, Signal
+
+
+@pytest.mark.parametrize("case, subject, schedule", [("composed", "plain rclpy", "lockstep"), ("composed", "hyst", "timer"),
+                                                     ("processes", "hyst", "lockstep")])
+def test_a_short_run_measures_rate_and_load(case, subject, schedule, tmp_path):
+    bag = tmp_path / "bag" if subject == "hyst" else None
+    measured = loop_bench.measure(case, subject, schedule, 1.0, bag)
+    assert measured.rate > 20 and measured.cpu > 1 and min(measured.memory) > 10
+    if schedule == "timer":
+        assert measured.rate < 1100
+        assert 100 < measured.microseconds("period p50 [us]") < 20_000
+        assert measured.microseconds("loop latency p50 [us]") <= measured.microseconds("loop latency p99 [us]")
+    if bag:
+        loss, due = loop_bench.lost(bag)
+        assert due > 100 and 0 <= loss < 100 and (loss == 0 or schedule == "timer")
+
+
+def test_loss_is_the_share_of_rows_that_are_missing(tmp_path):
+    time = np.delete(np.arange(100) * 1e-3, [10, 50, 51])
+    write_bag(tmp_path / "bag", Record({"command": Signal(time, np.zeros((97, 1)), ("x",), "V")}, "test"))
+    assert loop_bench.lost(tmp_path / "bag") == (pytest.approx(3.0), 100)
+
+
+def test_quantiles_are_those_of_the_values_to_a_class():
+    values = np.random.default_rng(0).lognormal(-7.0, 1.0, 20_000)
+    durations = Durations()
+    for value in values:
+        durations.add(value)
+    for share in (0.01, 0.5, 0.99, 0.999):
+        assert durations.quantile(share) == pytest.approx(np.quantile(values, share, method="inverted_cdf"), rel=0.011)
+    assert durations.count == 20_000
+    assert np.isnan(Durations().quantile(0.5)) and Durations().entries("period") == {}
+    extremes = Durations()
+    for value in (0.0, -1.0, 1e9):
+        extremes.add(value)
+    assert extremes.count == 3
+
+
+def test_times_that_make_no_sense_are_refused(capsys):
+    with pytest.raises(InputError, match="seconds"):
+        bench.run("loops", seconds=0.0)
+    assert main(["bench", "--soak", "-1"]) == 2
+    assert "soak" in capsys.readouterr().err
