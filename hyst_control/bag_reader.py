@@ -26,6 +26,9 @@ COMPRESSED = tuple(f"{suffix}.zstd" for suffix in STORAGE)
 PENDING = 2048
 """Messages decoded at a time: enough for numpy's speed, few enough that the raw bytes take no room."""
 
+LATEST = 2**63 - 1
+"""ns; a damaged file may hold any time."""
+
 Array = NDArray[np.float64]
 
 
@@ -202,7 +205,7 @@ class _Topic:
     def add(self, raw: bytes, time: int) -> None:
         """Take one message; time: ns, of its reception."""
         if self.wanted:
-            self.times.append(time)
+            self.times.append(min(time, LATEST))
             self._pending.append(raw)
             if len(self._pending) == PENDING:
                 self._decode()

@@ -110,7 +110,10 @@ class PiFeedback(SignalNode):
         fault, rows = self._timing_fault(), self.feedforward.rows
         running = not np.isnan(self._controller.command).any()
         if self.measurement is None:
-            if self._safe_now(fault, tick, self.settings.block if running else 0):
+            out = self._newest[0] + 1 if self._newest else tick  # rows that were streamed ahead are out already
+            first = max(tick, out)
+            if self._safe_now(fault, first, max(tick + self.settings.block - first, 0) if running else 0):
+                rows.skip_to(out)
                 if rows.available:
                     self._open_loop(rows.start, rows.take(rows.available))
             else:
