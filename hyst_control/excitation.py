@@ -51,7 +51,7 @@ def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:
         rows = np.asarray(function(sample_time=sample_time, **extra, **given), dtype=float)
     except InputError as error:
         raise InputError(f"{kind}: {error}") from None
-    except (TypeError, ValueError, OverflowError, ZeroDivisionError) as error:
+    except (TypeError, ValueError, OverflowError, ZeroDivisionError, IndexError, MemoryError) as error:
         raise InputError(f"{kind}: its parameters are not the numbers and lists it needs ({error})") from None
     if rows.ndim == 1:
         rows = np.repeat(rows[:, None], axes, axis=1)
@@ -59,7 +59,7 @@ def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:
             if axis not in range(axes):
                 raise InputError(f"{kind}: axis: {axis!r}, 0 to {axes - 1} is due")
             rows[:, [other for other in range(axes) if other != axis]] = idle
-    if not len(rows) or not np.isfinite(rows).all():
+    if not rows.size or not np.isfinite(rows).all():
         raise InputError(f"{kind}: the signal is empty or not finite: check duration, frequency and amplitude")
     _check_bounds(kind, rows, sample_time, lower, upper, slew_limit)
     return np.ascontiguousarray(rows)
@@ -106,7 +106,7 @@ def multi_frequency(sample_time: float, frequencies: Sequence[float], amplitudes
     """offset + Σ a_i sin(2π f_i t + φ_i) (MHL paper §4.3, §4.4)."""
     f, a = np.asarray(frequencies, dtype=float), np.asarray(amplitudes, dtype=float)
     p = np.zeros_like(f) if phases is None else np.asarray(phases, dtype=float)
-    if not f.shape == a.shape == p.shape or f.ndim != 1:
+    if not f.shape == a.shape == p.shape or f.ndim != 1 or not f.size:
         raise InputError(f"frequencies: {f.size} of them, {a.size} amplitudes, {p.size} phases: lists of one length are due")
     time = _time(duration, sample_time)
     return offset + sum(ai * np.sin(2 * np.pi * fi * time + pi) for fi, ai, pi in zip(f, a, p, strict=True))
@@ -182,6 +182,8 @@ def triangle(sample_time: float, frequency: float, amplitude: float, offset: flo
 def staircase(sample_time: float, levels: Sequence[float], hold: float, ramp: float = 0.0) -> Array:
     """Each level held for `hold` s, reached over `ramp` s (0: a jump)."""
     values = [_number(level, "levels") for level in levels]
+    if not values:
+        raise InputError("levels: is empty: at least one level is due")
     parts = []
     for before, level in zip([values[0], *values], values, strict=False):
         if ramp and level != before:
@@ -281,6 +283,7 @@ def mhl_identification(sample_time: float, peak: float = 100.0, step_height: flo
         rest(sample_time, 0.05),
         sweep(sample_time, 1.0, 100.0, centre, centre, sweep_time, False),
         cosine_ramp(sample_time, _last(sweep(sample_time, 1.0, 100.0, centre, centre, sweep_time, False)), centre - small, 0.05),
+        rest(sample_time, 0.05, centre - small),
         sweep(sample_time, 20.0, highest, small, centre, sweep_time, True)])
     own = np.concatenate([own, cosine_ramp(sample_time, own[-1], 0.0, 0.1), rest(sample_time, 0.05)])
     rows = np.zeros((len(own) * axes, axes))
@@ -355,6 +358,8 @@ def _number(value: Any, name: str) -> float:
 
 def _count(duration: float, sample_time: float) -> int:
     count = int(round(_number(duration, "duration") / sample_time))
+    if count > LONGEST:
+        raise InputError(f"duration: {duration:g} s at {sample_time:g} s a sample is too long for memory")
     if count < 1:
         raise InputError(f"duration: {duration:g} s is shorter than a sample of {sample_time:g} s")
     return count
