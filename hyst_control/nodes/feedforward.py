@@ -73,6 +73,8 @@ class Feedforward(SignalNode):
             if arrived.available and self._next is not None:  # missed ticks leave a gap in time, not in the state
                 self._next = arrived.start - self._compensator.preview
             self.advance()
+        else:
+            self.reference.rows.skip_to(tick)
 
     def repeat(self, source: Input) -> None:
         self.feedforward.repeat()

@@ -76,6 +76,7 @@ class ReferenceGenerator(SignalNode):
             self.reference.send(first, self.rows(first, self._end - first))
 
     def tick(self, tick: int) -> None:
+        self.measurement.rows.skip_to(tick)  # only lockstep is paced by it
         if not self.enabled:
             self._origin = None
             return

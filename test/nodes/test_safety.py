@@ -14,6 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
+from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_control.nodes.run import spin
 from hyst_control.nodes.watch import MeasurementWatch
 from hyst_plant_sim.node import PlantNode
@@ -275,3 +276,14 @@ def test_watch_takes_a_resting_stage_for_well_and_a_hanging_sensor_for_frozen():
     assert watch.check(np.array([10.1]), np.array([23.0])) == "measurement out of range"
     both = MeasurementWatch(-10.0, 10.0, 5, 1.0)
     assert not any(both.check(np.array([1.0, 0.1 * k]), np.array([k, k])) for k in range(20))
+
+
+def test_rows_that_nobody_uses_are_not_kept(bench):
+    """The generator's reference does not depend on the measurement; a disabled feedforward uses no reference."""
+    common = dict(schedule="timer", rate_hz=RATE)
+    generator = bench.add(ReferenceGenerator, signal="rest", duration=1.0, **common)
+    feedforward = bench.add(lambda **options: Feedforward("feedforward", **options), **common)
+    feedforward.enabled = False
+    plant = bench.add(PlantNode, model=MODEL, **common)
+    bench.until(lambda: plant.counts["ticks"] > 100 and generator.measurement.rows.end and feedforward.reference.rows.end)
+    assert generator.measurement.rows.available < 20 and feedforward.reference.rows.available < 20
