@@ -22,7 +22,7 @@ VERSION = 1
 def gap_report(diagnosis: Diagnosis, explanation: Explanation, blocks: Sequence[Block] = (), augmented: str | None = None,
                with_next: bool = True) -> dict[str, Any]:
     """The report as a JSON document. augmented: path of the model file with the effects added."""
-    return {
+    return _finite({
         "schema": SCHEMA, "version": VERSION, "verdict": explanation.verdict,
         "gap": _gap(diagnosis),
         "where": {"stage": _stages(diagnosis, explanation, blocks), **budget(diagnosis)},
@@ -34,7 +34,16 @@ def gap_report(diagnosis: Diagnosis, explanation: Explanation, blocks: Sequence[
         "unexplained_share": _number(explanation.unknown),
         "replay": [{"name": block.name, "faithful": block.faithful, "rms": block.rms, "text": block.text} for block in blocks],
         "notes": list(diagnosis.notes),
-    }
+    })
+
+
+def _finite(value: Any) -> Any:
+    """The same document with null for what is no number."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return _number(value) if isinstance(value, float) else value
 
 
 def _gap(diagnosis: Diagnosis) -> dict[str, Any]:

@@ -136,10 +136,11 @@ def _madelung(block, up, down, law, points, state, output):
             else:
                 from_u, from_y = points[count - 1, 0], points[count - 1, 1]
                 if direction > 0.0:
-                    share = _branch(up, u - from_u) / _branch(up, goal_u - from_u)
+                    way, whole = _branch(up, u - from_u), _branch(up, goal_u - from_u)
                 else:
-                    share = (top - _branch(down, 1.0 - (from_u - u))) / (top - _branch(down, 1.0 - (from_u - goal_u)))
-                y = from_y + (goal_y - from_y) * share
+                    way, whole = top - _branch(down, 1.0 - (from_u - u)), top - _branch(down, 1.0 - (from_u - goal_u))
+                # A loop of rounding errors has no height: its branch is its end.
+                y = from_y + (goal_y - from_y) * way / whole if whole > 0.0 else goal_y
             last = u
         output[k] = scale * (y + (width * (y - 0.5 * (_branch(up, u) + _branch(down, u))) if width != 0.0 else 0.0))
     state[0], state[1], state[2], state[3] = last, y, direction, count

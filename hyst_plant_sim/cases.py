@@ -1,0 +1,340 @@
+"""Cases of the blind test: records of truth plants with effects in them, and what is in each, kept apart.
+
+A case is a truth plant whose coefficients scatter, one of four excitations, one of two noise levels, and effects of drawn size:
+one, two, none, coefficients off by more than their tolerance, or an effect that is in nobody's catalogue. Seeds 0 to 999 are for
+tuning, scoring seeds begin at 100000.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import yaml
+
+from hyst_control.control.loop import run_loop
+from hyst_control.control.pi import PI
+from hyst_control.excitation import build
+from hyst_control.identify import identify
+from hyst_control.identify.dataset import Dataset
+from hyst_control.model_file import Model, load_model
+from hyst_control.record import Record, Signal
+from hyst_control.share import config_path
+from hyst_plant_sim.physics import Plant, load_plant
+from hyst_plant_sim.physics.loading import shipped
+
+PLANTS = ("pea_published", "fsm_published", "third")
+EXCITATIONS = ("rich", "multisine", "sine", "closed_loop")
+KINDS = ("single", "pair", "parameters", "none", "open_set")
+NOISES = (5e-4, 3e-3)
+"""Share of the stroke, rms."""
+
+SCATTER = 0.01
+"""Relative standard deviation of every coefficient of a plant about the nominal one."""
+
+OFF = (4.0, 8.0)
+"""`parameters`: the coefficients are off by this many times their tolerance."""
+
+LEAST = 10.0
+"""Distance (standard deviations, coefficients marginalised) below which nobody could see a gap: such a case counts as none."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """How a plant is driven: model file (None: identified), sample time s, command range V, stroke (measurement unit)."""
+
+    model: str | None
+    sample_time: float
+    command: tuple[float, float]
+    stroke: float
+    scattered: tuple[str, ...]
+    gains: tuple[float, float]
+    """Proportional V per unit, and integral V per unit and s."""
+
+
+SETUPS = {
+    "pea_published": Setup("models/pea_hampi.yaml", 5e-5, (0.0, 50.0), 5.2, ("weights", "m1", "m2", "k", "b", "num", "den"), (1.0, 3000.0)),
+    "fsm_published": Setup("models/fsm_mhl.yaml", 1e-4, (0.0, 100.0), 2.0, ("ascending", "descending", "delay", "k1", "k2", "num", "den"),
+                           (5.0, 9000.0)),
+    "third": Setup(None, 5e-5, (0.0, 100.0), 9.0, ("slope", "alpha", "beta", "gamma", "ladder_shares", "mode_frequency", "mode_damping"),
+                   (1.0, 2000.0)),
+}
+
+TOLERANCE = ("weights", "m1", "m2", "k", "b", "w0", "num", "den", "ascending", "descending", "tau", "k1", "k2", "b2")
+
+Range = tuple[float, float]
+
+SEVERITIES: dict[str, dict[str, Range | str]] = {
+    # lengths and rates relative to the plant: "stroke" and "volt" scale with its stroke and command range, "tick" with its sample time
+    "creep": {"gamma": (0.006, 0.04)},
+    "gain": {"gain": (0.06, 0.18)},
+    "gain_drift": {"change": (0.008, 0.05), "tau": (0.2, 1.0)},
+    "offset": {"offset stroke": (0.003, 0.02)},
+    "offset_drift": {"change stroke": (0.004, 0.03), "tau": (0.2, 1.0)},
+    "hysteresis_width": {"width": (0.1, 0.4)},
+    "hysteresis_shape": {"amount": (0.006, 0.03)},
+    "hysteresis_rate": {"factor": (1.6, 3.0)},
+    "delay": {"tau tick": (0.5, 6.0)},
+    "amplifier_lowpass": {"cutoff": (500.0, 3000.0)},
+    "sensor_lowpass": {"cutoff": (500.0, 3000.0)},
+    "slew_limit": {"rate volt": (200.0, 1000.0)},
+    "saturation": {"upper volt": (0.75, 0.92)},
+    "dac_hold": {"samples": (3.0, 8.0)},
+    "resonance": {"frequency": (300.0, 1500.0), "damping": (0.01, 0.06), "gain": (0.01, 0.05)},
+    "added_mass": {"mass_ratio": (0.1, 0.4)},
+    "backlash": {"half_width stroke": (0.002, 0.012)},
+    "cross_coupling": {"coupling": (0.01, 0.06)},
+    "sensor_nonlinearity": {"second stroke": (0.004, 0.015), "third stroke": (0.004, 0.015)},
+    "sensor_noise": {"rms noise": (1.0, 4.0)},
+    "flicker_noise": {"rms noise": (3.0, 12.0)},
+    "mains_hum": {"amplitude noise": (1.5, 8.0)},
+    "vibration": {"amplitude noise": (1.5, 8.0), "frequency": (70.0, 700.0)},
+    "quantization": {"step noise": (4.0, 15.0)},
+    "held_samples": {"fraction": (0.02, 0.2)},
+}
+"""Every effect of the catalogue with the range its parameters are drawn from, evenly in their logarithm."""
+
+OPEN_SET: dict[str, dict[str, Range | str]] = {
+    "crossover_dead_band": {"half_width volt": (0.01, 0.05)},
+    "duffing_stiffness": {"share": (0.05, 0.25)},
+    "wandering_mode": {"change": (0.05, 0.2)},
+    "gain_scheduled_hysteresis": {"amount": (0.3, 1.2)},
+    "clock_rate_mismatch": {"share": (2e-4, 2e-3)},
+    "outliers": {"fraction": (0.002, 0.01), "size stroke": (0.02, 0.2)},
+    "guide_friction": {"share": (0.01, 0.06)},
+}
+"""Effects that are in nobody's catalogue."""
+
+EITHER_SIGN = ("width", "gain", "change", "amount", "offset", "second", "third", "coupling")
+NOISE_LIKE = ("sensor_noise", "flicker_noise", "quantization", "held_samples", "mains_hum", "vibration", "outliers")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case: what is done, and (label) what is in it. effects: mappings that `load_plant` takes."""
+
+    name: str
+    plant: str
+    kind: str
+    excitation: str
+    noise: float
+    seed: int
+    effects: tuple[Mapping[str, Any], ...] = ()
+    off: float = 1.0
+    label: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Effects that are in it."""
+        return tuple(effect["name"] for effect in self.effects)
+
+
+def draw(seed: int, count: int, plants: Sequence[str] = PLANTS, kinds: Mapping[str, float] | None = None,
+         excitations: Sequence[str] = EXCITATIONS) -> list[Case]:
+    """A balanced set of cases: every effect on every plant in turn, kinds in these shares, half of it on the rich record."""
+    random = np.random.default_rng(seed)
+    shares = kinds or {"single": 0.45, "none": 0.25, "pair": 0.12, "open_set": 0.1, "parameters": 0.08}
+    order = [kind for kind, share in shares.items() for _ in range(int(round(share * count)))]
+    order = (order + ["single"] * count)[:count]
+    cycles: dict[str, list[tuple[str, ...]]] = {}
+    cases = []
+    for index, kind in enumerate(order):
+        plant = plants[index % len(plants)]
+        excitation = "rich" if "rich" in excitations and index % 2 == 0 else str(excitations[(index // 2) % len(excitations)])
+        names = _names(kind, plant, cycles, random)
+        noise = NOISES[(index // 4) % 2]
+        off = float(random.uniform(*OFF)) if kind == "parameters" else 1.0
+        case = Case("", plant, kind, excitation, noise, int(random.integers(1 << 31)), off=off)
+        cases.append(replace(case, effects=tuple(_severity(name, plant, noise, random) for name in names)))
+    random.shuffle(cases)  # type: ignore[arg-type]
+    return [replace(case, name=f"case_{index:04d}") for index, case in enumerate(cases)]
+
+
+def _names(kind: str, plant: str, cycles: dict[str, list[tuple[str, ...]]], random: np.random.Generator) -> tuple[str, ...]:
+    """The effects of the next case of a kind on a plant, each in turn before any comes again."""
+    if kind in ("none", "parameters"):
+        return ()
+    catalogue = [name for name in (OPEN_SET if kind == "open_set" else SEVERITIES)
+                 if name != "cross_coupling" or plant.startswith("fsm")]
+    waiting = cycles.setdefault(f"{kind} {plant}", [])
+    if not waiting:
+        if kind == "pair":
+            waveforms = [name for name in catalogue if name not in NOISE_LIKE]
+            waiting += [tuple(random.choice(waveforms, 2, replace=False)) for _ in range(len(waveforms))]
+        else:
+            waiting += [(name,) for name in random.permutation(catalogue)]
+    return tuple(str(name) for name in waiting.pop())
+
+
+def _severity(name: str, plant: str, noise: float, random: np.random.Generator) -> dict[str, Any]:
+    setup = SETUPS[plant]
+    scale = {"stroke": setup.stroke, "volt": setup.command[1] - setup.command[0], "tick": setup.sample_time,
+             "noise": noise * setup.stroke}
+    effect: dict[str, Any] = {"name": name}
+    for key, limits in {**SEVERITIES, **OPEN_SET}[name].items():
+        parameter, _, unit = key.partition(" ")
+        value = float(np.exp(random.uniform(*np.log(limits)))) * scale.get(unit, 1.0)
+        effect[parameter] = float(np.rint(value)) if parameter == "samples" else value
+        if parameter in EITHER_SIGN and random.random() < 0.5:
+            effect[parameter] *= -1.0
+    if name == "mains_hum":
+        effect["frequency"] = float(random.choice([50.0, 60.0]))
+    if plant.startswith("fsm") and random.random() < 0.7:
+        effect["axis"] = str(random.choice(["x", "y"]))
+    return effect
+
+
+def commands(case: Case) -> np.ndarray:
+    """The open loop's commands (N, A) in V; the reference (N, A) in the measurement unit for the closed loop."""
+    setup = SETUPS[case.plant]
+    axes = 2 if case.plant.startswith("fsm") else 1
+    low, high = setup.command
+    span, centre, random = high - low, 0.5 * (high + low), np.random.default_rng([case.seed, 1])
+    if case.excitation == "rich":
+        spec: dict[str, Any] = {"signal": "diagnostic", "lowest": low, "highest": high, "seed": int(random.integers(3))}
+    elif case.excitation == "multisine":
+        spec = {"signal": "multisine", "period": 0.25, "lower_frequency": 4.0, "upper_frequency": 600.0, "rms": 0.13 * span,
+                "offset": centre, "periods": 6, "detection": 4, "avoid_mains": True, "seed": int(random.integers(3))}
+    elif case.excitation == "sine":
+        spec = {"signal": "sine", "frequency": float(random.choice([5.0, 12.0, 35.0, 90.0])), "amplitude": 0.42 * span, "offset": centre,
+                "duration": 1.5}
+    else:
+        spec = {"signal": "multi_frequency", "frequencies": [3.0, 17.0, 41.0], "offset": 0.5 * setup.stroke, "duration": 1.5,
+                "amplitudes": [0.2 * setup.stroke, 0.08 * setup.stroke, 0.08 * setup.stroke]}
+    rows = build(spec, setup.sample_time, axes)
+    return np.clip(rows, low, high) if case.excitation != "closed_loop" else rows
+
+
+def run(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True) -> dict[str, np.ndarray]:
+    """Signals of a case by topic, (N, A) each, with or without its effects, the noise, and the scatter of its plant."""
+    truth = plant_of(case, effects, noisy, scattered)
+    rows, setup = commands(case), SETUPS[case.plant]
+    if case.excitation != "closed_loop":
+        first = truth.reset(rows[0])
+        return {"command": rows, "measurement": np.concatenate([first[None], truth.step(rows)[:-1]])}
+    controller = PI(setup.gains[0], setup.gains[1], setup.sample_time, setup.command[0], setup.command[1]).start(rows.shape[1])
+    signals = run_loop(rows, None, controller, truth)
+    return {name: signals[name] for name in ("reference", "feedforward", "feedback", "command", "measurement")}
+
+
+def plant_of(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True) -> Plant:
+    """The truth plant of a case, rated for the range in which it is driven."""
+    setup = SETUPS[case.plant]
+    changes = scatter(case.plant, case.seed, SCATTER * case.off if scattered else 0.0)
+    document = {"plant": case.plant, "rating": list(setup.command), "stroke": [0.0, setup.stroke],
+                "effects": [dict(effect) for effect in case.effects] if effects else []}
+    noise = case.noise * setup.stroke if noisy else 0.0
+    return load_plant(document, seed=case.seed, sample_time=setup.sample_time, **{**changes, "noise": noise})
+
+
+def scatter(plant: str, seed: int, size: float) -> dict[str, Any]:
+    """Coefficients of a plant, each off by a normal share of `size`; both axes of a mirror about the first axis' values."""
+    parameters = _parameters(plant)
+    random = np.random.default_rng([seed, 2])
+    setup = SETUPS[plant]
+
+    def off(value: Any) -> Any:
+        return [off(item) for item in value] if isinstance(value, list) else value * (1.0 + size * random.standard_normal())
+
+    if not plant.startswith("fsm"):
+        return {name: off(parameters[name]) for name in setup.scattered}
+    changes = {name: [off(parameters[name][0]) for _ in range(2)] for name in setup.scattered}
+    for name in ("span", "scale", "b2"):
+        changes[name] = [parameters[name][0]] * 2
+    for axis in range(2):  # the major branches meet at their end
+        ends = [sum(changes[name][axis]) for name in ("ascending", "descending")]
+        for name, end in zip(("ascending", "descending"), ends, strict=True):
+            changes[name][axis] = [value * 0.5 * sum(ends) / end for value in changes[name][axis]]
+    return changes
+
+
+@cache
+def _parameters(plant: str) -> dict[str, Any]:
+    path = shipped(plant)
+    assert path is not None
+    return yaml.safe_load(path.read_text(encoding="utf-8"))["parameters"]
+
+
+@cache
+def nominal(plant: str, noise: float) -> Model:
+    """The model that a case is diagnosed against: the published one, or one identified from a clean record of the nominal plant.
+
+    Its tolerance is the scatter of the plants; its noise, that of the sensor and of what the identification left.
+    """
+    setup = SETUPS[plant]
+    sigma = noise * setup.stroke
+    if setup.model is not None:
+        model = load_model(config_path(setup.model))
+    else:
+        document = {"plant": plant, "rating": list(setup.command)}
+        truth = load_plant(document, seed=1, sample_time=setup.sample_time, noise=1e-4 * setup.stroke)
+        datasets = []
+        low, high = setup.command
+        for index, spec in enumerate(({"signal": "hampi_identification", "peak": high},
+                                      {"signal": "diagnostic", "lowest": low, "highest": high, "seed": 5000})):
+            rows = build(spec, setup.sample_time, 1)
+            first = truth.reset(rows[0])
+            measured = np.concatenate([first[None], truth.step(rows)[:-1]])
+            datasets.append(Dataset(f"clean {index}", rows, measured, setup.sample_time, ("x",), "um"))
+        model = identify(datasets, "hampi").model
+        left = float(np.max(np.atleast_1d(np.asarray(model.noise.get("sigma", 0.0), dtype=float))))
+        sigma = float(np.hypot(sigma, left))
+    return replace(model, sample_time=setup.sample_time, noise={"sigma": sigma},
+                   tolerance={name: SCATTER for name in TOLERANCE}, valid={**model.valid, "command": list(setup.command)})
+
+
+def record_of(case: Case, signals: Mapping[str, np.ndarray]) -> Record:
+    """A case's signals as a record; nothing in it tells what is in the case."""
+    setup = SETUPS[case.plant]
+    time = np.arange(len(signals["command"])) * setup.sample_time
+    axes = ("x", "y") if case.plant.startswith("fsm") else ("x",)
+    unit = "mrad" if case.plant.startswith("fsm") else "um"
+    units = {"command": "V", "feedforward": "V", "feedback": "V"}
+    return Record({name: Signal(time, values, axes, units.get(name, unit)) for name, values in signals.items()}, case.name)
+
+
+def labelled(case: Case) -> Case:
+    """The case with its label: what to score, the true gap, and whether anybody could see it."""
+    setup = SETUPS[case.plant]
+    noise = case.noise * setup.stroke
+    label: dict[str, Any] = {"kind": case.kind, "names": list(case.names), "effects": [dict(effect) for effect in case.effects],
+                             "plant": case.plant, "excitation": case.excitation, "noise": case.noise}
+    gap, distance = 0.0, np.inf if case.kind == "parameters" else 0.0
+    if case.effects:
+        with_effects, without = run(case, noisy=False), run(case, effects=False, noisy=False)
+        if case.excitation == "closed_loop":  # the loop hides a gap: what counts is the plant on one and the same command
+            truth, bare = plant_of(case, noisy=False), plant_of(case, False, False)
+            command = with_effects["command"]
+            difference = np.concatenate([truth.reset(command[0])[None], truth.step(command)[:-1]]) \
+                - np.concatenate([bare.reset(command[0])[None], bare.step(command)[:-1]])
+        else:
+            difference = with_effects["measurement"] - without["measurement"]
+        gap = float(np.sqrt(np.mean(difference ** 2)))
+        distance = visible(case, difference, noise)
+    label |= {"gap_rms": gap, "noise_rms": noise, "distance": float(min(distance, 1e9))}
+    if case.effects and (distance < LEAST or gap < 0.2 * noise):
+        label["kind"] = "none"
+        label["hidden"] = list(case.names)
+        label["names"] = []
+    return replace(case, label=label)
+
+
+def visible(case: Case, difference: np.ndarray, noise: float) -> float:
+    """Size of a difference in standard deviations once a change of gain and of offset on each axis is taken off."""
+    measured = run(case, effects=False, noisy=False)["measurement"]
+    left = 0.0
+    for axis in range(difference.shape[1]):
+        known = np.stack([np.ones(len(measured)), measured[:, axis]], axis=1)
+        if case.names and set(case.names) <= {"gain", "offset"}:
+            known = known[:, :0]
+        rest = difference[:, axis] - (known @ np.linalg.lstsq(known, difference[:, axis], rcond=None)[0] if known.shape[1] else 0.0)
+        left += float(rest @ rest)
+    return float(np.sqrt(left) / noise)
+
+
+def as_document(case: Case) -> dict[str, Any]:
+    """The label of a case as JSON types."""
+    return {**asdict(case), "effects": [dict(effect) for effect in case.effects], "label": dict(case.label)}
