@@ -73,11 +73,11 @@ class LiveTwin:
 class Window:
     """What a window of the residual says.
 
-    rows: rows counted so far, this window's among them; rms: over all axes, in the measurement's unit; nrmse: in %, of the range
-    since the start, the mean over the axes; excess: energy over the threshold, NaN while calibrating.
+    end: how many of the rows just added had come when it was complete; rms: over all axes, in the measurement's unit; nrmse: in %,
+    of the range since the start, the mean over the axes; excess: energy over the threshold, NaN while calibrating.
     """
 
-    rows: int
+    end: int
     rms: float
     nrmse: float
     excess: float
@@ -104,13 +104,13 @@ class GapAlarm:
 
     def reset(self) -> None:
         """Calibrate anew."""
-        self.alarm, self.rows = False, 0
+        self.alarm = False
         self.noise: Array | None = None
-        self._mean, self._root = np.zeros(0), np.zeros((0, 0))
+        self._mean, self._covariance = np.zeros(0), np.zeros((0, 0))
         self._imperfection = np.zeros(len(self.stated))
         self._lower, self._upper = np.full(len(self.stated), np.inf), np.full(len(self.stated), -np.inf)
         self._learned: list[tuple[Array, Array]] = []
-        self._learned_rows = self._streak = 0
+        self._streak = 0
         self.interrupt()
 
     def interrupt(self) -> None:
@@ -121,14 +121,15 @@ class GapAlarm:
     def add(self, measured: Array, residual: Array, slopes: Array) -> list[Window]:
         """Windows that became complete with these successive rows: measured and residual (N, A), slopes (N, A, K)."""
         found, begin = [], 0
-        self._lower, self._upper = np.minimum(self._lower, measured.min(axis=0)), np.maximum(self._upper, measured.max(axis=0))
+        self._lower = np.minimum(self._lower, measured.min(axis=0, initial=np.inf))
+        self._upper = np.maximum(self._upper, measured.max(axis=0, initial=-np.inf))
         while begin < len(residual):
             end = min(begin + self.window - self._collected, len(residual))
             self._parts.append((residual[begin:end], slopes[begin:end]))
             self._collected += end - begin
             begin = end
             if self._collected == self.window:
-                found.append(self._complete())
+                found.append(self._complete(end))
         return found
 
     @property
@@ -136,10 +137,9 @@ class GapAlarm:
         """Probability of a window without a gap to exceed its threshold."""
         return min(self.false_alarm_rate * self.consecutive * self.window * self.sample_time / 3600.0, 0.5)
 
-    def _complete(self) -> Window:
+    def _complete(self, end: int) -> Window:
         residual, slopes = (np.concatenate(parts) for parts in zip(*self._parts, strict=True))
         self.interrupt()
-        self.rows += len(residual)
         if self.noise is None:
             excess = np.nan
             self._learn(residual, slopes)
@@ -150,41 +150,45 @@ class GapAlarm:
                 self.alarm, self._streak = not self.alarm, 0
         rms = np.sqrt(np.mean(residual ** 2, axis=0))
         span = np.maximum(self._upper - self._lower, 1e-12)
-        return Window(self.rows, float(np.sqrt(np.mean(rms ** 2))), float(100.0 * np.mean(rms / span)), float(excess), self.alarm)
+        return Window(end, float(np.sqrt(np.mean(rms ** 2))), float(100.0 * np.mean(rms / span)), float(excess), self.alarm)
 
     def _learn(self, residual: Array, slopes: Array) -> None:
         """Once there are enough rows: the posterior of the coefficients and the noise, each with what is known of the other."""
         self._learned.append((residual, slopes))
-        self._learned_rows += len(residual)
-        if self._learned_rows < self.calibrate:
+        if len(self._learned) * self.window < self.calibrate:
             return
-        residuals = [each for each, _ in self._learned]
-        every = np.concatenate([each for _, each in self._learned])
+        residuals, every = zip(*self._learned, strict=True)
         self._learned = []
-        left = np.concatenate(residuals)
-        limits, span = thresholds(), self._upper - self._lower
+        grams = sum(_gram(part) for part in every)
+        sides = sum(np.einsum("nak,na->ak", part, values) for part, values in zip(every, residuals, strict=True))
+        left, limits, span = residuals, thresholds(), self._upper - self._lower
         for _ in range(2):
-            measured = np.array([noise_of(np.split(left[:, axis], np.cumsum([len(each) for each in residuals])[:-1]))
-                                 for axis in range(left.shape[1])])
+            measured = np.array([noise_of([part[:, axis] for part in left]) for axis in range(len(span))])
             noise = np.maximum(measured, np.maximum(LEAST_NOISE * span, 1e-12))
             # What the model states beyond the noise, and what is too small to matter, is imperfection: slow, not white.
             self._imperfection = np.hypot(limits.practical_floor * span, np.sqrt(np.maximum(self.stated ** 2 - noise ** 2, 0.0)))
-            scaled = (every / noise[:, None]).reshape(-1, every.shape[2])
-            precision = np.eye(scaled.shape[1]) + scaled.T @ scaled
-            values = np.concatenate(residuals)
-            mean = np.linalg.solve(precision, scaled.T @ (values / noise).reshape(-1))
-            left = values - every @ mean
-        self.noise, self._mean = noise, mean
-        self._root = np.linalg.inv(np.linalg.cholesky(precision)).T  # root root' = precision^-1
+            precision = np.eye(grams.shape[1]) + np.einsum("aij,a->ij", grams, noise ** -2)
+            self._covariance = np.linalg.inv(precision)
+            self._mean = self._covariance @ np.einsum("ak,a->k", sides, noise ** -2)
+            left = [values - np.einsum("nak,k->na", part, self._mean) for values, part in zip(residuals, every, strict=True)]
+        self.noise = noise
 
     def _excess(self, residual: Array, slopes: Array) -> float:
         """Energy of a window over its threshold."""
         assert self.noise is not None
-        energy = float(np.sum(((residual - slopes @ self._mean) / self.noise) ** 2))
-        uncertain = (slopes / self.noise[:, None]).reshape(-1, slopes.shape[2]) @ self._root
-        weights = np.maximum(np.linalg.eigvalsh(uncertain.T @ uncertain), 0.0)
-        weights = np.append(weights, len(residual) * np.sum((self._imperfection / self.noise) ** 2))
+        left = residual - np.einsum("nak,k->na", slopes, self._mean)
+        energy = float(np.sum((left / self.noise) ** 2))
+        spread = np.linalg.eigvals(self._covariance @ np.einsum("aij,a->ij", _gram(slopes), self.noise ** -2)).real
+        weights = np.append(np.maximum(spread, 0.0), len(residual) * np.sum((self._imperfection / self.noise) ** 2))
         return energy / energy_quantile(weights, residual.size, self.share)
+
+
+def _gram(slopes: Array) -> Array:
+    """Products of the slopes (N, A, K) summed over the rows, (A, K, K).
+
+    Not by a matrix product: at this size that wakes the threads of the linear algebra, which then take turns with the loop.
+    """
+    return np.stack([np.einsum("nk,nl->kl", axis, axis) for axis in np.moveaxis(slopes, 1, 0)])
 
 
 def energy_quantile(weights: Array, count: int, share: float) -> float:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from hyst_control.errors import InputError
 from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.hampi_feedforward import HampiFeedforward
 from hyst_control.nodes.mhl_feedforward import MhlFeedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
@@ -23,6 +24,7 @@ NODES: dict[str, Callable[[], SignalNode]] = {
     "pi_feedback": PiFeedback,
     "plant": PlantNode,
     "recorder": Recorder,
+    "diagnosis": DiagnosisNode,
 }
 DEFAULT = ("reference_generator", "hampi_feedforward", "pi_feedback", "plant", "recorder")
 

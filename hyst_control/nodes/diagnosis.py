@@ -1,0 +1,306 @@
+"""The diagnosis node: the model beside the running system, an alarm for the gap, and the full diagnosis on request."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.bag_writer import BagWriter
+from hyst_control.diagnose.live import GapAlarm, LiveTwin, Window
+from hyst_control.errors import InputError
+from hyst_control.model_file import load_model
+from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.messages import Sender
+from hyst_control.nodes.paired import Watched
+from hyst_control.nodes.run import main as run_main
+from hyst_control.nodes.settings import Setting
+from hyst_control.signal_message import Encoder, label_for
+
+Array = NDArray[np.float64]
+
+GAP_LABEL = "t[s],nrmse[%],alarm[]"
+DRAIN_INTERVAL = 0.02  # s, between two looks at what has arrived: the queues hold far more
+ROWS_PER_MESSAGE = 1000  # in the bag of a diagnosis
+DIAGNOSE = "import os, sys; os.nice(10); from hyst_control.cli import main; sys.exit(main())"
+"""Program of the process that diagnoses; it gives way to the loop."""
+
+
+class Stretch(NamedTuple):
+    """Successive rows kept for a diagnosis: the tick of the first, command and measurement (N, A)."""
+
+    tick: int
+    command: Array
+    measurement: Array
+
+
+class DiagnosisNode(SignalNode):
+    """Runs `model` from `command` and compares it with `measurement`; see `hyst_control.diagnose.live` for the alarm's statistics.
+
+    Publishes `residual` (measurement less prediction, by tick), `gap` (per window: NRMSE in % of the range, alarm 0 or 1) and its
+    diagnostics. It listens only: nothing of the loop waits for it. Ticks without a command, up to `bridge` of them, count
+    as held, as a DAC does; after longer gaps the model settles at the new command, and `settle` seconds are not counted, at
+    the start neither: the memory of the hysteresis has to fill.
+
+    `~/diagnose` starts `hyst diagnose` on what the ring buffer holds, in a process of its own that gives way to the loop, and
+    answers at once. Called while it runs, it says so; called afterwards, it tells the result once. Everything goes into a new
+    folder below `output`: bag, gap.json, augmented.yaml (where there is something to add) and the report in words.
+    """
+
+    SETTINGS = (
+        Setting("model", "", "", "model file of the simulator"),
+        Setting("window", 0.1, "s", "length of the windows that are judged", 1e-4, 1e3),
+        Setting("settle", 0.1, "s", "not counted after the start and after a gap in the ticks", 0.0, 1e4),
+        Setting("calibrate", 0.5, "s", "at the start: the coefficients, within their tolerance, and the noise are learned", 1e-3, 1e4),
+        Setting("false_alarm_rate", 0.1, "1/h", "false alarms expected at most", 1e-9, 1e4, live=True),
+        Setting("consecutive", 3, "windows", "in a row beyond the threshold that raise the alarm, or below that end it", 1, 1000),
+        Setting("bridge", 10, "ticks", "without a command, up to which the newest one counts as held", 0, 1_000_000),
+        Setting("buffer", 2.0, "s", "newest rows kept for the diagnosis", 0.01, 1e4),
+        Setting("output", "diagnosis", "", "folder of the results of ~/diagnose", live=True),
+    )
+
+    def __init__(self, name: str = "diagnosis", **options: Any) -> None:
+        super().__init__(name, **options)
+        given = self.settings
+        if not given.model:
+            raise InputError(f"{self.get_name()}: parameter model: give the model file of the simulator")
+        self._model_path = Path(given.model).resolve()
+        try:
+            model = load_model(self._model_path)
+            if model.axes != self.axes or model.units["measurement"] != self.unit:
+                raise InputError(f"{given.model} has axes [{', '.join(model.axes)}] in {model.units['measurement']}: set the "
+                                 "parameters axes and unit to them")
+            self._twin = LiveTwin(model, self.period)
+        except InputError as error:
+            raise InputError(f"{self.get_name()}: {error}") from None
+        self._twin.settle(np.zeros(len(self.axes)))
+        self._twin.follow(np.zeros((1, len(self.axes))))  # compiled before the first message
+        stated = np.broadcast_to(np.asarray(model.noise.get("sigma", 0.0), dtype=float), len(self.axes))
+        self.alarm = GapAlarm(self.period, max(round(given.window / self.period), 8), round(given.calibrate / self.period),
+                              stated, given.false_alarm_rate, given.consecutive)
+        self._residual = self.output("residual", self.unit)
+        self._gap = Sender(self, "gap", GAP_LABEL, given.message_objects)
+        self._command = Watched(self, "command", "V", self.reset)
+        self._measurement = Watched(self, "measurement", self.unit, self.reset)
+        self._job: Job | None = None
+        self._forget()
+        self.service("diagnose", self._diagnose)
+        self.every(DRAIN_INTERVAL, self._drain)
+
+    def reset(self) -> None:
+        self._command.forget()
+        self._measurement.forget()
+        self._forget()
+
+    def changed(self, name: str, value: Any) -> None:
+        if name == "false_alarm_rate":
+            self.alarm.false_alarm_rate = value
+
+    def trouble(self) -> str:
+        if self._newest is not None and self._newest.alarm:
+            return f"gap alarm: {self._newest.nrmse:.3g} % of the range"
+        quiet = time.monotonic() - self._heard
+        return f"no command and measurement of one tick for {quiet:.0f} s" if quiet > max(1.0, self.settings.timeout) else ""
+
+    def status(self) -> dict[str, Any]:
+        newest, entries = self._newest, {}
+        if newest is not None:
+            entries = {f"rms [{self.unit}]": f"{newest.rms:.4g}", "nrmse [%]": f"{newest.nrmse:.4g}", "alarm": newest.alarm,
+                       "energy over threshold": "calibrating" if math.isnan(newest.excess) else f"{newest.excess:.3g}"}
+        return {**entries, "held samples [%]": f"{100.0 * self.held_share():.2f}", "rows compared": self._compared,
+                "ticks bridged": self._bridged, "settled anew": self._settled_anew, "diagnosis": self._job.text() if self._job else "none"}
+
+    def held_share(self) -> float:
+        """Share of the kept measurements that repeat the one before although the command moved."""
+        rows = [(np.diff(kept.measurement, axis=0), np.diff(kept.command, axis=0)) for kept in self._kept if len(kept.command) > 1]
+        if not rows:
+            return 0.0
+        measured, moved = (np.concatenate(parts).any(axis=1) for parts in zip(*rows, strict=True))
+        return float(np.sum(~measured & moved) / max(np.sum(moved), 1))
+
+    def close(self) -> None:
+        if self._job is not None:
+            self._job.end()
+
+    def _forget(self) -> None:
+        self.alarm.reset()
+        self._due: int | None = None  # tick of the next command
+        self._held = np.zeros(len(self.axes))
+        self._uncounted = 0
+        self._kept: deque[Stretch] = deque()
+        self._kept_rows = 0
+        self._from_rest = False  # the rows kept begin with the model settled, as a record should
+        self._newest: Window | None = None
+        self._heard = time.monotonic()
+        self._compared = self._bridged = self._settled_anew = 0
+
+    def _drain(self) -> None:
+        self._command.drain()
+        self._measurement.drain()
+        if None not in (self._command.end, self._measurement.end):
+            end = min(self._command.end, self._measurement.end)
+            ticks, commands = self._command.take(end)
+            if len(ticks) and self.enabled:
+                measured_ticks, measured = self._measurement.take(end)
+                breaks = np.flatnonzero(np.diff(ticks) > 1) + 1
+                for some, rows in zip(np.split(ticks, breaks), np.split(commands, breaks), strict=True):
+                    begin, stop = np.searchsorted(measured_ticks, (some[0], some[-1] + 1))
+                    self._follow(int(some[0]), rows, measured_ticks[begin:stop], measured[begin:stop])
+        if not self.enabled:
+            self._due = None
+
+    def _follow(self, first: int, commands: Array, ticks: NDArray[np.int64], measured: Array) -> None:
+        """Successive commands (N, A) from this tick on, and the measurements (M, A) of those of their ticks that have one."""
+        missing = None if self._due is None else first - self._due
+        if missing is None or missing > self.settings.bridge:
+            self._settle(first, commands[0])
+        elif missing:
+            self._bridged += missing
+            self.alarm.interrupt()
+            self._twin.follow(np.repeat(self._held[None], missing, axis=0))
+        self._due, self._held = first + len(commands), commands[-1]
+        predicted, slopes = self._twin.follow(commands)
+        for run in np.split(np.arange(len(ticks)), np.flatnonzero(np.diff(ticks) > 1) + 1):
+            if len(run):
+                begin = int(ticks[run[0]])
+                there = slice(begin - first, begin - first + len(run))
+                self._compare(begin, commands[there], measured[run], predicted[there], slopes[there])
+
+    def _settle(self, tick: int, command: Array) -> None:
+        self._settled_anew += self._due is not None
+        self._twin.settle(command)
+        self.alarm.interrupt()
+        self._uncounted = round(self.settings.settle / self.period)
+        self._kept.clear()
+        self._kept_rows = 0
+        self._from_rest = self.lockstep and tick == 0
+
+    def _compare(self, tick: int, commands: Array, measured: Array, predicted: Array, slopes: Array) -> None:
+        """Successive rows that have both: publish what is between them, judge it, keep them."""
+        self._heard = time.monotonic()
+        self._compared += len(measured)
+        residual = measured - predicted
+        self._residual.send(tick, residual)
+        self._keep(Stretch(tick, commands, measured))
+        skipped = min(self._uncounted, len(measured))
+        self._uncounted -= skipped
+        for window in self.alarm.add(measured[skipped:], residual[skipped:], slopes[skipped:]):
+            self._newest = window
+            last = tick + skipped + window.end - 1
+            self._gap.send(np.array([[last * self.period, window.nrmse, float(window.alarm)]]))
+            if window.alarm:
+                self.warn("gap", f"the model no longer explains the measurement: {window.nrmse:.3g} % of the range")
+
+    def _keep(self, rows: Stretch) -> None:
+        most = round(self.settings.buffer / self.period)
+        self._kept.append(rows)
+        self._kept_rows += len(rows.command)
+        while self._kept_rows - len(self._kept[0].command) >= most:
+            self._kept_rows -= len(self._kept.popleft().command)
+            self._from_rest = False
+
+    def _diagnose(self) -> str:
+        """Start a diagnosis, or tell how the one that was started goes."""
+        if self._job is not None and (self._job.running or not self._job.told):
+            self._job.told = not self._job.running
+            return self._job.text()
+        if not self._kept:
+            raise InputError("nothing was recorded yet: command and measurement are due")
+        with as_input_error(self.settings.output):
+            output = Path(self.settings.output).resolve()
+            output.mkdir(parents=True, exist_ok=True)
+            folder = Path(tempfile.mkdtemp(prefix=time.strftime("%Y%m%dT%H%M%SZ-", time.gmtime()), dir=output))
+            self._write(folder / "record")
+            self._job = Job(folder, self._model_path)
+        return f"started: {self._kept_rows} rows, {self._kept_rows * self.period:.3g} s: {folder}"
+
+    def _write(self, path: Path) -> None:
+        """The kept rows as a bag."""
+        ticks = np.concatenate([rows.tick + np.arange(len(rows.command)) for rows in self._kept])
+        values = {name: np.concatenate([getattr(rows, name) for rows in self._kept]) for name in ("command", "measurement")}
+        wanted = np.ones(len(ticks), bool)
+        # A record that does not start at rest gets a gap behind its first row: behind a gap, the diagnosis leaves out the time in
+        # which the memory of the hysteresis fills.
+        wanted[1:2] = self._from_rest
+        ticks = ticks[wanted]
+        runs = np.split(np.arange(len(ticks)), np.flatnonzero(np.diff(ticks) > 1) + 1)
+        with BagWriter(path) as bag:
+            for topic, unit in (("command", "V"), ("measurement", self.unit)):
+                encoder, rows = Encoder(label_for(self.axes, unit)), np.column_stack([ticks * self.period, values[topic][wanted]])
+                for run in runs:
+                    for begin in range(run[0], run[-1] + 1, ROWS_PER_MESSAGE):
+                        part = rows[begin:min(begin + ROWS_PER_MESSAGE, run[-1] + 1)]
+                        bag.write(f"/{topic}", encoder.encode(part), round(part[-1, 0] * 1e9))
+
+
+class Job:
+    """A diagnosis in a process of its own, in a folder that gets its results."""
+
+    def __init__(self, folder: Path, model: Path) -> None:
+        self.folder, self.told = folder, False
+        self._begun = time.monotonic()
+        path = os.pathsep.join(filter(None, [str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH")]))
+        arguments = ["diagnose", str(folder / "record"), "--model", str(model), "--json", str(folder / "gap.json"),
+                     "--augmented", str(folder / "augmented.yaml"), "--quiet"]
+        if find_spec("hyst_control.diagnose.page"):
+            arguments += ["--report", str(folder / "gap.html")]
+        with open(folder / "gap.txt", "wb") as words:
+            # In a session of its own, so that a Ctrl-C for the node does not reach it, and all of it can be ended at once.
+            self._process = subprocess.Popen([sys.executable, "-c", DIAGNOSE, *arguments], stdin=subprocess.DEVNULL, stdout=words,
+                                             stderr=subprocess.STDOUT, start_new_session=True,
+                                             env={**os.environ, "PYTHONPATH": path})
+
+    @property
+    def running(self) -> bool:
+        """Whether the process has not ended yet."""
+        return self._process.poll() is None
+
+    def text(self) -> str:
+        """How it goes, or the result in a sentence and where it is."""
+        if self.running:
+            return f"running for {time.monotonic() - self._begun:.0f} s: {self.folder}"
+        with suppress(OSError):
+            lines = (self.folder / "gap.txt").read_text(encoding="utf-8", errors="replace").split("\n")
+            if any(lines):
+                failed = self._process.returncode != 0
+                told = next(line for line in (reversed(lines) if failed else lines) if line)
+                return f"{'failed: ' if failed else ''}{told} ({self.folder})"
+        return f"failed: status {self._process.returncode}, without a word ({self.folder})"
+
+    def end(self) -> None:
+        """End the process and those that it started."""
+        if self.running:
+            with suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGTERM)
+            self._process.wait()
+
+
+@contextmanager
+def as_input_error(path: str) -> Iterator[None]:
+    """Tell a folder or disk that cannot be written in one line."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}: set the parameter output to a folder that can be written") from None
+
+
+def main() -> int:
+    """The executable."""
+    return run_main(DiagnosisNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
