@@ -108,18 +108,19 @@ def lines(problem: Problem, unexplained: Array) -> dict[str, list[float]]:
     """
     suggestions: dict[str, list[float]] = {"mains_hum": [], "vibration": []}
     rows = problem.rows(unexplained)
-    longest = max(problem.pieces, key=lambda piece: len(piece.command))
+    commands = [piece.counted(piece.command) for piece in problem.pieces]
+    longest = max(commands, key=len)
     begin = 0
-    for piece in problem.pieces:
-        count = len(piece.command)
-        if piece is longest:
+    for command in commands:
+        count = len(command)
+        if command is longest:
             break
         begin += count
     rate = 1.0 / problem.sample_time
     for axis in range(rows.shape[1]):
         signal = rows[begin:begin + count, axis]
         frequency, power = periodogram(signal, rate, "hann")
-        _, driven = periodogram(longest.command[:, axis], rate, "hann", detrend="linear")
+        _, driven = periodogram(longest[:, axis], rate, "hann", detrend="linear")
         width = rate / count
         ratio = power / np.maximum(_background(power), 1e-300)
         for mains in MAINS:
