@@ -25,16 +25,18 @@ class SofteningModal(Stage):
         g  = (sqrt(a / amplitude) - 1) / (1 - sqrt(1/2))          0 at `amplitude`, -1 at half of it
         λ_i = -exp(decay_i + decay_change_i g) + j (frequency_i + frequency_change_i g)
         dx_i/dt = λ_i x_i + (inputs_i + inputs_change_i g) · u,   z = 2 Re Σ c_i x_i + feedthrough u
-        n  = q (|q|^exponent - force_mean a^exponent),  q = elongation z         per actuator
+        n  = q (|q|^exponent - force_mean a^exponent),  q = elongation z         per actuator and exponent
         dw_i/dt = λ_i w_i + force_inputs_i · n,                   y = z + 2 Re Σ c_i w_i + force_feedthrough n
 
     The first part is the structure as it responds on the average at this amplitude (its describing function); n is
     what the softening force q |q|^exponent has beyond that average from one instant to the next. n is sampled and held.
+    Several exponents are several terms of one force, each with gains of its own.
 
     Shapes for M modes and A axes: decay (log of 1/s), frequency (rad/s) and their changes (M); c = outputs (M, A),
-    inputs, inputs_change and force_inputs (M, A), each as a pair [real, imaginary]; feedthrough and force_feedthrough
-    (A, A); elongation (A, A), V per measurement unit, so that q is in volts of quasi-static command; force_mean (A). A
-    mode of frequency 0 is real and counts once.
+    inputs and inputs_change (M, A) and force_inputs (M, K A) for K exponents, the terms one after the other, each as a
+    pair [real, imaginary]; feedthrough (A, A), force_feedthrough (A, K A) and force_mean (K A); elongation (A, A), V per
+    measurement unit, so that q is in volts of quasi-static command; exponent one number or K. A mode of frequency 0 is
+    real and counts once.
     """
 
     name: ClassVar[str] = "softening_modal"
@@ -52,7 +54,7 @@ class SofteningModal(Stage):
     force_inputs: Any = 0.0
     force_feedthrough: Any = 0.0
     force_mean: Any = 0.0
-    exponent: float = 0.5
+    exponent: Any = 0.5
     memory: float = 0.1
 
     def check(self) -> None:
@@ -66,20 +68,21 @@ class SofteningModal(Stage):
 
     def arrays(self, axes: int) -> dict[str, np.ndarray]:
         """Every parameter as an array of its full shape, complex where it is a pair."""
-        modes = len(self.decay)
+        modes, terms = len(self.decay), axes * int(np.size(self.exponent))
         due = {
             "decay": (modes,),
             "frequency": (modes,),
             "decay_change": (modes,),
             "frequency_change": (modes,),
             "feedthrough": (axes, axes),
-            "force_feedthrough": (axes, axes),
+            "force_feedthrough": (axes, terms),
             "elongation": (axes, axes),
-            "force_mean": (axes,),
+            "force_mean": (terms,),
+            "force_inputs": (2, modes, terms),
         }
         pairs = ("outputs", "inputs", "inputs_change", "force_inputs")
         arrays = {}
-        for field in (*due, *pairs):
+        for field in dict.fromkeys((*due, *pairs)):
             shape = due.get(field, (2, modes, axes))
             try:
                 value = np.broadcast_to(np.array(getattr(self, field), dtype=float), shape).copy()
@@ -124,7 +127,7 @@ def advance_softening_modal(
     """Run the equations of `SofteningModal` over a block (N, A); `smooth` = 1 - e^(-step/memory), step in s.
 
     state (2, M) complex: x and w; mean_square (1,): a²; last (A,): the command before, with which it is averaged for a
-    sampled smooth source (`last[0]` NaN: a held command); force (A,): n of the tick that begins the interval. All
+    sampled smooth source (`last[0]` NaN: a held command); force (K A,): n of the tick that begins the interval. All
     three are updated.
     """
     modes, axes = c.shape
@@ -145,6 +148,7 @@ def advance_softening_modal(
             output[row, o] = 0.0
             for j in range(axes):
                 linear[o] += d[o, j] * drive[j]
+            for j in range(force.size):
                 output[row, o] += h_d[o, j] * force[j]
         for i in range(modes):
             pole = complex(-np.exp(decay[i] + decay_change[i] * g), frequency[i] + frequency_change[i] * g)
@@ -155,6 +159,7 @@ def advance_softening_modal(
             by_command, by_force = 0j, 0j
             for j in range(axes):
                 by_command += (b[i, j] + b_change[i, j] * g) * drive[j]
+            for j in range(force.size):
                 by_force += h[i, j] * force[j]
             state[0, i] = carry * state[0, i] + gain * by_command
             state[1, i] = carry * state[1, i] + gain * by_force
@@ -164,12 +169,13 @@ def advance_softening_modal(
                 output[row, o] += twice * (c[i, o] * state[1, i]).real
         for o in range(axes):
             output[row, o] += linear[o]
-        mean = a**exponent
         for j in range(axes):
             q = 0.0
             for o in range(axes):
                 q += k[j, o] * linear[o]
-            force[j] = q * (abs(q) ** exponent - force_mean[j] * mean)
+            for e in range(exponent.size):
+                at = e * axes + j
+                force[at] = q * (abs(q) ** exponent[e] - force_mean[at] * a ** exponent[e])
 
 
 class SofteningModalFilter(Filter):
@@ -196,11 +202,12 @@ class SofteningModalFilter(Filter):
                 "force_mean",
             )
         )
-        self.scalars = (1.0 - np.exp(-sampling.sample_time / stage.memory), sampling.sample_time, stage.exponent, stage.amplitude)
+        exponent = np.atleast_1d(np.asarray(stage.exponent, dtype=float))
+        self.scalars = (1.0 - np.exp(-sampling.sample_time / stage.memory), sampling.sample_time, exponent, stage.amplitude)
         self.held = sampling.hold == "zoh"
         modes = len(arrays["decay"])
         self.state = np.zeros((2, modes), dtype=complex)
-        self.mean_square, self.last, self.force = np.zeros(1), np.full(sampling.axes, np.nan), np.zeros(sampling.axes)
+        self.mean_square, self.last, self.force = np.zeros(1), np.full(sampling.axes, np.nan), np.zeros(arrays["force_mean"].size)
 
     def settle(self, value: Array) -> Array:
         value = np.asarray(value, dtype=float)
@@ -214,7 +221,9 @@ class SofteningModalFilter(Filter):
         self.state[0] = -((b + b_change * g) @ value) / poles
         linear = ((twice * self.state[0]) @ c).real + d @ value
         q = k @ linear
-        self.force[:] = q * (np.abs(q) ** exponent - force_mean * a**exponent)
+        power = np.repeat(exponent, len(q))
+        q = np.tile(q, len(exponent))
+        self.force[:] = q * (np.abs(q) ** power - force_mean * a**power)
         self.state[1] = -(h @ self.force) / poles
         self.last[:] = np.nan if self.held else value
         return linear + ((twice * self.state[1]) @ c).real + h_d @ self.force

@@ -51,12 +51,22 @@ class Scheduled:
 
 @dataclass(frozen=True)
 class SofteningFit:
-    """The stage, the parameters it was made of, how many of them are free, and the seconds it took."""
+    """The stage, the parameters it was made of, how many of them are free, the seconds it took, and the
+    standard deviations (M, 2) of the poles' decay and frequency, as far as the fit's residual tells.
+    """
 
     stage: SofteningModal
     scheduled: Scheduled
     parameters: int
     seconds: float
+    sigma: Array
+
+    @property
+    def tolerance(self) -> dict[str, float]:
+        """Median relative standard deviations of the stage's decays and frequencies: the least due in a model file."""
+        pairs = np.asarray(self.stage.frequency) > 0
+        relative = self.sigma[pairs] / np.abs(np.stack([self.stage.decay, self.stage.frequency], axis=1)[pairs])
+        return {"decay": float(np.median(relative[:, 0])), "frequency": float(np.median(relative[:, 1]))}
 
 
 def schedule(amplitude: float, reference: float) -> float:
@@ -70,7 +80,7 @@ def fit_softening(
     reference: float,
     sample_time: float,
     *,
-    exponent: float = 0.5,
+    exponent: float | Sequence[float] = 0.5,
     memory: float = 0.1,
     force: bool = True,
     iterations: tuple[int, int] = (14, 7),
@@ -87,35 +97,42 @@ def fit_softening(
     linear = start.centre if isinstance(start, Scheduled) else start
     inputs = linear.inputs.shape[1]
     if isinstance(start, Scheduled):
-        scheduled, parameters = start, 0
+        scheduled, parameters, sigma = start, 0, np.zeros((len(start.centre.poles), 2))
     else:
         data = [spectra(level.command, level.measurement, weight) for level, weight in zip(levels, weights, strict=True)]
         initial = Scheduled(start, np.zeros(_layout(start).size))
-        scheduled, parameters = refine_scheduled(data, g, initial, inputs, iterations[0])
+        scheduled, parameters, sigma = refine_scheduled(data, g, initial, inputs, iterations[0])
     if not force:
         stage = stage_of(scheduled, reference, sample_time, memory=memory)
-        return SofteningFit(stage, scheduled, parameters, time.perf_counter() - began)
+        return SofteningFit(stage, scheduled, parameters, time.perf_counter() - began, _per_second(sigma, sample_time))
     # The elongation in volts of a slow command: what the low lines' gain makes of the output.
     low = linear.response(2 * np.pi * np.linspace(80.0, 230.0, 50) * sample_time).mean(axis=0).real
     elongation = np.linalg.inv(low)
-    point = _widened(scheduled, inputs)
+    exponents = np.atleast_1d(np.asarray(exponent, dtype=float))
+    point = _widened(scheduled, inputs * len(exponents))
     # The force follows the elongation that the commands alone cause in the model, so each fit moves it a little: fit
     # again.
     for _ in range(rounds):
         strains = [_strain(point.at(value), level, elongation, inputs) for level, value in zip(levels, g, strict=True)]
-        bent = sum(np.sum(np.abs(q) ** (2 + exponent), axis=(0, 2)) for q in strains)
-        straight = sum(np.sum(q**2, axis=(0, 2)) * level.amplitude**exponent for q, level in zip(strains, levels, strict=True))
-        # The force's average part, proportional to the strain, belongs to the scheduled modes: the rest is
-        # uncorrelated with it.
-        mean = bent / straight
+        # A term's average part, proportional to the strain, belongs to the scheduled modes: the rest is uncorrelated
+        # with it.
+        power = [np.sum(q**2, axis=(0, 2)) for q in strains]
+        means = []
+        for e in exponents:
+            bent = sum(np.sum(np.abs(q) ** (2 + e), axis=(0, 2)) for q in strains)
+            means.append(bent / sum(part * level.amplitude**e for part, level in zip(power, levels, strict=True)))
+        mean = np.concatenate(means)
         data = []
         for level, weight, q in zip(levels, weights, strains, strict=True):
+            terms = [
+                q * (np.abs(q) ** e - part[:, None] * level.amplitude**e) for e, part in zip(exponents, means, strict=True)
+            ]
             # The force reaches lines that the command leaves out.
-            n = q * (np.abs(q) ** exponent - mean[:, None] * level.amplitude**exponent)
-            data.append(spectra(np.concatenate([level.command, n], axis=1), level.measurement, weight, every_line=True))
-        point, parameters = refine_scheduled(data, g, point, inputs, iterations[1])
+            command = np.concatenate([level.command, *terms], axis=1)
+            data.append(spectra(command, level.measurement, weight, every_line=True))
+        point, parameters, sigma = refine_scheduled(data, g, point, inputs, iterations[1])
     stage = stage_of(point, reference, sample_time, memory=memory, exponent=exponent, elongation=elongation, mean=mean)
-    return SofteningFit(stage, point, parameters, time.perf_counter() - began)
+    return SofteningFit(stage, point, parameters, time.perf_counter() - began, _per_second(sigma, sample_time))
 
 
 def _strain(model: ModalModel, level: Level, elongation: Array, inputs: int) -> Array:
@@ -130,10 +147,10 @@ def _strain(model: ModalModel, level: Level, elongation: Array, inputs: int) -> 
 
 def refine_scheduled(
     data: Sequence[Spectra], g: Sequence[float], start: Scheduled, inputs: int, iterations: int, tolerance: float = 2e-5
-) -> tuple[Scheduled, int]:
+) -> tuple[Scheduled, int, Array]:
     """Levenberg-Marquardt over the centre and over the changes of the poles and of the first `inputs` inputs' gains.
 
-    Returns the fitted parameters and how many are free.
+    Returns the fitted parameters, how many are free, and what `_pole_sigma` says.
     """
     problems = [Problem([part], start.centre) for part in data]
     layout, free = problems[0].layout, problems[0].free
@@ -185,7 +202,24 @@ def refine_scheduled(
         matrix, vector, cost = normal(point)
     pairs = int(np.count_nonzero(start.centre.poles.imag))
     # c and b of a mode share one complex (or real) factor that changes nothing.
-    return point, int(all_free.sum()) - n - pairs
+    count = int(all_free.sum()) - n - pairs
+    equations = sum(2 * part.measurement.size for part in data)
+    return point, count, _pole_sigma(matrix, all_free, cost / max(equations - count, 1), layout.indices("pole", n, 2))
+
+
+def _pole_sigma(matrix: Array, free: np.ndarray, variance: float, at: Array) -> Array:
+    """Standard deviations (n, 2) of the poles' a and w, which stand at `at`, from JᵀJ and the residual's variance."""
+    index = np.flatnonzero(free)
+    scale = np.sqrt(np.maximum(np.diag(matrix)[index], 1e-300))
+    # The factor that c and b of a mode share leaves JᵀJ singular: a trace on the diagonal, and the poles are untouched.
+    scaled = matrix[np.ix_(index, index)] / scale / scale[:, None] + 1e-9 * np.eye(len(index))
+    sigma = np.zeros(len(free))
+    sigma[index] = np.sqrt(variance * np.maximum(np.diag(np.linalg.inv(scaled)), 0.0)) / scale
+    return sigma[at]
+
+
+def _per_second(sigma: Array, sample_time: float) -> Array:
+    return sigma * np.array([1.0, 1.0 / sample_time])
 
 
 def spectra(command: Array, measurement: Array, weight: float, every_line: bool = False) -> Spectra:
@@ -202,7 +236,7 @@ def stage_of(
     sample_time: float,
     *,
     memory: float,
-    exponent: float = 0.5,
+    exponent: float | Sequence[float] = 0.5,
     elongation: Array | None = None,
     mean: Array | None = None,
 ) -> SofteningModal:
@@ -265,18 +299,18 @@ def _empty(model: ModalModel) -> Spectra:
     return Spectra(np.array([1.0, 1.0 + 1e-9]), np.zeros((2, inputs, 1)), np.zeros((2, outputs, 1)), True)
 
 
-def _widened(scheduled: Scheduled, inputs: int) -> Scheduled:
-    """The same with as many further inputs, of no effect yet."""
+def _widened(scheduled: Scheduled, further: int) -> Scheduled:
+    """The same with that many further inputs, of no effect yet."""
     model, old = scheduled.centre, _layout(scheduled.centre)
-    n, p = model.outputs.shape
+    (n, p), inputs = model.outputs.shape, model.inputs.shape[1]
     wide = replace(
         model,
-        inputs=np.hstack([model.inputs, np.zeros((n, inputs))]),
-        feedthrough=np.hstack([model.feedthrough, np.zeros((p, inputs))]),
-        delay=np.tile(model.delay, 2),
+        inputs=np.hstack([model.inputs, np.zeros((n, further))]),
+        feedthrough=np.hstack([model.feedthrough, np.zeros((p, further))]),
+        delay=np.concatenate([model.delay, np.zeros(further)]),
     )
     new = _layout(wide)
     change = np.zeros(new.size)
     change[new.slices["pole"]] = scheduled.change[old.slices["pole"]]
-    change[new.indices("b", 2, n, 2 * inputs)[:, :, :inputs]] = scheduled.change[old.indices("b", 2, n, inputs)]
+    change[new.indices("b", 2, n, inputs + further)[:, :, :inputs]] = scheduled.change[old.indices("b", 2, n, inputs)]
     return Scheduled(wide, change)

@@ -107,3 +107,19 @@ def test_shapes_that_do_not_fit_are_refused():
         SofteningModal(**{**MODES, "inputs": np.zeros((2, 4, 2))})
     with pytest.raises(InputError, match="amplitude"):
         SofteningModal(**{**MODES, "amplitude": 0.0})
+
+
+def test_two_terms_of_one_exponent_are_one_term_of_their_sum():
+    command = np.random.default_rng(3).standard_normal((400, 2))
+    h, d = np.array(SOFT["force_inputs"]), np.array(SOFT["force_feedthrough"])
+    split = {
+        **SOFT,
+        "exponent": [SOFT.get("exponent", 0.5)] * 2,
+        "force_inputs": np.concatenate([0.25 * h, 0.75 * h], axis=2),
+        "force_feedthrough": np.concatenate([0.25 * d, 0.75 * d], axis=1),
+        "force_mean": [*SOFT["force_mean"]] * 2,
+    }
+    one, two = SofteningModal(**MODES, **SOFT), SofteningModal(**MODES, **split)
+    assert np.allclose(run(two, command), run(one, command), atol=1e-12)
+    sampling = Sampling(1e-4, 2, "zoh")
+    assert np.allclose(two.filter(sampling).settle(np.array([0.7, -0.4])), one.filter(sampling).settle(np.array([0.7, -0.4])))
