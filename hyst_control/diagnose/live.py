@@ -33,6 +33,9 @@ STEP = 0.1
 LEAST_NOISE = 2e-5
 """Share of the range below which noise is not believed: numbers are rounded, and models discretised."""
 
+NOISE_ERROR = 1.1
+"""How far the noise, learned from few rows, may by chance lie below the stated one."""
+
 
 class LiveTwin:
     """The model and its slopes, streamed from the command that the plant gets."""
@@ -166,7 +169,8 @@ class GapAlarm:
             measured = np.array([noise_of([part[:, axis] for part in left]) for axis in range(len(span))])
             noise = np.maximum(measured, np.maximum(LEAST_NOISE * span, 1e-12))
             # What the model states beyond the noise, and what is too small to matter, is imperfection: slow, not white.
-            self._imperfection = np.hypot(limits.practical_floor * span, np.sqrt(np.maximum(self.stated ** 2 - noise ** 2, 0.0)))
+            beyond = np.sqrt(np.maximum(self.stated ** 2 - (NOISE_ERROR * noise) ** 2, 0.0))
+            self._imperfection = np.hypot(limits.practical_floor * span, beyond)
             precision = np.eye(grams.shape[1]) + np.einsum("aij,a->ij", grams, noise ** -2)
             self._covariance = np.linalg.inv(precision)
             self._mean = self._covariance @ np.einsum("ak,a->k", sides, noise ** -2)

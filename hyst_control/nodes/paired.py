@@ -68,8 +68,12 @@ class Watched:
             node.drop(self._topic, "off the clock", f"its times are not successive multiples of the period {node.period:g} s: is "
                                                     "rate_hz the same everywhere?")
             return
-        if not np.isfinite(block).all():
+        finite = np.isfinite(block).all(axis=1)
+        if not finite.all():
             node.drop(self._topic, "not finite", "it holds a NaN or an infinity")
+            for part in np.split(block, np.flatnonzero(np.diff(finite)) + 1):
+                if np.isfinite(part).all():
+                    self._receive(part)
             return
         end = tick + len(block)
         if self.end is not None:

@@ -92,3 +92,79 @@ def test_alarm_and_diagnosis_once_a_delay_switches_on(bench, tmp_path):
     assert "delay" in [effect["name"] for effect in document["effects"]] + \
         [name for effect in document["effects"] for name in effect["equivalent"]]
     bench.until(lambda: told in bench.said["/diagnosis: loop"]["diagnosis"])
+
+
+def stream(bench, ticks, commands, measured):
+    """Send rows of these ticks, 100 a message."""
+    for begin in range(0, len(ticks), 100):
+        part = slice(begin, begin + 100)
+        for topic, values in (("command", commands), ("measurement", measured)):
+            bench.senders[topic].send(np.column_stack([ticks[part] / RATE, values[part]]))
+
+
+@pytest.fixture
+def talking(bench):
+    """A bench whose probe stands in for the loop, with a diagnosis node under the timer."""
+    bench.node = bench.add(DiagnosisNode, schedule="timer", **SETTINGS)
+    bench.listen("gap", "residual")
+    bench.senders = {"command": bench.sender("command", "t[s],x[V]"), "measurement": bench.sender("measurement", "t[s],x[um]")}
+    return bench
+
+
+def record(count):
+    model = load_model(MODEL)
+    commands = 20 * (1 - np.cos(2 * np.pi * 50 * np.arange(count) / RATE))[:, None]
+    return commands, simulate(model, commands, 1 / RATE) + 0.003 * np.random.default_rng(2).standard_normal((count, 1))
+
+
+def test_short_gaps_are_bridged_and_long_ones_settle_anew(talking):
+    commands, measured = record(6000)
+    ticks = np.arange(6000) + 10**6
+    held = commands.copy()
+    held[2002:2006] = held[2001]  # what the plant got while nobody sent: the newest command, held
+    measured += simulate(load_model(MODEL), held, 1 / RATE) - simulate(load_model(MODEL), commands, 1 / RATE)
+    there = np.r_[0:2002, 2006:4000]
+    stream(talking, ticks[there], commands[there], measured[there])
+    talking.until(lambda: len(talking.rows("residual")) == len(there))
+    rows = talking.rows("residual")
+    np.testing.assert_array_equal(np.rint(rows[:, 0] * RATE), ticks[there])
+    assert np.abs(rows[:, 1]).max() < 6 * 0.003
+    assert talking.node.status()["ticks bridged"] == 4 and talking.node.status()["settled anew"] == 0
+    windows = len(talking.rows("gap"))
+    stream(talking, ticks[5000:5300] + 5000, commands[5000:5300], measured[5000:5300])
+    talking.until(lambda: len(talking.rows("residual")) == len(there) + 300)
+    assert talking.node.status()["settled anew"] == 1
+    assert len(talking.rows("gap")) == windows  # within `settle`: not counted
+
+
+def test_bad_messages_are_refused_and_a_new_time_begins_anew(talking):
+    commands, measured = record(3000)
+    ticks = np.arange(3000) + 10**6
+    nan = np.full((100, 1), np.nan)
+    stream(talking, ticks[:100], commands, nan)
+    stream(talking, ticks[:100] + 0.5, commands, measured)
+    talking.until(lambda: talking.node.counts["measurement: not finite"] == 1 and talking.node.counts["command: off the clock"] == 1)
+    stream(talking, ticks, commands, measured)
+    talking.until(lambda: len(talking.rows("residual")) == 3000)
+    stream(talking, np.arange(3000), commands, measured)
+    talking.until(lambda: talking.rows("residual")[-1, 0] == 2999 / RATE)
+    assert talking.node.counts["time ran backwards"] >= 1
+    assert np.abs(talking.rows("residual")[-3000:, 1]).max() < 6 * 0.003
+
+
+def test_held_samples_are_counted(talking):
+    commands, measured = record(4000)
+    repeated = np.arange(5, 4000, 20)
+    measured[repeated] = measured[repeated - 1]
+    stream(talking, np.arange(4000) + 10**6, commands, measured)
+    talking.until(lambda: len(talking.rows("residual")) == 4000)
+    assert talking.node.held_share() == pytest.approx(0.05, abs=0.005)
+
+
+def test_nothing_to_diagnose_and_a_model_of_another_plant_are_told_in_one_line(talking):
+    answer = talking.call(Trigger, "/diagnosis/diagnose", Trigger.Request())
+    assert not answer.success and "nothing was recorded" in answer.message
+    with pytest.raises(InputError, match="set the parameters axes and unit"):
+        talking.add(DiagnosisNode, **{**SETTINGS, "unit": "mrad"})
+    with pytest.raises(InputError, match="model"):
+        talking.add(DiagnosisNode, rate_hz=RATE)
