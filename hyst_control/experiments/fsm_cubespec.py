@@ -26,6 +26,8 @@ import numpy as np
 from hyst_control.chain.chain import Chain
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
+from hyst_control.experiments.fsm_cubespec_laws import LAWS as FORCE_LAWS
+from hyst_control.experiments.fsm_cubespec_laws import left_over, motion_of
 from hyst_control.experiments.measured_data import data_folder
 from hyst_control.identify import softening
 from hyst_control.identify.frequency_response import excited_lines, local_polynomial, robust_bla
@@ -191,6 +193,7 @@ def run(json_path: str | Path | None = None, figures_dir: str | Path | None = No
         if chosen is None or selected < chosen[0]:
             chosen = selected, model, subject
     table.add(ALL, "all", f"chosen on realisation 5: {chosen[2]}", "relative_error_select", "% of rms", chosen[0], n=1)
+    report_laws(table, levels, [found[0].model for found in fits])
     report_shares(table, levels, chosen[1])
     report_residual(table, levels, chosen[1])
     table.add(ALL, "all", "everything", "elapsed", "s", time.perf_counter() - began)
@@ -198,6 +201,7 @@ def run(json_path: str | Path | None = None, figures_dir: str | Path | None = No
         folder = Path(figures_dir)
         draw(folder, levels, models)
         save_model(chosen[1], folder / "fsm_cubespec.yaml")
+        (folder / "fsm_cubespec_shares.md").write_text(shares_page(table), encoding="utf-8")
     if json_path is not None:
         table.write(json_path)
     return table
@@ -328,6 +332,22 @@ def report_one(
     return float(np.sqrt(np.mean(squares)))
 
 
+def report_laws(table: Table, levels: Sequence[Level], models: Sequence[ModalModel]) -> None:
+    """Candidate forces beside each level's linear model (`fsm_cubespec_laws`), on the fifth realisation, the one to choose
+    on, and on the sixth.
+    """
+    title = "Force laws by regression on the error of each level's linear model"
+    for level, model in zip(levels, models, strict=True):
+        command, measurement = level.command.mean(axis=3), level.measurement.mean(axis=3)
+        motion, output = motion_of(model, command, SAMPLE_TIME)
+        power = np.sum(np.mean(measurement**2, axis=0), axis=0)
+        for name, law in FORCE_LAWS.items():
+            left = left_over(measurement - output, np.concatenate([motion.command, *law(motion)], axis=1), FIT)
+            errors = 100.0 * np.sqrt(left / power)
+            table.add(title, level.name, name, "relative_error_select", "% of rms", errors[SELECT[0]], n=len(SELECT))
+            table.add(title, level.name, name, "relative_error", "% of rms", errors[TEST[0]], n=len(TEST))
+
+
 EFFECTS = {
     "softening: frequencies": {"frequency_change": 0.0},
     "softening: damping": {"decay_change": 0.0},
@@ -344,7 +364,7 @@ def report_shares(table: Table, levels: Sequence[Level], model: Model) -> None:
     over all orders in which the effects can be switched on. Nothing is fitted again. The noise is that of the measured
     period, the rest is not explained; all add up to the gap.
     """
-    title = "Shares of the gap between the linear simulator and the mirror, realisation 6"
+    title = SHARES
     stage = model.chain.stages[0]
     names = list(EFFECTS)
     totals = dict.fromkeys((*names, "noise", "not explained"), 0.0)
@@ -371,6 +391,21 @@ def report_shares(table: Table, levels: Sequence[Level], model: Model) -> None:
             totals[name] += value
     for name, value in totals.items():
         table.add(title, "all", name, "share", "% of mean square", 100.0 * value / sum(totals.values()), n=len(TEST))
+
+
+SHARES = "Shares of the gap between the linear simulator and the mirror, realisation 6"
+
+
+def shares_page(table: Table) -> str:
+    """The shares as a Markdown table, effect by effect, with the gap in % of rms in the last row."""
+    rows = [row for row in table.rows if row.table == SHARES]
+    cases = list(dict.fromkeys(row.case for row in rows))
+    names = dict.fromkeys(row.subject for row in rows if row.quantity == "share")
+    value = {(row.subject, row.case): row.value for row in rows}
+    lines = [f"| share of the gap's mean square, % | {' | '.join(cases)} |", "|---|" + "---|" * len(cases)]
+    lines += [f"| {name} | {' | '.join(f'{value[name, case]:.1f}' for case in cases)} |" for name in names]
+    gaps = [f"{value['linear simulator', case]:.1f}" if ("linear simulator", case) in value else "" for case in cases]
+    return "\n".join([*lines, f"| the gap itself, % of rms | {' | '.join(gaps)} |", ""])
 
 
 def report_residual(table: Table, levels: Sequence[Level], model: Model) -> None:
