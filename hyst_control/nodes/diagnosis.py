@@ -116,10 +116,12 @@ class DiagnosisNode(SignalNode):
         return f"no command and measurement of one tick for {quiet:.0f} s" if quiet > max(1.0, self.settings.timeout) else ""
 
     def status(self) -> dict[str, Any]:
-        newest, entries = self._newest, {}
+        newest, now, entries = self._newest, time.monotonic(), {}
+        entries["rate [Hz]"] = f"{(self._compared - self._told[1]) / max(now - self._told[0], 1e-9):.1f}"
+        self._told = now, self._compared
         if newest is not None:
-            entries = {f"rms [{self.unit}]": f"{newest.rms:.4g}", "nrmse [%]": f"{newest.nrmse:.4g}", "alarm": newest.alarm,
-                       "energy over threshold": "calibrating" if math.isnan(newest.excess) else f"{newest.excess:.3g}"}
+            entries |= {f"rms [{self.unit}]": f"{newest.rms:.4g}", "nrmse [%]": f"{newest.nrmse:.4g}", "alarm": newest.alarm,
+                        "energy over threshold": "calibrating" if math.isnan(newest.excess) else f"{newest.excess:.3g}"}
         return {**entries, "held samples [%]": f"{100.0 * self.held_share():.2f}", "rows compared": self._compared,
                 "ticks bridged": self._bridged, "settled anew": self._settled_anew, "diagnosis": self._job.text() if self._job else "none"}
 
@@ -146,6 +148,7 @@ class DiagnosisNode(SignalNode):
         self._newest: Window | None = None
         self._heard = time.monotonic()
         self._compared = self._bridged = self._settled_anew = 0
+        self._told = self._heard, 0
 
     def _drain(self) -> None:
         self._command.drain()

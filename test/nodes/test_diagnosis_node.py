@@ -7,8 +7,10 @@ import json
 import numpy as np
 import pytest
 from loop_case import MODEL, RATE, parameters
+from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from hyst_control.bag_reader import read_bag
 from hyst_control.diagnose.scatter import scatter_of
 from hyst_control.errors import InputError
 from hyst_control.model_file import Simulator, load_model, simulate
@@ -72,7 +74,8 @@ def test_silent_beside_a_plant_within_tolerance(bench, tmp_path):
     assert gap[-1, 1] == pytest.approx(100 * np.sqrt(np.mean(rows ** 2)) / np.ptp(measurement[round(0.02 * RATE):][:, 1]), rel=0.05)
 
 
-def test_alarm_and_diagnosis_once_a_delay_switches_on(bench, tmp_path):
+def test_alarm_and_diagnosis_once_a_delay_switches_on(bench, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # calibrated anew, as on the first run
     plant = load_plant({"plant": "pea_published", "seed": 3, "effects": [{"name": "delay", "tau": 2e-4, "from": 0.4}]},
                        sample_time=1 / RATE)
     bench.listen_to_diagnostics()
@@ -168,3 +171,29 @@ def test_nothing_to_diagnose_and_a_model_of_another_plant_are_told_in_one_line(t
         talking.add(DiagnosisNode, **{**SETTINGS, "unit": "mrad"})
     with pytest.raises(InputError, match="model"):
         talking.add(DiagnosisNode, rate_hz=RATE)
+
+
+def test_a_diagnosis_under_way_ends_with_the_node(talking, tmp_path):
+    commands, measured = record(3000)
+    assert talking.node.set_parameters([Parameter("output", value=str(tmp_path / "out"))])[0].successful
+    stream(talking, np.arange(3000) + 10**6, commands, measured)
+    talking.until(lambda: len(talking.rows("residual")) == 3000)
+    assert talking.call(Trigger, "/diagnosis/diagnose", Trigger.Request()).success
+    assert talking.node._job.running
+    talking.node.close()
+    assert not talking.node._job.running
+    [folder] = (tmp_path / "out").iterdir()
+    found = read_bag(folder / "record").aligned(("command", "measurement"), allow_gaps=True)
+    # cut from a run: what does not start at rest is behind a gap, which the diagnosis knows what to do with
+    assert [len(stretch.time) for stretch in found] == [1, 2998]
+    np.testing.assert_array_equal(found[1].values["measurement"], measured[2:])
+
+
+def test_a_folder_that_cannot_be_written_is_told(talking, tmp_path):
+    commands, measured = record(300)
+    (tmp_path / "file").write_text("")
+    assert talking.node.set_parameters([Parameter("output", value=str(tmp_path / "file"))])[0].successful
+    stream(talking, np.arange(300) + 10**6, commands, measured)
+    talking.until(lambda: len(talking.rows("residual")) == 300)
+    answer = talking.call(Trigger, "/diagnosis/diagnose", Trigger.Request())
+    assert not answer.success and "set the parameter output" in answer.message
