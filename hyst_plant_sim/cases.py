@@ -20,7 +20,7 @@ from hyst_control.control.pi import PI
 from hyst_control.excitation import build
 from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
-from hyst_control.model_file import Model, load_model
+from hyst_control.model_file import Model, load_model, simulate
 from hyst_control.record import Record, Signal
 from hyst_control.share import config_path
 from hyst_plant_sim.physics import Plant, load_plant
@@ -205,7 +205,11 @@ def commands(case: Case) -> np.ndarray:
         spec = {"signal": "multi_frequency", "frequencies": [3.0, 17.0, 41.0], "offset": 0.5 * setup.stroke, "duration": 1.5,
                 "amplitudes": [0.2 * setup.stroke, 0.08 * setup.stroke, 0.08 * setup.stroke]}
     rows = build(spec, setup.sample_time, axes)
-    return np.clip(rows, low, high) if case.excitation != "closed_loop" else rows
+    if case.excitation != "closed_loop":
+        return np.clip(rows, low, high)
+    # A record starts at rest: the loop closes at a reference of 0 and goes from there.
+    ramp = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, int(0.1 / setup.sample_time)))
+    return np.concatenate([np.zeros((20, axes)), ramp[:, None] * rows[0], rows])
 
 
 def run(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True) -> dict[str, np.ndarray]:
@@ -280,8 +284,11 @@ def nominal(plant: str, noise: float) -> Model:
             measured = np.concatenate([first[None], truth.step(rows)[:-1]])
             datasets.append(Dataset(f"clean {index}", rows, measured, setup.sample_time, ("x",), "um"))
         model = identify(datasets, "hampi").model
-        left = float(np.max(np.atleast_1d(np.asarray(model.noise.get("sigma", 0.0), dtype=float))))
-        sigma = float(np.hypot(sigma, left))
+        # What the model family leaves of this physics, on a record that did not identify it.
+        rows = build({"signal": "diagnostic", "lowest": low, "highest": high, "seed": 6000}, setup.sample_time, 1)
+        first = truth.reset(rows[0])
+        left = np.concatenate([first[None], truth.step(rows)[:-1]]) - simulate(model, rows, setup.sample_time)
+        sigma = float(np.hypot(sigma, np.sqrt(np.mean(left ** 2))))
     return replace(model, sample_time=setup.sample_time, noise={"sigma": sigma},
                    tolerance={name: SCATTER for name in TOLERANCE}, valid={**model.valid, "command": list(setup.command)})
 
@@ -300,6 +307,7 @@ def labelled(case: Case) -> Case:
     """The case with its label: what to score, the true gap, and whether anybody could see it."""
     setup = SETUPS[case.plant]
     noise = case.noise * setup.stroke
+    stated = float(np.max(nominal(case.plant, case.noise).noise["sigma"]))
     label: dict[str, Any] = {"kind": case.kind, "names": list(case.names), "effects": [dict(effect) for effect in case.effects],
                              "plant": case.plant, "excitation": case.excitation, "noise": case.noise}
     gap, distance = 0.0, np.inf if case.kind == "parameters" else 0.0
@@ -313,9 +321,9 @@ def labelled(case: Case) -> Case:
         else:
             difference = with_effects["measurement"] - without["measurement"]
         gap = float(np.sqrt(np.mean(difference ** 2)))
-        distance = visible(case, difference, noise)
+        distance = visible(case, difference, stated)
     label |= {"gap_rms": gap, "noise_rms": noise, "distance": float(min(distance, 1e9))}
-    if case.effects and (distance < LEAST or gap < 0.2 * noise):
+    if case.effects and (distance < LEAST or gap < 0.2 * stated):
         label["kind"] = "none"
         label["hidden"] = list(case.names)
         label["names"] = []
@@ -323,7 +331,7 @@ def labelled(case: Case) -> Case:
 
 
 def visible(case: Case, difference: np.ndarray, noise: float) -> float:
-    """Size of a difference in standard deviations once a change of gain and of offset on each axis is taken off."""
+    """Size of a difference in standard deviations (of the stated noise) once a change of gain and of offset on each axis is taken off."""
     measured = run(case, effects=False, noisy=False)["measurement"]
     left = 0.0
     for axis in range(difference.shape[1]):

@@ -107,7 +107,8 @@ def _kinds(part: AxisDiagnosis, residual: Array) -> dict[str, Array]:
         whole, taken = left, part.linearised.columns @ part.decision.chosen.solution.z
         if not part.decision.chosen.inflated and part.linearised.count:
             left = left - part.problem.rows(taken)[:, axis]
-            found["coefficients"] = found.get("coefficients", 0.0) + _blocks(whole ** 2) - np.minimum(_blocks(left ** 2), _blocks(whole ** 2))
+            energy = _blocks(whole ** 2)
+            found["coefficients"] = found.get("coefficients", 0.0) + energy - np.minimum(_blocks(left ** 2), energy)
         target = left
         fold = (np.arange(len(left)) * BLOCKS // len(left)) % 2
         known = np.zeros((len(left), 0))

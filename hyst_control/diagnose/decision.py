@@ -62,8 +62,12 @@ def key(scored: Scored) -> tuple[str, ...]:
     return PARAMETERS if scored.inflated else scored.names
 
 
-def decide(found: Found, threshold: float, floor: float, limits: Thresholds) -> Decision:
-    """The verdict. threshold: 99 % quantile of the simulated null (nats); floor: practical size, rms in units of the noise."""
+def decide(found: Found, threshold: float, floor: float, limits: Thresholds, stated: float = 1.0) -> Decision:
+    """The verdict.
+
+    threshold: 99 % quantile of the simulated null (nats); floor: practical size, rms in units of the noise; stated: energy (in
+    units of the noise's) that the model itself says it leaves.
+    """
     size = len(found.linearised.measured)
     before = energy(found.none, size)
     strain = 0.5 * float(found.none.solution.z @ found.none.solution.z)
@@ -88,9 +92,9 @@ def decide(found: Found, threshold: float, floor: float, limits: Thresholds) -> 
         probability[key(scored)] = probability.get(key(scored), 0.0) + float(weight)
     chosen = hypotheses[0]
     after = energy(chosen, size)
-    excess = max(before - 1.0, 1e-12)
-    remainder = float(np.clip((after - 1.0) / excess, 0.0, 1.0)) if before - 1.0 > floor ** 2 else 0.0
-    left_over = after - 1.0 > max(floor ** 2, limits.least_excess)
+    excess = max(before - stated, 1e-12)
+    remainder = float(np.clip((after - stated) / excess, 0.0, 1.0)) if before - stated > floor ** 2 else 0.0
+    left_over = after - stated > max(floor ** 2, limits.least_excess * stated)
     if left_over and remainder > limits.unknown:
         return Decision("unknown", chosen, (chosen,), probability, remainder)
     if not claims:

@@ -120,7 +120,8 @@ def _with_noise(problem: Problem, residuals: Array) -> Problem:
     edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in problem.pieces)])
     sigma = [max(noise_of([residuals[a:b, axis] for a, b in zip(edges[:-1], edges[1:], strict=True)],
                           [piece.counted(piece.command)[:, axis] for piece in problem.pieces]),
-                 LEAST_NOISE * float(np.ptp(measured[:, axis])), lattice_of(measured[:, axis]) / np.sqrt(12.0), 1e-12) for axis in range(residuals.shape[1])]
+                 LEAST_NOISE * float(np.ptp(measured[:, axis])), lattice_of(measured[:, axis]) / np.sqrt(12.0), 1e-12)
+             for axis in range(residuals.shape[1])]
     return replace(problem, sigma=np.array(sigma))
 
 
@@ -145,11 +146,13 @@ def _axis(problem: Problem, axes: tuple[int, ...], seed: int, without: Sequence[
     progress("records without a gap")
     null = threshold(linearised, members, seed, cache=cache)
     floor = practical_floor(problem, stated, limits)
-    found = search(linearised, members, null + limits.margin, floor, progress=progress)
-    decision = decide(found, null, floor, limits)
+    leaves = max(float(np.mean((stated / problem.sigma) ** 2)), 1.0)
+    found = search(linearised, members, null + limits.margin, floor, leaves, progress=progress)
+    decision = decide(found, null, floor, limits, leaves)
     noise = _flicker(problem, found, decision, null + limits.margin, floor) if "flicker_noise" not in without else None
     if noise is not None and _outweighs(noise, found, decision):
-        decision = replace(decide(replace(found, singles=(), combinations=()), null, floor, limits), remainder=0.0)
+        decision = replace(decide(replace(found, singles=(), combinations=()), null, floor, limits, leaves),
+                           remainder=0.0)
         if decision.verdict == "unknown":
             decision = replace(decision, verdict="no_gap")
     if "sensor_noise" not in without:

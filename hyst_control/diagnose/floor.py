@@ -8,6 +8,9 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 
+LEAKED = 0.85
+"""Share of the whole record's estimate below which that of the rests is believed instead: they are short, and know less."""
+
 REST = 400
 """Fewest samples of a rest that is long enough for a spectrum."""
 
@@ -15,14 +18,14 @@ REST = 400
 def noise_of(residuals: Sequence[Array], commands: Sequence[Array] | None = None) -> float:
     """Rms of the white noise in residuals (N,), from the upper part of their spectrum, the median over it.
 
-    Where the commands (N,) rest long enough, only there too, and the smaller counts: in motion the gap itself reaches up.
+    Where the commands (N,) rest long enough and it is clearly less there, that counts: in motion the gap itself reaches up.
     """
     found = [_upper(residuals)]
     if commands is not None:
         rests = [residual[a:b] for residual, command in zip(residuals, commands, strict=True) for a, b in resting(command)]
         if sum(map(len, rests)) >= 2 * REST:
             found.append(_upper(rests))
-    return min(found)
+    return found[-1] if found[-1] < LEAKED * found[0] else found[0]
 
 
 def resting(command: Array) -> list[tuple[int, int]]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.candidates import Candidate, Member
-from hyst_control.diagnose.fit import Linearised, fit
+from hyst_control.diagnose.fit import Linearised
 from hyst_control.diagnose.forked import forked
 from hyst_control.errors import InputError
 from hyst_control.model_file import model_to_document
@@ -53,10 +53,11 @@ def null_scores(linearised: Linearised, members: Sequence[Member], seed: int, co
         z = random.standard_normal(linearised.count)
         try:
             record = linearised.simulate(z) + random.standard_normal(len(linearised.measured))
-            solution = fit(linearised, measured=record, rounds=4)
+            step = linearised.step(record - linearised.nominal)
+            residual = record - linearised.simulate(step)
         except InputError:
             return None  # these coefficients make no model
-        right = flat.T @ solution.residual
+        right = flat.T @ (residual + linearised.columns @ step)
         return max((0.5 * float(right[a:b] @ inverse @ right[a:b])
                     for a, b, inverse in zip(edges[:-1], edges[1:], inverses, strict=True)), default=0.0)
 

@@ -89,7 +89,8 @@ def _stages(diagnosis: Diagnosis, explanation: Explanation, blocks: Sequence[Blo
     total = sum(shares.values()) or 1.0
     spread = {effect.name: effect.shrink_ci90 for effect in explanation.effects if effect.shrink_ci90}
     width = max((high - low for low, high in spread.values()), default=0.05)
-    return [{"name": name, "share": value / total, "ci90": [max(value / total * (1 - 0.5 * width), 0.0), min(value / total * (1 + 0.5 * width), 1.0)]}
+    return [{"name": name, "share": value / total,
+             "ci90": [max(value / total * (1 - 0.5 * width), 0.0), min(value / total * (1 + 0.5 * width), 1.0)]}
             for name, value in shares.items()]
 
 
@@ -136,8 +137,8 @@ def in_words(report: dict[str, Any]) -> str:
     """The whole report as text for a terminal."""
     lines = [sentence(report), ""]
     for effect in report["effects"]:
-        values = ", ".join(f"{name} {_short(row['value'])} {row['unit']}".rstrip() + f" [{_short(row['ci90'][0])} … {_short(row['ci90'][1])}]"
-                           for name, row in effect["parameters"].items())
+        values = ", ".join(f"{name} {_short(row['value'])} {row['unit']}".rstrip()
+                           + f" [{_short(row['ci90'][0])} … {_short(row['ci90'][1])}]" for name, row in effect["parameters"].items())
         axes = f" on {', '.join(effect['axis'])}" if len(effect["axis"]) else ""
         lines.append(f"  {effect['name']}{axes}: probability {effect['probability']:.2f}; {values}")
         if effect["shrink_reidentified"] is not None:

@@ -77,12 +77,15 @@ def inflated(linearised: Linearised, factor: float = INFLATION) -> Linearised:
     return wide
 
 
-def search(linearised: Linearised, members: Sequence[Member], threshold: float, floor: float, beam: int = 3, depth: int = 3,
+def search(linearised: Linearised, members: Sequence[Member], threshold: float, floor: float, leaves: float = 1.0,
+           beam: int = 3, depth: int = 3,
            progress: Callable[[str], None] = lambda _: None) -> Found:
     """Fit and weigh all candidates.
 
-    threshold: score by which a further effect must be better; floor: rms in units of the noise that it must take off.
+    threshold: score by which a further effect must be better; floor: rms in units of the noise that it must take off; leaves:
+    energy (in units of the noise's) that the model itself says it leaves.
     """
+    depth = depth if leaves < 1.5 else min(depth, 2)  # beside a model error that is known, finer parts cannot be told
     none = Scored(None, settled(linearised), 0.0)
     wide = inflated(linearised)
     parameters = Scored(None, settled(wide, none.solution.z / INFLATION), 0.0, True)
@@ -99,7 +102,7 @@ def search(linearised: Linearised, members: Sequence[Member], threshold: float, 
     parents = sorted(fits, key=lambda item: item[1].misfit)[:beam]
     size = len(linearised.measured)
     for size_reached in range(1, depth):
-        if not parents or _spent(parents[0][1], floor, SPENT * size_reached ** 2):
+        if not parents or _spent(parents[0][1], floor, leaves - 1.0 + leaves * SPENT * size_reached ** 2):
             break
         grown = _grown(linearised, parents, members, 0.5 * threshold, progress)
         if not grown:
@@ -188,7 +191,8 @@ def _fitted(linearised: Linearised, candidate: Candidate, starts: Sequence[Array
         ranked = []
         for start in starts:
             try:
-                ranked.append((_after_step(linearised, unknowns, candidate, candidate.members[0], start), len(ranked), start))
+                left, there = _after_step(linearised, unknowns, candidate, candidate.members[0], start)
+                ranked.append((left, len(ranked), there))
             except InputError:
                 continue
         starts = [start for *_, start in sorted(ranked, key=lambda item: item[:2])[:FOLLOWED]]
@@ -217,31 +221,41 @@ def _promising(linearised: Linearised, candidate: Candidate, solution: Solution,
         for start in starts[::max(len(starts) // SCREENED, 1)]:
             x = _merged(pair, candidate, solution.x, member, start)
             try:
-                gain = before - _after_step(linearised, unknowns, pair, member, x)
+                left, there = _after_step(linearised, unknowns, pair, member, x)
+                gain = before - left
             except InputError:
                 continue
             if best is None or gain > best[0]:
-                best = gain, start
+                best = gain, there[next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)]
         if best is not None and best[0] > least:
             found.append((best[0], index, best[1]))
     return [(index, start) for _, index, start in sorted(found, key=lambda item: -item[0])[:count]]
 
 
-def _after_step(linearised: Linearised, unknowns: Unknowns, pair: Candidate, member: Member, x: Array) -> float:
-    """The misfit after a linear step in the new effect's parameters from x, coefficients marginalised about the nominal ones."""
+def _after_step(linearised: Linearised, unknowns: Unknowns, pair: Candidate, member: Member, x: Array) -> tuple[float, Array]:
+    """A linear step in the new effect's parameters from x, coefficients marginalised about the nominal ones: the misfit after it
+    and where it leads."""
     nominal = np.zeros(linearised.count)
     simulated = linearised.simulate(nominal, unknowns, x)
     residual = linearised.measured - simulated
     place = next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)
-    design = np.empty((len(residual), place.stop - place.start))
-    for column, i in enumerate(range(place.start, place.stop)):
+    chosen = list(range(place.start, place.stop))
+    if len(member.parameters) == len(chosen) and len(member.starts()) > SCREENED:
+        # Many starts over frequencies say enough of those; the amplitudes are what a step can find.
+        chosen = [i for i, p in zip(chosen, member.parameters, strict=True) if not p.logarithmic]
+    design = np.empty((len(residual), len(chosen)))
+    for column, i in enumerate(chosen):
         moved = x.copy()
         moved[i] += unknowns.step if x[i] + unknowns.step <= unknowns.upper[i] else -unknowns.step
         design[:, column] = (linearised.simulate(nominal, unknowns, moved) - simulated) / (moved[i] - x[i])
     known = linearised.unexplained(design)
     right = known.T @ residual
-    gain = 0.5 * float(right @ np.linalg.solve(design.T @ known + np.eye(design.shape[1]), right)) if len(right) else 0.0
-    return _misfit(linearised, residual) - gain
+    there = x.copy()
+    if not len(right):
+        return _misfit(linearised, residual), there
+    step = np.linalg.solve(design.T @ known + np.eye(len(right)), right)
+    there[chosen] = np.clip(x[chosen] + step, unknowns.lower[chosen], unknowns.upper[chosen])
+    return _misfit(linearised, residual) - 0.5 * float(right @ step), there
 
 
 def _misfit(linearised: Linearised, residual: Array) -> float:

@@ -71,7 +71,7 @@ def take_and_hold(block, count, samples, step, held, output):
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Either several samples or a coarse lattice is where a fit begins."""
     reach = max(around.command[1] - around.command[0], 1e-9)
-    held = (2.0, 3.0, 4.0, 5.0, 8.0, 10.0, 16.0)
+    held = (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 16.0, 20.0)
     steps = (0.002 * reach, 0.01 * reach, 0.05 * reach)
     return (
         Parameter("samples", "", 1.0, (*held, *(1.0 for _ in steps)), 1.0, 20.0, 3.0),

@@ -73,10 +73,10 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Frequencies up to the sampling's half, and as far down as the record shows a few periods."""
     nyquist = 0.5 / around.sample_time
     lower, upper = min(max(3.0 / around.duration, 5.0), 0.05 * nyquist), 0.95 * nyquist
-    starts = tuple(np.geomspace(max(min(200.0, 0.2 * nyquist), lower), 0.8 * nyquist, 24))
+    starts = tuple(np.geomspace(max(min(200.0, 0.2 * nyquist), lower), 0.8 * nyquist, 60))
     return (
-        Parameter("frequency", "Hz", starts[12], starts, lower, upper, 1.0, True),
-        Parameter("damping", "", 0.02, (0.02,), 0.002, 0.2, 1.0, True),
+        Parameter("frequency", "Hz", starts[30], starts, lower, upper, 1.0, True),
+        Parameter("damping", "", 0.02, (0.03,), 0.002, 0.2, 1.0, True),
         Parameter("gain", "", 0.0, (0.01,), -1.0, 1.0, 0.1),
     )
 
