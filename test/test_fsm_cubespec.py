@@ -1,5 +1,7 @@
 """The measured mirror: the figures of its own documentation, and a linear model against the published one."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,9 @@ from hyst_control.experiments.fsm_cubespec import FIT, TEST, load_levels, model_
 from hyst_control.identify.frequency_response import robust_bla
 from hyst_control.identify.linear import error_of, refined
 from hyst_control.identify.modal_fit import subspace
+from hyst_control.model_file import load_model
+
+MODEL = Path(__file__).parents[1] / "config" / "models" / "fsm_cubespec.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -50,3 +55,40 @@ def test_a_linear_model_of_the_highest_level_beats_the_published_one_on_unseen_r
     assert error < fsm_cubespec.PUBLISHED_OWN[300]
     # The chain, simulated in time, and the fit, computed in frequency, are the same model: the slow modes' start apart, they agree.
     assert error == pytest.approx(100 * error_of(found.model, [level.spectra(TEST)]), rel=0.05)
+
+
+def test_the_model_file_holds_at_every_level_of_the_realisation_it_never_saw(levels):
+    model = load_model(MODEL)
+    errors = [simulation_error(model, level, TEST)[0] for level in levels]
+    for error, published in zip(errors, fsm_cubespec.PUBLISHED_ALL.values(), strict=True):
+        assert error < 0.95 * published
+    # Driven half as hard again and scaled back, a linear model would give the same: this one must not.
+    swapped = levels[0].error(2.0 / 3.0 * fsm_cubespec.steady_state(model, 1.5 * levels[0].command[:, :, TEST].mean(axis=3)), TEST)
+    assert swapped[0] > 1.5 * errors[0]
+
+
+def test_the_model_file_states_the_noise_of_one_period_and_a_range_that_holds_the_records(levels):
+    model = load_model(MODEL)
+    # The noise of the highest level, where no realisation is disturbed, is about that of the middle one of all.
+    difference = levels[2].measurement[..., 0] - levels[2].measurement[..., 1]
+    assert np.allclose(model.noise["sigma"], np.sqrt(np.mean(difference**2, axis=(0, 2)) / 2), rtol=0.5)
+    assert model.valid["command"][1] >= max(np.abs(level.command).max() for level in levels)
+    assert 0.0 < model.tolerance["frequency"] < model.tolerance["decay"] < 0.2
+
+
+def test_the_shares_of_the_gap_add_up_to_it(levels):
+    table = fsm_cubespec.Table("shares")
+    fsm_cubespec.report_shares(table, levels[2:], load_model(MODEL))
+    shares = {row.subject: row.value for row in table.rows if row.case == "300 mV" and row.quantity == "share"}
+    assert sum(shares.values()) == pytest.approx(100.0, abs=1e-6)
+    assert shares["softening: frequencies"] > 50.0 > shares["not explained"] > shares["noise"] > 0.0
+
+
+def test_of_models_alike_the_smallest_is_chosen():
+    def candidate(states, held_out):
+        zeros = np.zeros((states, 1), dtype=complex)
+        model = fsm_cubespec.ModalModel(np.full(states, -1.0 + 0j), zeros, zeros, np.zeros((1, 1)), np.zeros(1))
+        return fsm_cubespec.Candidate(model, 0.0, held_out, np.zeros(0), 0.0, None, 0.0)
+
+    found = [candidate(3, 0.0400), candidate(2, 0.0403), candidate(1, 0.05)]
+    assert [fit.model.states for fit in fsm_cubespec.smallest_first(found)] == [2, 3, 1]
