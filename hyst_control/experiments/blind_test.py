@@ -1,7 +1,8 @@
 """The blind test: cases drawn from truth plants, diagnosed by processes that never see their labels, then scored.
 
 Folder of a run: cases/NAME/{bag, model.yaml} is all that a diagnosis gets, labels.json stands apart (its SHA-256 is printed before
-anything is diagnosed), reports/NAME.json (and .yaml, the augmented model) is what the diagnosis wrote. A run that was interrupted goes on where it stopped.
+anything is diagnosed), reports/NAME.json (and .yaml, the augmented model) is what the diagnosis wrote. A run that was interrupted
+goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -18,17 +19,61 @@ from typing import Any
 
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
+from hyst_control.tables import Table
 
-LEFT_OUT: dict[str, tuple[str, ...]] = {
-    "delay": ("delay",), "creep": ("creep",), "sensor_lowpass": ("sensor_lowpass",), "amplifier_lowpass": ("amplifier_lowpass",),
-}
-"""Effects whose near-equivalents are in the catalogue under another name; see gap-diagnosis: confusable by nature."""
+NEAR = {"amplifier_lowpass": ("sensor_lowpass", "delay"), "sensor_lowpass": ("amplifier_lowpass", "delay"),
+        "delay": ("amplifier_lowpass", "sensor_lowpass")}
+"""Effects of nearly one signature (gap-diagnosis: confusable by nature), left out together."""
 
 
-def make(folder: Path, seed: int, count: int, left_out: bool = False, note: Callable[[str], None] = print, **options: Any) -> Path:
+def run_all(out: str, seed: int, count: int, left_out: int = 0, page: str | None = None, json_path: str | None = None,
+            note: Callable[[str], None] = print) -> Table:
+    """The whole test: draw, diagnose, leave out, hold the predictions against fresh records, score, write."""
+    from hyst_control.experiments.blind_scores import metrics, table
+
+    folder = _folder(out, count)
+    labels = make(folder, seed, count, note)
+    diagnose_all(folder, note=note)
+    if left_out:
+        leave_out(folder, left_out, note)
+    realise(folder, note)
+    pairs = list(load(folder))
+    others = list(load(folder, "reports_left_out")) if left_out else []
+    found = metrics(pairs, others)
+    result = table(found, f"blind-test --seed {seed} --count {count}")
+    if json_path is not None:
+        result.write(json_path)
+    if page is not None:
+        from hyst_control.experiments.blind_page import write_page
+
+        write_page(Path(page), found, pairs, seed, _digest(labels), len(others))
+    return result
+
+
+def make_cases(out: str, seed: int, count: int, plants: Sequence[str] | None = None, note: Callable[[str], None] = print) -> Path:
+    """Cases and labels only; see `make`."""
+    from hyst_plant_sim.cases import PLANTS
+
+    for plant in plants or ():
+        if plant not in PLANTS:
+            raise InputError(f"--plants {plant}: no such plant, one of {', '.join(PLANTS)} is due")
+    return make(_folder(out, count), seed, count, note, **({"plants": plants} if plants else {}))
+
+
+def _folder(out: str, count: int) -> Path:
+    if count < 1:
+        raise InputError(f"--count {count}: at least one case is due")
+    folder = Path(out)
+    if folder.exists() and not (folder / "labels.json").exists() and any(folder.iterdir()) and not (folder / "cases").is_dir():
+        raise InputError(f"{folder}: holds something else: choose another folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = print, **options: Any) -> Path:
     """Draw the cases of a seed, record them, and write their labels apart; returns the labels' file.
 
-    left_out: diagnose every single effect with that effect taken out of the catalogue. Nothing that exists is made again.
+    Labels that are there already are kept: a run goes on where it stopped.
     """
     from hyst_control.model_file import save_model
     from hyst_plant_sim import cases as drawn
@@ -53,7 +98,7 @@ def make(folder: Path, seed: int, count: int, left_out: bool = False, note: Call
         save_model(drawn.nominal(plant, noise), path)
     for case in cases:
         shutil.copy(folder / "models" / f"{case.plant}_{case.noise:g}.yaml", folder / "cases" / case.name / "model.yaml")
-    write_json(labels, {"seed": seed, "count": count, "left_out": left_out, "cases": documents})
+    write_json(labels, {"seed": seed, "count": count, "cases": documents})
     note(f"labels: SHA-256 {_digest(labels)}")
     return labels
 
@@ -70,6 +115,29 @@ def diagnose_all(folder: Path, without: dict[str, Sequence[str]] | None = None, 
         if done % 20 == 0 or done == len(jobs):
             spent = time.monotonic() - begin
             note(f"{done} of {len(jobs)} diagnosed ({name}), {spent:.0f} s, {spent / done * (len(jobs) - done):.0f} s to go")
+
+
+def leave_out(folder: Path, count: int, note: Callable[[str], None] = print) -> None:
+    """Diagnose single effects on the rich record once more, each with that effect and what is nearly it out of the catalogue."""
+    from hyst_control.effects import EFFECTS
+
+    without: dict[str, Sequence[str]] = {}
+    for case, _ in load(folder):
+        name = (case["label"]["names"] or [""])[0]
+        if len(without) < count and case["label"]["kind"] == "single" and case["label"]["excitation"] == "rich" \
+                and EFFECTS[name].waveform:
+            without[case["name"]] = (name, *NEAR.get(name, ()))
+    diagnose_all(folder, without, "reports_left_out", note)
+
+
+def realise(folder: Path, note: Callable[[str], None] = print) -> None:
+    """Beside every shrink that a report predicts, the one measured on a fresh record of another excitation."""
+    jobs = [(case, str(folder / "reports" / f"{case['name']}.json"), str(folder / "cases" / case["name"] / "model.yaml"))
+            for case, report in load(folder) if "shrink_realised" not in report and report["verdict"] == "effect"
+            and any(effect["shrink"] is not None for effect in report["effects"])]
+    for _ in _mapped(_realise_one, jobs):
+        pass
+    note(f"{len(jobs)} predicted shrinks held against fresh records")
 
 
 def load(folder: Path, reports: str = "reports") -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
@@ -105,6 +173,28 @@ def _diagnose_one(job: tuple[str, str, tuple[str, ...]]) -> str:
         save_model(better, Path(report).with_suffix(".yaml"))
     write_json(report, document)
     return Path(case).name
+
+
+def _realise_one(job: tuple[dict[str, Any], str, str]) -> None:
+    import numpy as np
+
+    from hyst_control.model_file import load_model, simulate
+    from hyst_plant_sim import cases as drawn
+
+    document, path, nominal = job
+    report = json.loads(Path(path).read_text(encoding="utf-8"))
+    other = "multisine" if document["excitation"] == "rich" else "rich"
+    case = drawn.Case(document["name"], document["plant"], document["kind"], other, document["noise"], document["seed"],
+                      tuple(document["effects"]), document["off"])
+    signals = drawn.run(case)
+    command, measured = signals["command"], signals["measurement"]
+    model, better = load_model(nominal), load_model(Path(path).with_suffix(".yaml"))
+    before, after = (float(np.mean((measured - simulate(m, command)) ** 2)) for m in (model, better))
+    floor = (case.noise * drawn.SETUPS[case.plant].stroke) ** 2
+    realised = 1.0 - (after - floor) / max(before - floor, 1e-300)
+    predicted = max(effect["shrink"] for effect in report["effects"] if effect["shrink"] is not None)
+    report["shrink_realised"] = [predicted, float(np.clip(realised, -10.0, 1.0)), other]
+    write_json(path, report)
 
 
 def _mapped(work: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:

@@ -1,0 +1,31 @@
+"""Check the diagnosis blind: draw cases, diagnose each in a process that never sees its label, score, and write the page.
+
+Seeds 0 to 999 are for tuning; scoring seeds begin at 100000 and are used once a version. A run that was interrupted goes on where
+it stopped when it is called again with the same folder.
+
+example:
+  hyst blind-test --seed 100000 --count 800 --out blind --page docs/blind-test.md
+"""
+
+from __future__ import annotations
+
+import argparse
+
+NAME = "blind-test"
+HELP = "check the diagnosis on cases whose effect is withheld"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seed", type=int, required=True, help="of the cases")
+    parser.add_argument("--count", type=int, default=800, help="number of cases")
+    parser.add_argument("--left-out", type=int, default=100, help="how many single effects to diagnose again without them in the catalogue")
+    parser.add_argument("--out", default="blind_out", metavar="FOLDER", help="folder for cases, labels and reports")
+    parser.add_argument("--page", metavar="OUT.md", help="page to write, with its figure")
+    parser.add_argument("--json", metavar="OUT", help="result table to write")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from hyst_control.experiments.blind_test import run_all
+
+    print(run_all(arguments.out, arguments.seed, arguments.count, arguments.left_out, arguments.page, arguments.json).text())
+    return 0
