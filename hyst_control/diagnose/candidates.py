@@ -19,7 +19,7 @@ from hyst_control.effects.effect import Effect, Parameter
 HARMONICS = {"mains_hum": (1, 3, 5), "vibration": (1,)}
 """Effects that are lines in the residual's spectrum: which harmonics are fitted, each with its own amplitude and phase."""
 
-SWELLS = {"mains_hum": 1, "vibration": 6}
+SWELLS = {"mains_hum": 1, "vibration": 10}
 """Legendre polynomials over the record by which a line's amplitude and phase may change: a vibration comes and goes."""
 
 
