@@ -26,8 +26,8 @@ BINS = 3000
 LOOP_POINTS = 5000
 MOST_PIECES = 4
 INK, ORANGE, BLUE = "#1c2430", "#c2542d", "#2a6f97"
-WHERE = {"stage": "by place in the chain", "kind": "by kind", "band": "by frequency", "amplitude": "by displacement", "axis": "by axis",
-         "time": "by time"}
+WHERE = {"stage": "by place in the chain", "kind": "by kind", "band": "by frequency", "amplitude": "by displacement",
+         "axis": "by axis", "time": "by time"}
 
 
 @dataclass(frozen=True)
@@ -47,21 +47,23 @@ def write_page(path: Path, document: Mapping[str, Any], diagnosis: Diagnosis, be
     page.picture(chain_picture(document))
     pieces = _traces(diagnosis, better)
     _effects(page, document)
-    page.section("Measured, simulated, augmented", "The residuals are beneath, on the same time axis: drag to zoom, double-click to "
-                 "return. Long signals are drawn by their least and greatest values" + _augmented_note(better))
+    page.section("Measured, simulated, augmented", "The residuals are beneath, on the same time axis: drag to zoom, double-click "
+                 "to return. Long signals are drawn by their least and greatest values" + _augmented_note(better))
     for index, piece in enumerate(pieces):
         for axis, name in enumerate(diagnosis.model.axes):
             page.figure(_signals(piece, axis, _title(index, name, len(pieces), diagnosis), document["gap"]["unit"]), 560)
     if len(diagnosis.problem.pieces) > len(pieces):
-        page.section("", f"The first {len(pieces)} of {len(diagnosis.problem.pieces)} stretches are drawn; the figures count them all.")
-    page.section("The gap shrinking", "Rms of the residual as the most probable explanation is added effect by effect, then with the "
-                 "model's coefficients fitted within their tolerance. On the samples of the fit; the held-out shrink is in the table above.")
+        page.note(f"The first {len(pieces)} of {len(diagnosis.problem.pieces)} stretches are drawn; the figures count them all.")
+    page.section("The gap shrinking", "Rms of the residual as the most probable explanation is added effect by effect, then with "
+                 "the model's coefficients fitted within their tolerance. On the samples of the fit; the held-out shrink is in the "
+                 "table above.")
     page.figure(_waterfall(diagnosis, document), 380)
     page.section("Residual spectrum", "What is above the noise floor can be modelled; what is at the floor cannot.")
     page.figure(_spectrum(pieces, diagnosis, document["gap"]["unit"]), 400)
     page.section("Hysteresis loops", "Measurement over command.")
     page.figure(_loops(pieces[0], diagnosis, document["gap"]["unit"]), 440)
-    page.section("Where the gap lies", "Shares of the nominal model's squared residual, with 90 % intervals; each group adds up to 100 %.")
+    page.section("Where the gap lies",
+                 "Shares of the nominal model's squared residual, with 90 % intervals; each group adds up to 100 %.")
     page.figure(_where(document), 620)
     _candidates(page, document)
     _next(page, document)
@@ -70,7 +72,9 @@ def write_page(path: Path, document: Mapping[str, Any], diagnosis: Diagnosis, be
 
 
 def _augmented_note(better: Model | None) -> str:
-    return ". No effect was found that could be added." if better is None else ", the augmented model with its coefficients as given."
+    if better is None:
+        return ". No effect was found that could be added."
+    return ". The augmented model has its coefficients as given."
 
 
 def _traces(diagnosis: Diagnosis, better: Model | None) -> list[Traces]:
@@ -111,7 +115,8 @@ def _signals(piece: Traces, axis: int, title: str, unit: str) -> go.Figure:
         figure.add_scatter(x=x, y=y, name=name, legendgroup=name, line={"color": colour, "width": 1.2}, row=1, col=1)
         if name != "measured":
             x, y = envelope(piece.time, piece.measured[:, axis] - values[:, axis])
-            figure.add_scatter(x=x, y=y, name=name, legendgroup=name, showlegend=False, line={"color": colour, "width": 1.0}, row=2, col=1)
+            figure.add_scatter(x=x, y=y, name=name, legendgroup=name, showlegend=False, line={"color": colour, "width": 1.0},
+                               row=2, col=1)
     figure.update_yaxes(title_text=f"displacement ({unit})", row=1, col=1)
     figure.update_yaxes(title_text=f"residual ({unit})", row=2, col=1)
     figure.update_xaxes(title_text="time (s)", row=2, col=1)
@@ -125,11 +130,13 @@ def _waterfall(diagnosis: Diagnosis, document: Mapping[str, Any]) -> go.Figure:
     labels = ["simulator as given", *(f"+ {name.replace('_', ' ')}" for name in names), "+ coefficients", "left"]
     values = [rms[0], *np.diff(rms), rms[-1]]
     figure = go.Figure(go.Waterfall(
-        x=labels, y=values, measure=["absolute", *["relative"] * (len(rms) - 1), "total"], text=[f"{value:.3g}" for value in (*rms, rms[-1])],
-        textposition="outside", connector={"line": {"color": "#9aa1ab"}}, totals={"marker": {"color": BLUE}},
+        x=labels, y=values, measure=["absolute", *["relative"] * (len(rms) - 1), "total"],
+        text=[f"{value:.3g}" for value in (*rms, rms[-1])], textposition="outside",
+        connector={"line": {"color": "#9aa1ab"}}, totals={"marker": {"color": BLUE}},
         decreasing={"marker": {"color": "#5b8e3e"}}, increasing={"marker": {"color": ORANGE}}))
     floor = document["gap"]["floor_rms"]
-    figure.add_hline(y=floor, line={"dash": "dash", "color": INK}, annotation_text=f"noise floor {floor:.3g}", annotation_position="top right")
+    figure.add_hline(y=floor, line={"dash": "dash", "color": INK}, annotation_text=f"noise floor {floor:.3g}",
+                     annotation_position="top right")
     figure.update_yaxes(title_text=f"rms ({document['gap']['unit']})", range=[0.0, 1.15 * float(rms.max())])
     return figure
 
@@ -177,12 +184,15 @@ def _spectrum(pieces: Sequence[Traces], diagnosis: Diagnosis, unit: str) -> go.F
     longest = max(pieces, key=lambda piece: len(piece.time))
     window = min(len(longest.time), max(len(longest.time) // 4, 256))
     for axis, name in enumerate(axes):
-        lines = [("before", longest.simulated, ORANGE)] + ([("after", longest.augmented, BLUE)] if longest.augmented is not None else [])
+        lines = [("before", longest.simulated, ORANGE)]
+        if longest.augmented is not None:
+            lines.append(("after", longest.augmented, BLUE))
         suffix = f", {name}" if len(axes) > 1 else ""
         dash = ("solid", "dot", "dashdot")[axis % 3]
         for label, values, colour in lines:
             frequency, power = welch(longest.measured[:, axis] - values[:, axis], rate, nperseg=window, detrend=False)
-            figure.add_scatter(x=frequency[1:], y=np.sqrt(power[1:]), name=label + suffix, line={"color": colour, "width": 1.3, "dash": dash})
+            figure.add_scatter(x=frequency[1:], y=np.sqrt(power[1:]), name=label + suffix,
+                               line={"color": colour, "width": 1.3, "dash": dash})
         floor = float(diagnosis.parts[_part(diagnosis, axis)].problem.sigma[_within(diagnosis, axis)]) * np.sqrt(2.0 / rate)
         figure.add_scatter(x=frequency[[1, -1]], y=[floor, floor], name="noise floor" + suffix, line={"color": INK, "dash": "dash"})
     figure.update_xaxes(type="log", title_text="frequency (Hz)")
@@ -206,8 +216,9 @@ def _loops(piece: Traces, diagnosis: Diagnosis, unit: str) -> go.Figure:
         for name, values, colour in (("measured", piece.measured, INK), ("simulated", piece.simulated, ORANGE),
                                      ("augmented", piece.augmented, BLUE)):
             if values is not None:
-                figure.add_scatter(x=piece.command[::every, axis].astype(np.float32), y=values[::every, axis].astype(np.float32), name=name,
-                                   legendgroup=name, showlegend=axis == 0, line={"color": colour, "width": 1.0}, row=1, col=axis + 1)
+                figure.add_scatter(x=piece.command[::every, axis].astype(np.float32), y=values[::every, axis].astype(np.float32),
+                                   name=name, legendgroup=name, showlegend=axis == 0, line={"color": colour, "width": 1.0},
+                                   row=1, col=axis + 1)
     figure.update_xaxes(title_text="command (V)")
     figure.update_yaxes(title_text=f"displacement ({unit})", col=1)
     return figure
@@ -221,8 +232,8 @@ def _where(document: Mapping[str, Any]) -> go.Figure:
         share = 100.0 * np.array([row["share"] for row in rows])
         low, high = 100.0 * np.array([row["ci90"] for row in rows], dtype=float).reshape(-1, 2).T
         figure.add_bar(x=share, y=[row["name"] for row in rows], orientation="h", marker={"color": BLUE}, showlegend=False,
-                       error_x={"type": "data", "symmetric": False, "array": high - share, "arrayminus": share - low, "thickness": 1},
-                       row=index // 3 + 1, col=index % 3 + 1)
+                       error_x={"type": "data", "symmetric": False, "array": high - share, "arrayminus": share - low,
+                                "thickness": 1}, row=index // 3 + 1, col=index % 3 + 1)
     figure.update_xaxes(range=[0, 105], ticksuffix=" %", nticks=4)
     figure.update_annotations(font_size=13)
     return figure
@@ -231,8 +242,8 @@ def _where(document: Mapping[str, Any]) -> go.Figure:
 def _effects(page: Page, document: Mapping[str, Any]) -> None:
     if not document["effects"]:
         return
-    page.section("Which effect, and how far the gap shrinks with it", "Shrink counts toward the noise floor, on samples that neither chose "
-                 "nor fitted the effect: 100 % means that nothing but noise is left. Intervals are 90 %.")
+    page.section("Which effect, and how far the gap shrinks with it", "Shrink counts toward the noise floor, on samples that did not "
+                 "fit the effect: 100 % means that nothing but noise is left. Intervals are 90 %.")
     rows = []
     for effect in document["effects"]:
         values = "; ".join(f"{name} {_number(row['value'])} {row['unit']} [{_number(row['ci90'][0])} … {_number(row['ci90'][1])}]"
@@ -241,7 +252,8 @@ def _effects(page: Page, document: Mapping[str, Any]) -> None:
         rows.append((effect["name"].replace("_", " "), ", ".join(effect["axis"]), f"{effect['probability']:.2f}", values,
                      _share(effect["shrink"]) + (f" [{_share(spread[0])} … {_share(spread[1])}]" if spread else ""),
                      _share(effect["shrink_reidentified"]), _share(effect["share"]), ", ".join(effect["equivalent"]) or "–"))
-    page.table(("effect", "axes", "probability", "parameters", "shrink as given", "re-identified", "share", "cannot be told from"), rows)
+    page.table(("effect", "axes", "probability", "parameters", "shrink as given", "re-identified", "share", "cannot be told from"),
+               rows)
     for meaning in dict.fromkeys(f"{effect['name'].replace('_', ' ')}: {effect['meaning']}" for effect in document["effects"]):
         page.note(meaning)
 
@@ -250,8 +262,8 @@ def _candidates(page: Page, document: Mapping[str, Any]) -> None:
     rows = document["candidates"][:12]
     if not rows:
         return
-    page.section("Candidates weighed", "Probability that each effect is at work, among the explanations that beat the simulated null; those "
-                 "listed as not to be told apart fit these data equally well.")
+    page.section("Candidates weighed", "Probability that each effect is at work, among the explanations that beat the simulated "
+                 "null.")
     figure = go.Figure(go.Bar(x=[row["probability"] for row in rows][::-1], y=[row["name"].replace("_", " ") for row in rows][::-1],
                               orientation="h", marker={"color": ORANGE}, text=[f"{row['probability']:.3f}" for row in rows][::-1]))
     figure.update_xaxes(range=[0, 1.05], title_text="probability")
@@ -270,8 +282,10 @@ def _next(page: Page, document: Mapping[str, Any]) -> None:
 
 def _rest(page: Page, document: Mapping[str, Any]) -> None:
     if document["parameters"]:
-        page.section("Coefficients of the model", "Those fitted more than two standard deviations of their tolerance away from the model file.")
-        page.table(("coefficient", "standard deviations"), [(row["name"], f"{row['z']:+.1f}") for row in document["parameters"][:15]])
+        page.section("Coefficients of the model",
+                     "Those fitted more than two standard deviations of their tolerance away from the model file.")
+        page.table(("coefficient", "standard deviations"),
+                   [(row["name"], f"{row['z']:+.1f}") for row in document["parameters"][:15]])
     if document["replay"]:
         page.section("Software blocks, replayed", "What each block did, against what it should have done with its recorded inputs.")
         page.table(("block", "finding"), [(block["name"], block["text"]) for block in document["replay"]])

@@ -10,6 +10,8 @@ from typing import Any
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
+from hyst_control.files import write_text
+
 STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1c2430; background: #fbfbf9; margin: 2rem auto; max-width: 1080px;
   padding: 0 1rem; }
@@ -46,8 +48,16 @@ class Page:
         figure.update_layout(**LAYOUT, height=height)
         self._parts.append(figure.to_html(full_html=False, include_plotlyjs=False, config={"displaylogo": False, "responsive": True}))
 
+    def note(self, text: str) -> None:
+        """A small paragraph."""
+        self._parts.append(f"<p class='note'>{escape(text)}</p>")
+
+    def picture(self, svg: str) -> None:
+        """A drawing; its texts must be escaped already."""
+        self._parts.append(svg)
+
     def write(self, path: Path) -> None:
-        """Write the page with the plotting library inside it."""
-        path.write_text("<!doctype html><html lang='en'><head><meta charset='utf-8'><meta name='viewport' "
+        """Write the page with the plotting library inside it; a reader never meets half of it. Raises `InputError`."""
+        write_text(path, "<!doctype html><html lang='en'><head><meta charset='utf-8'><meta name='viewport' "
                         f"content='width=device-width, initial-scale=1'><title>{escape(self.title)}</title><style>{STYLE}</style>"
-                        f"<script>{get_plotlyjs()}</script></head><body>{''.join(self._parts)}</body></html>\n", encoding="utf-8")
+                        f"<script>{get_plotlyjs()}</script></head><body>{''.join(self._parts)}</body></html>\n")
