@@ -323,7 +323,8 @@ def labelled(case: Case) -> Case:
         gap = float(np.sqrt(np.mean(difference ** 2)))
         distance = visible(case, difference, stated)
     label |= {"gap_rms": gap, "noise_rms": noise, "distance": float(min(distance, 1e9))}
-    if case.effects and (distance < LEAST or gap < 0.2 * stated):
+    least = 0.2 * noise if setup.model is not None else 1.5 * stated  # under a model's own error nothing can be told
+    if case.effects and (distance < LEAST or gap < least):
         label["kind"] = "none"
         label["hidden"] = list(case.names)
         label["names"] = []

@@ -25,6 +25,7 @@ class Thresholds:
     unknown: float
     further: float
     least_excess: float
+    own_error: float
 
 
 @cache
@@ -70,17 +71,19 @@ def decide(found: Found, threshold: float, floor: float, limits: Thresholds, sta
     """
     size = len(found.linearised.measured)
     before = energy(found.none, size)
+    # A model that states an error of its own leaves all kinds of it: an effect has to take off what goes beyond.
+    least = max(floor ** 2, limits.own_error * (stated - 1.0))
     strain = 0.5 * float(found.none.solution.z @ found.none.solution.z)
 
     def worth_naming(scored: Scored) -> bool:
         """It takes off more than the practical size, or relieves coefficients that had to leave their tolerance for it."""
         relief = strain - 0.5 * float(scored.solution.z @ scored.solution.z)
-        return before - energy(scored, size) > floor ** 2 or found.temper * relief > threshold + limits.margin
+        return before - energy(scored, size) > least or stated < 1.5 and found.temper * relief > threshold + limits.margin
 
     claims = [scored for scored in (*found.singles, *found.combinations)
               if scored.score > 0 and worth_naming(scored)
               and found.temper * (found.none.solution.misfit - scored.solution.misfit) > threshold + limits.margin]
-    if found.parameters.score > limits.margin:
+    if found.parameters.score > limits.margin and (stated < 1.5 or before - energy(found.parameters, size) > least):
         claims.append(found.parameters)
     claims = _without_idle_members(sorted(claims, key=lambda scored: -scored.score), threshold + limits.margin, found.temper,
                                    found.none.solution.misfit, limits.further)

@@ -70,13 +70,15 @@ class FsmParameters:
         stacks = [Slip(self.elastic_slope[axis], self.slip_slope[axis], int(self.slip_elements), self.slip_range, self.slip_decay,
                        self.saturation, hysteresis.get("width", 0.0)) for _ in range(2)]
         rest = 0.5 * stacks[0].settle(self.bias)  # of the second stack at 0 V, halved: the zero of the tilt
-        late = Linear(exact.slow_share(self.relaxation_share * hysteresis.get("rate", 1.0), self.relaxation_time), frame.step)
+        late = Linear(exact.slow_share(self.relaxation_share * hysteresis.get("rate", 1.0), self.relaxation_time), frame.step, held=True,
+                      middle=True)
         return {
             "drive": [Delay(self.delay[axis], frame.step), Clip(*frame.rating)],
-            "amplifier": [Linear(exact.series(self._notch(), exact.lag(2 * np.pi * self.amplifier_cutoff)), frame.step, held=True)],
+            "amplifier": [Linear(exact.series(self._notch(), exact.lag(2 * np.pi * self.amplifier_cutoff)), frame.step,
+                                 held=True, middle=True)],
             "hysteresis": [Chain(PushPull(*stacks, self.bias, rest), late)],
             "mechanics": [mechanics(lambda mass_ratio, ratio: oscillator(self.mode_frequency[axis], self.mode_damping[axis],
-                                                                         mass_ratio, ratio), frame, moving)],
+                                                                         mass_ratio, ratio), frame, moving, held=True)],
             "sensor": [Linear(exact.lag(2 * np.pi * self.sensor_cutoff), frame.step)],
         }
 
