@@ -28,7 +28,7 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.10",
     packages=find_packages(include=["hyst_control*", "hyst_plant_sim*"]),
-    package_data={"hyst_control": ["experiments/*.c", "diagnose/*.yaml"]},
+    package_data={"hyst_control": ["experiments/*.c", "diagnose/*.yaml", "py.typed"], "hyst_plant_sim": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
