@@ -131,12 +131,14 @@ def _waterfall(diagnosis: Diagnosis, document: Mapping[str, Any]) -> go.Figure:
     values = [rms[0], *np.diff(rms), rms[-1]]
     figure = go.Figure(go.Waterfall(
         x=labels, y=values, measure=["absolute", *["relative"] * (len(rms) - 1), "total"],
-        text=[f"{value:.3g}" for value in (*rms, rms[-1])], textposition="outside",
+        text=[f"{value:.3g}" for value in (*rms, rms[-1])],
+        textposition=["outside", *["auto"] * (len(rms) - 1), "outside"],
         connector={"line": {"color": "#9aa1ab"}}, totals={"marker": {"color": BLUE}},
         decreasing={"marker": {"color": "#5b8e3e"}}, increasing={"marker": {"color": ORANGE}}))
     floor = document["gap"]["floor_rms"]
-    figure.add_hline(y=floor, line={"dash": "dash", "color": INK}, annotation_text=f"noise floor {floor:.3g}",
-                     annotation_position="top right")
+    figure.add_hline(y=floor, line={"dash": "dash", "color": INK})
+    figure.update_traces(cliponaxis=False)
+    figure.update_layout(title={"text": f"dashed: noise floor {floor:.3g} {document['gap']['unit']}", "font": {"size": 13}})
     figure.update_yaxes(title_text=f"rms ({document['gap']['unit']})", range=[0.0, 1.15 * float(rms.max())])
     return figure
 

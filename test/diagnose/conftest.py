@@ -1,0 +1,63 @@
+"""Records of truth plants, which share no code with the models, and their diagnoses: each made once for all tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hyst_control.diagnose.diagnosis import Diagnosis
+from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.excitation import build
+from hyst_control.model_file import Model, load_model
+from hyst_control.record import Record, Signal
+from hyst_control.share import config_path
+from hyst_plant_sim.cases import scatter
+from hyst_plant_sim.physics import load_plant
+
+MODELS = {"pea_published": "models/pea_hampi.yaml", "fsm_published": "models/fsm_mhl.yaml"}
+Answer = tuple[dict[str, Any], Diagnosis, Model | None]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The null's thresholds of these tests, away from the user's."""
+    patch = pytest.MonkeyPatch()
+    folder = tmp_path_factory.mktemp("cache")
+    patch.setenv("XDG_CACHE_HOME", str(folder))
+    yield folder
+    patch.undo()
+
+
+def record_of(plant: str, effects: Sequence[Mapping[str, Any]], seed: int = 3, **changes: Any) -> Record:
+    """A diagnostic record of 0.8 s (0.5 s of a mirror). changes: parameters of the plant that differ from the shipped ones."""
+    mirror = plant.startswith("fsm")
+    step, top, axes = (1e-4, 100.0, ("x", "y")) if mirror else (5e-5, 50.0, ("x",))
+    command = build({"signal": "diagnostic", "lowest": 0.0, "highest": top, "duration": 0.4 if mirror else 0.7}, step, len(axes))
+    changes = {**(scatter(plant, seed, 0.0) if mirror else {}), **changes}  # the shipped mirror's axes differ, its model's do not
+    truth = load_plant({"plant": plant, "rating": [0.0, top], "effects": [dict(effect) for effect in effects]}, seed=seed, sample_time=step,
+                       **changes)
+    measured = np.concatenate([truth.reset(command[0])[None], truth.step(command)[:-1]])
+    time = np.arange(len(command)) * step
+    return Record({"command": Signal(time, command, axes, "V"),
+                   "measurement": Signal(time, measured, axes, "mrad" if mirror else "um")}, "record")
+
+
+def nominal(plant: str) -> Model:
+    """The shipped model of a plant."""
+    return load_model(config_path(MODELS[plant]))
+
+
+@pytest.fixture(scope="session")
+def answer() -> Callable[..., Answer]:
+    """Report, diagnosis and augmented model of a plant with effects: name, tuple of (parameter, value), …"""
+
+    @cache
+    def found(plant: str, *effects: tuple[tuple[str, Any], ...], without: tuple[str, ...] = ()) -> Answer:
+        return diagnosed([record_of(plant, [dict(effect) for effect in effects])], nominal(plant), without=without)
+
+    return found

@@ -1,0 +1,52 @@
+"""The documentation's new effect, taken from its page and put into the catalogue: one file is all that it takes."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+import hyst_control.diagnose.candidates as candidates
+from hyst_control.chain import stage as stages
+from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.effects import EFFECTS
+from test.diagnose.conftest import nominal, record_of
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "diagnosis.md"
+DEAD_BAND = {"name": "crossover_dead_band", "half_width": 1.5}
+
+
+@pytest.fixture
+def documented(tmp_path, monkeypatch):
+    """The page's file as a module; the catalogue and the known stages are as before afterwards."""
+    (source,) = [block for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S) if "EFFECT = " in block]
+    (tmp_path / "documented_effect.py").write_text(source, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    kept = {name: dict(value) for name, value in vars(stages).items() if isinstance(value, dict) and not name.startswith("__")}
+    import documented_effect
+
+    monkeypatch.setitem(EFFECTS, documented_effect.EFFECT.name, documented_effect.EFFECT)
+    assert candidates.EFFECTS is EFFECTS
+    yield documented_effect
+    for name, value in kept.items():
+        registry = getattr(stages, name)
+        registry.clear()
+        registry.update(value)
+    sys.modules.pop("documented_effect")
+
+
+def test_without_the_file_the_effect_is_not_named():
+    document, _, _ = diagnosed([record_of("pea_published", [DEAD_BAND])], nominal("pea_published"))
+    assert document["verdict"] != "no_gap"
+    assert DEAD_BAND["name"] not in {row["name"] for row in document["candidates"]}
+
+
+def test_with_the_file_it_is_named_and_sized(documented):
+    document, _, better = diagnosed([record_of("pea_published", [DEAD_BAND])], nominal("pea_published"))
+    named = {row["name"]: row for row in document["effects"]}
+    assert document["verdict"] == "effect" and DEAD_BAND["name"] in named
+    assert named[DEAD_BAND["name"]]["parameters"]["half_width"]["value"] == pytest.approx(1.5, rel=0.05)
+    assert named[DEAD_BAND["name"]]["shrink"] > 0.9
+    assert documented.CrossoverDeadBand in {type(stage) for stage in better.chain.stages}
