@@ -118,10 +118,13 @@ def _with_noise(problem: Problem, residuals: Array) -> Problem:
     """The same problem with the noise (A,) that the residuals' upper spectrum has."""
     measured = np.concatenate([piece.measurement for piece in problem.pieces])
     edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in problem.pieces)])
-    sigma = [max(noise_of([residuals[a:b, axis] for a, b in zip(edges[:-1], edges[1:], strict=True)],
-                          [piece.counted(piece.command)[:, axis] for piece in problem.pieces]),
-                 LEAST_NOISE * float(np.ptp(measured[:, axis])), lattice_of(measured[:, axis]) / np.sqrt(12.0), 1e-12)
-             for axis in range(residuals.shape[1])]
+    sigma = []
+    for axis in range(residuals.shape[1]):
+        lattice = lattice_of(measured[:, axis])
+        # At rest a lattice hides the noise: the rests do not count.
+        commands = None if lattice else [piece.counted(piece.command)[:, axis] for piece in problem.pieces]
+        noise = noise_of([residuals[a:b, axis] for a, b in zip(edges[:-1], edges[1:], strict=True)], commands)
+        sigma.append(max(noise, LEAST_NOISE * float(np.ptp(measured[:, axis])), lattice / np.sqrt(12.0), 1e-12))
     return replace(problem, sigma=np.array(sigma))
 
 
