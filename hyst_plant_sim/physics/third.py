@@ -1,8 +1,9 @@
 """A third physics that no simulator of this project matches: Bouc-Wen hysteresis and a viscoelastic ladder.
 
-The path of a command, stepped at 200 kHz or finer: amplifier (second order); free stroke
-Y = d u + z with dz/du = α - (β sgn(u̇ z) + γ) |z|^n, α growing with the voltage from one end of the rating to the other; a Zener
-ladder, branches each of which lets a share of the stroke arrive late; one mode; sensor (first-order low-pass, white noise).
+The path of a command, stepped at 200 kHz or finer: amplifier (second order); free stroke Y = d u - z with
+dz/du = α - (β sgn(u̇ z) + γ) |z|^n, α growing with the voltage from one end of the rating to the other: the memory z holds the
+stroke back, on the way up as on the way down; a Zener ladder, branches each of which lets a share of the stroke arrive late; one
+mode; sensor (first-order low-pass, white noise).
 """
 
 from __future__ import annotations
@@ -111,5 +112,5 @@ def _bouc_wen(block, law, state, output):
                 z += part * (first + 2.0 * second + 2.0 * third + fourth) / 6.0
                 u += part
             u = block[k]
-        output[k] = law[0] * u + law[6] * z
+        output[k] = law[0] * u - law[6] * z
     state[0], state[1] = u, z
