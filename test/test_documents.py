@@ -1,0 +1,39 @@
+"""Documents: no broken link, every subcommand explained, every page in the site's navigation."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from hyst_control.cli import parser
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+        assert target.startswith("http") or (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_paths_that_are_named_exist(page):
+    text = page.read_text(encoding="utf-8")
+    for path in re.findall(r"`((?:hyst_control|hyst_plant_sim|config|docs|test)/[\w./-]+)`", text):
+        assert (ROOT / path).exists(), f"{page.name} names {path}"
+
+
+def test_every_page_is_in_the_navigation():
+    site = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
+    assert {page for entry in site["nav"] for page in entry.values()} == {page.name for page in (ROOT / "docs").glob("*.md")}
+
+
+def test_the_readme_shows_every_subcommand():
+    text = (ROOT / "README.md").read_text()
+    commands = next(action for action in parser()._actions if hasattr(action, "choices") and action.choices).choices
+    missing = [name for name in commands if f"hyst {name}" not in text]
+    assert not missing
