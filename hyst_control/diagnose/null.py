@@ -22,6 +22,9 @@ from hyst_control.diagnose.forked import forked
 from hyst_control.errors import InputError
 from hyst_control.model_file import model_to_document
 
+STEPS = 2
+"""Gauss-Newton steps after the first: what scatter leaves beyond its linear part is not to count as an effect."""
+
 STARTS = 6
 COUNT = 200
 QUANTILE = 0.99
@@ -55,6 +58,9 @@ def null_scores(linearised: Linearised, members: Sequence[Member], seed: int, co
         try:
             record = linearised.simulate(z) + random.standard_normal(len(linearised.measured))
             step = linearised.step(record - linearised.nominal)
+            for _ in range(STEPS):
+                residual = record - linearised.simulate(step)
+                step = linearised.step(residual + linearised.columns @ step)
             residual = record - linearised.simulate(step)
         except InputError:
             return None  # these coefficients make no model
@@ -105,7 +111,7 @@ def _cache_file(linearised: Linearised, members: Sequence[Member], seed: int, co
     for piece in problem.pieces:
         digest.update(np.ascontiguousarray(piece.command).tobytes())
     sigma = [float(f"{value:.1g}") for value in problem.sigma]  # a noise that is a little different has the same threshold
-    digest.update(json.dumps([sigma, problem.hold, seed, count, [(m.name, m.axis, round(m.frequency)) for m in members]]).encode())
+    digest.update(json.dumps([sigma, problem.hold, seed, count, STEPS, STARTS, QUANTILE, [(m.name, m.axis, round(m.frequency)) for m in members]]).encode())
     return folder / f"{digest.hexdigest()}.json"
 
 
