@@ -1,7 +1,8 @@
-"""Draw cases from the truth plants: recorded bags with a model each, and what is in them in one file apart.
+"""Draw cases from the truth plants: recorded bags with a model each, and what is in them in one file apart; or show what can be.
 
-example:
+examples:
   hyst cases make --seed 7 --count 20 --out cases
+  hyst cases figures --out docs                     # effects.md, with a figure for every effect
 """
 
 from __future__ import annotations
@@ -13,15 +14,27 @@ HELP = "draw recorded cases with effects in them, labels apart"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("action", choices=("make",), metavar="make", help="draw and record")
-    parser.add_argument("--seed", type=int, required=True, help="of the cases")
-    parser.add_argument("--count", type=int, default=60, help="number of cases")
-    parser.add_argument("--out", required=True, metavar="FOLDER", help="folder to write, with cases/ and labels.json")
-    parser.add_argument("--plants", nargs="+", metavar="PLANT", help="truth plants (default: all)")
+    parser.add_argument("action", choices=("make", "figures"), help="draw and record cases; or write the page of effects")
+    parser.add_argument("--seed", type=int, help="of the cases (make)")
+    parser.add_argument("--count", type=int, default=60, help="number of cases (make)")
+    parser.add_argument("--out", required=True, metavar="FOLDER",
+                        help="folder to write: cases/ and labels.json (make), effects.md and figures/effects/ (figures)")
+    parser.add_argument("--plants", nargs="+", metavar="PLANT", help="truth plants (make; default: all)")
 
 
 def run(arguments: argparse.Namespace) -> int:
+    if arguments.action == "figures":
+        from pathlib import Path
+
+        from hyst_plant_sim.effect_figures import write
+
+        written = write(Path(arguments.out))
+        print(f"{written[-1]}, {len(written) - 1} figures")
+        return 0
+    from hyst_control.errors import InputError
     from hyst_control.experiments.blind_test import make_cases
 
+    if arguments.seed is None:
+        raise InputError("--seed: is missing: hyst cases make --seed 7 --out cases, say")
     make_cases(arguments.out, arguments.seed, arguments.count, arguments.plants)
     return 0

@@ -77,10 +77,6 @@ class Linearised:
         """Vectors (M, P) without what the scattered coefficients explain of them, shrunk by their prior."""
         return vectors - self.columns @ cho_solve(self.factor, self.columns.T @ vectors) if self.count else vectors
 
-    def step(self, residual: Array) -> Array:
-        """The coefficients z (K,) that explain a residual (M,) of the nominal model best, held by their prior."""
-        return cho_solve(self.factor, self.columns.T @ residual) if self.count else np.zeros(0)
-
     def simulate(self, z: Array, unknowns: Unknowns | None = None, x: Array | None = None) -> Array:
         stages = self.scatter.at(z)
         if unknowns is None:

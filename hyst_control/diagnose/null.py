@@ -17,13 +17,13 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.candidates import Candidate, Member
-from hyst_control.diagnose.fit import Linearised
+from hyst_control.diagnose.fit import Linearised, fit
 from hyst_control.diagnose.forked import forked
 from hyst_control.errors import InputError
 from hyst_control.model_file import model_to_document
 
-STEPS = 2
-"""Gauss-Newton steps after the first: what scatter leaves beyond its linear part is not to count as an effect."""
+ROUNDS = 4
+"""Most steps of the coefficients' fit: what their scatter leaves beyond its linear part is not to count as an effect."""
 
 STARTS = 6
 COUNT = 200
@@ -57,14 +57,11 @@ def null_scores(linearised: Linearised, members: Sequence[Member], seed: int, co
         z = random.standard_normal(linearised.count)
         try:
             record = linearised.simulate(z) + random.standard_normal(len(linearised.measured))
-            step = linearised.step(record - linearised.nominal)
-            for _ in range(STEPS):
-                residual = record - linearised.simulate(step)
-                step = linearised.step(residual + linearised.columns @ step)
-            residual = record - linearised.simulate(step)
+            solution = fit(linearised, measured=record, rounds=ROUNDS)
         except InputError:
             return None  # these coefficients make no model
-        right = flat.T @ (residual + linearised.columns @ step)
+        # What the coefficients could still explain is projected out: as good as one more step.
+        right = flat.T @ solution.residual
         return max((0.5 * float(right[a:b] @ inverse @ right[a:b])
                     for a, b, inverse in zip(edges[:-1], edges[1:], inverses, strict=True)), default=0.0)
 
@@ -111,7 +108,8 @@ def _cache_file(linearised: Linearised, members: Sequence[Member], seed: int, co
     for piece in problem.pieces:
         digest.update(np.ascontiguousarray(piece.command).tobytes())
     sigma = [float(f"{value:.1g}") for value in problem.sigma]  # a noise that is a little different has the same threshold
-    digest.update(json.dumps([sigma, problem.hold, seed, count, STEPS, STARTS, QUANTILE, [(m.name, m.axis, round(m.frequency)) for m in members]]).encode())
+    names = [(member.name, member.axis, round(member.frequency)) for member in members]
+    digest.update(json.dumps([sigma, problem.hold, seed, count, ROUNDS, STARTS, QUANTILE, 2, names]).encode())
     return folder / f"{digest.hexdigest()}.json"
 
 
