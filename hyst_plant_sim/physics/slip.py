@@ -25,17 +25,20 @@ class Slip:
         elastic = elastic_slope if width == 0 else elastic_slope - width * weights.sum()
         self._weights = weights if width == 0 else weights * (1.0 + width)
         self._law = np.array([elastic, curvature])
-        # Filled up with elements of no weight: the kernel takes four at a time.
-        self._weights, self._slack = (np.append(values, np.zeros(-elements % 4)) for values in (self._weights, self._slack))
-        self._slip = np.zeros(len(self._slack))
+        # Of the first 0, 1, 2, … elements: sum of weights, and of weights times slacks.
+        self._sums = np.stack([np.append(0.0, np.cumsum(values)) for values in (self._weights, self._weights * self._slack)])
+        self._slip, self._state = np.zeros(elements), np.zeros(5)
 
     def settle(self, value: float) -> float:
         self._slip = np.clip(0.0, value - self._slack, value + self._slack)
-        return float(self.process(np.array([value]))[0])
+        resting = float((self._weights * self._slip).sum())
+        free = self._law[0] * value + resting
+        self._state[:] = value, 0.0, 0.0, resting, free - self._law[1] * free * free
+        return float(self._state[4])
 
     def process(self, block: Array) -> Array:
         output = np.empty(block.size)
-        _slip(block, self._slack, self._weights, self._law, self._slip, output)
+        _slip(block, self._slack, self._weights, self._sums, self._law, self._slip, self._state, output)
         return output
 
 
@@ -58,23 +61,27 @@ class PushPull:
 
 
 @njit(cache=True, error_model="numpy")
-def _slip(block, slack, weights, law, slip, output):
-    last, value = np.nan, 0.0
+def _slip(block, slack, weights, sums, law, slip, state, output):
+    """Elements of little slack move first: those that move are the first few, and their sum is known without a look at each.
+
+    state: last voltage, its direction (0: settled), how many elements move with it, sum of the others, last output.
+    slip: places of the others.
+    """
+    last, direction, moving, resting, value = state[0], state[1], int(state[2]), state[3], state[4]
     for k in range(block.size):
         voltage = block[k]
         if voltage != last:
-            for i in range(slack.size):  # apart from the sums, so that it is done for several elements at once
-                lower, upper, place = voltage - slack[i], voltage + slack[i], slip[i]
-                place = lower if place < lower else place
-                slip[i] = upper if place > upper else place
-            # Four sums side by side, because one would wait for each addition.
-            a, b, c, d = law[0] * voltage, 0.0, 0.0, 0.0
-            for i in range(0, slack.size, 4):
-                a += weights[i] * slip[i]
-                b += weights[i + 1] * slip[i + 1]
-                c += weights[i + 2] * slip[i + 2]
-                d += weights[i + 3] * slip[i + 3]
-            value = (a + b) + (c + d)
-            value -= law[1] * value * value
+            if (voltage - last) * direction <= 0.0:  # it turns: all rest where they are
+                for i in range(moving):
+                    slip[i] = last - direction * slack[i]
+                direction, moving, resting = np.sign(voltage - last), 0, 0.0
+                for i in range(slack.size):
+                    resting += weights[i] * slip[i]
+            while moving < slack.size and (voltage - slip[moving]) * direction > slack[moving]:
+                resting -= weights[moving] * slip[moving]
+                moving += 1
+            free = (law[0] + sums[0, moving]) * voltage - direction * sums[1, moving] + resting
+            value = free - law[1] * free * free
             last = voltage
         output[k] = value
+    state[0], state[1], state[2], state[3], state[4] = last, direction, moving, resting, value
