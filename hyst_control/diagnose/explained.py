@@ -89,7 +89,10 @@ def _waveforms(diagnosis: Diagnosis) -> list[Named]:
         axes = tuple(diagnosis.model.axes[axis] for part, scored, index, _ in places
                      for axis in (part.axes if scored.candidate.members[index].axis is None else
                                   (part.axes[scored.candidate.members[index].axis],)))
-        chosen = {part.axes: (errors[(part.axes, key(scored))], scored) for part, scored, _, _ in places}
+        # On axes that this effect is not on, what explains those: effects that are named together shrink the gap together.
+        chosen = {part.axes: (errors[(part.axes, key(part.decision.chosen))], part.decision.chosen) for part in diagnosis.parts
+                  if part.decision.chosen.candidate is not None and part.decision.listed}
+        chosen |= {part.axes: (errors[(part.axes, key(scored))], scored) for part, scored, _, _ in places}
         before, after, before_fitted, after_fitted = _series(diagnosis, none, chosen)
         value, ci90 = shrink(before, after, diagnosis.seed)
         fitted, _ = shrink(before_fitted, after_fitted, diagnosis.seed)

@@ -127,7 +127,9 @@ def sentence(report: dict[str, Any]) -> str:
         near = f"; the nearest, {' and '.join(names)}, leaves {100 * report['unexplained_share']:.0f} % of it" if names else ""
         return f"No known effect explains the gap of {size}{near}."
     shrinks = [effect["shrink_reidentified"] for effect in report["effects"] if effect["shrink_reidentified"] is not None]
-    far = f" Adding {'it' if len(names) == 1 else 'them'} shrinks the gap by {100 * max(shrinks):.0f} %." if shrinks else ""
+    given = [effect["shrink"] for effect in report["effects"] if effect["shrink"] is not None]
+    far = f" Adding {'it' if len(names) == 1 else 'them'} shrinks the gap by {100 * max(given):.0f} % as given, by " \
+          f"{100 * max(shrinks):.0f} % with the coefficients fitted." if shrinks else ""
     if verdict == "ambiguous":
         return f"The gap of {size} is {' or '.join(names)}: these data cannot tell which.{far}"
     return f"The gap of {size} is {' and '.join(names)}.{far}"
