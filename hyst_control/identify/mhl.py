@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.chain import Chain, Parallel, Sampling, Stage
+from hyst_control.chain import Chain, Parallel, Stage
 from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.stage import Array
 from hyst_control.chain.static import Gain
@@ -34,20 +34,16 @@ from hyst_control.identify.madelung import (
     range_notes,
     response_sign,
 )
-from hyst_control.identify.motions import experiments
 from hyst_control.identify.report import command_bandwidth, noise_sigma, record_rows
-from hyst_control.identify.simulation_error import Parametrisation, Solution, coarse, driving_signal, minimise, short_stretches
+from hyst_control.identify.simulation_error import Parametrisation, Solution, coarse, minimise, short_stretches
+from hyst_control.identify.windows import whole_records
 from hyst_control.model_file import Model
 
 K2_UNIT = 1e-3
 """The unit (s) of k2 in the parameter vector, which holds its logarithm."""
-MOST_SHARE = 0.9
-"""Most of |k1| / k2 relative to the slope of the hysteresis: from 1 on there is no inverse, and G(s) can stand for the rest."""
-SELECTION_ROWS, FINAL_ROWS = 40_000, 100_000
+SELECTION_ROWS, FINAL_ROWS = 20_000, 100_000
 STRETCH, SETTLE = 0.06, 0.015
 """Length (s) of the stretches that stand for a long record, and of their beginning that does not count."""
-MODES, LEAST_MODE = 3, 200.0
-"""Modes of G(s), at most, and the least frequency (Hz) at which a further one is looked for."""
 WORTHWHILE = 0.01
 """A factor of G is kept when it lowers the held-out mean square error by more than this share."""
 
@@ -115,8 +111,7 @@ class Axis:
     def limit(self, vector: Array) -> Array:
         """The vector held where the data can tell something."""
         curves, rate, dynamics = self.split(vector)
-        fastest = np.log(max(0.02, 0.25 * self.sample_time / K2_UNIT))
-        rate = np.clip(rate, [-MOST_SHARE, fastest], [MOST_SHARE, np.log(200.0)])
+        rate = np.clip(rate, [-5.0, np.log(0.02)], [5.0, np.log(200.0)])
         return np.concatenate([curves, rate, self.structure.limit(dynamics, self.sample_time)])
 
     def parametrisation(self) -> Parametrisation:
@@ -159,14 +154,14 @@ def fit(datasets: Sequence[Dataset], method: str = "joint", **options: Any) -> F
         raise InputError(f"method: {method!r} is not known: joint or paper is due")
     axes: list[AxisFit] = []
     for index in range(len(datasets[0].axes)):
-        axes.append(fit_joint(experiments(datasets, index), chosen, axes[0] if axes else None))
+        axes.append(fit_joint(whole_records(datasets, index), chosen, axes[0] if axes else None))
     coupling = None
     if chosen.cross_coupling and len(axes) > 1:
         coupling, axes = with_coupling(datasets, axes, chosen.nuisance)
     cleaned = datasets
     if coupling is not None:
         cleaned = without_coupling(chain_model(datasets, axes, "plain"), coupling, datasets)
-    axes = [refit(experiments(cleaned, index), axis, chosen.nuisance) for index, axis in enumerate(axes)]
+    axes = [refit(whole_records(cleaned, index), axis, chosen.nuisance) for index, axis in enumerate(axes)]
     return assemble(datasets, "joint", axes, coupling)
 
 
@@ -181,7 +176,7 @@ def with_coupling(
         if coupling is None:
             break
         cleaned = without_coupling(plain, coupling, datasets)
-        axes = [refined(experiments(cleaned, index), axis, nuisance, passes=3) for index, axis in enumerate(axes)]
+        axes = [refined(whole_records(cleaned, index), axis, nuisance, passes=3) for index, axis in enumerate(axes)]
     return coupling, axes
 
 
@@ -338,11 +333,6 @@ def extended(
     candidates = [structure.grow(axis.structure, dynamics, 1000.0)]
     if structure == replace(axis.structure, zeros=axis.structure.zeros + 1):
         candidates.append(lead_and_delay(axis.structure, structure, dynamics))
-    if structure.modes > axis.structure.modes and structure.zeros == axis.structure.zeros + 2:
-        candidates = [resonance(axis.structure, structure, dynamics, frequency)
-                      for frequency in residual_peaks(windows, axis, best.parameters)]
-        if not candidates:
-            return axis, best
     grown = replace(axis, structure=structure)
     before = best.parameters[: axis.curves.size + 2]
     trials = [
@@ -365,38 +355,6 @@ def lead_and_delay(old: Structure, new: Structure, dynamics: Array) -> Array:
     return with_numerator(parts, np.polymul(old.rational(dynamics)[0], [time, 1.0]))
 
 
-def resonance(old: Structure, new: Structure, dynamics: Array, frequency: float) -> Array:
-    """A start with one mode more at a frequency (Hz), as good as undone by a pair of zeros at the same place."""
-    parts = new.split(new.grow(old, dynamics, 1000.0))
-    w = 2 * np.pi * frequency
-    parts["modes"][-1] = np.log(w), np.log(0.05)
-    return with_numerator(parts, np.polymul(old.rational(dynamics)[0], [1.0 / w**2, 2 * 0.06 / w, 1.0]))
-
-
-def residual_peaks(windows: Sequence[Window], axis: Axis, vector: Array, count: int = 2) -> list[float]:
-    """The frequencies (Hz), a third octave apart at least, around which the model misses the most; from `LEAST_MODE` on."""
-    edges = np.geomspace(LEAST_MODE, 0.45 / axis.sample_time, 41)
-    power = np.zeros(len(edges) - 1)
-    for window in windows:
-        if window.sample_time > axis.sample_time:
-            continue
-        signal, first = driving_signal(window)
-        running = Chain(tuple(axis.stages(vector))).filter(Sampling(window.sample_time, 1, window.hold))
-        running.settle(signal[0])
-        error = (window.measurement - running.process(signal)[first:, 0])[window.skip :]
-        spectrum = np.abs(np.fft.rfft(np.hanning(len(error)) * (error - error.mean()))) ** 2
-        frequency = np.fft.rfftfreq(len(error), window.sample_time)
-        power += np.histogram(frequency, edges, weights=spectrum)[0]
-    centres = np.sqrt(edges[1:] * edges[:-1])
-    found: list[float] = []
-    for index in np.argsort(power)[::-1]:
-        if power[index] > 0 and all(abs(np.log(centres[index] / other)) > np.log(2) / 3 for other in found):
-            found.append(float(centres[index]))
-        if len(found) == count:
-            break
-    return found
-
-
 def with_numerator(parts: dict[str, Array], num: Array) -> Array:
     """A dynamics vector from its factors, with the zeros' coefficients those of a numerator (descending powers of s)."""
     scale = np.exp(np.concatenate([parts["modes"][:, 0], parts["lags"]])).min()
@@ -415,8 +373,6 @@ def extensions(structure: Structure) -> list[Structure]:
         options.append(replace(structure, lags=1))
     elif structure.modes == 1:
         options.append(replace(structure, modes=2, zeros=structure.zeros + 1))
-    if structure.modes < MODES:
-        options.append(replace(structure, modes=structure.modes + 1, zeros=structure.zeros + 2))
     return options
 
 

@@ -21,11 +21,12 @@ from hyst_control.identify.dynamics import TAU_UNIT, Structure
 from hyst_control.identify.gram import Window
 from hyst_control.identify.madelung import fit_axis, fit_inverse, full_scale, response_sign
 from hyst_control.identify.mhl import K2_UNIT, Axis, AxisFit, Options
-from hyst_control.identify.motions import first_rise, motions, remembered
 from hyst_control.identify.report import command_bandwidth
-from hyst_control.identify.simulation_error import Parametrisation, Solution, minimise, short_stretches
-from hyst_control.identify.windows import whole_records
+from hyst_control.identify.simulation_error import Parametrisation, Solution, minimise, short_stretches, surviving_turns
+from hyst_control.identify.windows import turning_points, whole_records
 
+REST_TIME = 0.02
+"""A command that holds still for this long (s) rests."""
 SLOW, MEDIUM = 5.0, 150.0
 """Bandwidths (Hz) of the slow loops and of the sweep for the rate correction, at most."""
 PAPER_STRUCTURE = Structure(modes=1, lags=1, zeros=2)
@@ -108,24 +109,25 @@ def sorted_pieces(datasets: Sequence[Dataset], index: int, sign: float) -> Piece
     """The motions between rests by kind. Raises `InputError` naming the experiment that is missing."""
     found = Pieces([], [], [], [])
     group = 0
-    top = max(float(data.command[:, index].max()) for data in datasets)
     for data in datasets:
         command, measurement = data.command[:, index], sign * data.measurement[:, index]
-        rise = first_rise(command, top)
         for begin, moving, end in motions(command, data.sample_time):
             jump = moving - begin <= 2
             lead = int(0.01 / data.sample_time) if jump else 1
             first = max(begin - lead, 0)
             if jump:
                 end = min(end, begin + int(STEP_TIME / data.sample_time))
+            turns = command[turning_points(command[: first + 1])] if first else np.zeros(0)
+            earlier = np.concatenate([[0.0], turns, command[first : first + 1]])
+            memory = earlier[surviving_turns(earlier)][:-1] if first else None
             window = Window(
                 np.ascontiguousarray(command[first:end]),
                 np.ascontiguousarray(measurement[first:end]),
                 data.sample_time,
                 data.hold,
-                rise - first if first < rise < end else 0,
+                0,
                 group,
-                memory=remembered(command, first),
+                memory=memory,
             )
             group += 1
             part = replace(data, command=command[begin:end, None], measurement=measurement[begin:end, None])
@@ -145,6 +147,19 @@ def sorted_pieces(datasets: Sequence[Dataset], index: int, sign: float) -> Piece
                 "joint method"
             )
     return found
+
+
+def motions(command: Array, sample_time: float) -> list[tuple[int, int, int]]:
+    """(first, last moving row + 1, end) of the motions of a command (N,): each with the rest that follows it."""
+    span = float(np.ptp(command))
+    moving = np.flatnonzero(np.abs(np.diff(command)) > 1e-9 * span) + 1
+    if span == 0 or not len(moving):
+        return []
+    breaks = np.flatnonzero(np.diff(moving) > REST_TIME / sample_time)
+    begins = moving[np.concatenate([[0], breaks + 1])]
+    ends = moving[np.concatenate([breaks, [len(moving) - 1]])] + 1
+    following = np.append(begins[1:], len(command))
+    return [(int(b), int(m), int(e)) for b, m, e in zip(begins, ends, following, strict=True)]
 
 
 def step_delay(windows: Sequence[Window]) -> tuple[float, float]:
