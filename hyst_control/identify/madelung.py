@@ -168,7 +168,7 @@ def fit_axis(
     """Identify one axis. With `inverse` command and measurement have changed places, and so has the start."""
     scale = full_scale(windows, input_scale)
     sign = response_sign(windows)
-    travel = max(float(np.ptp(window.measurement)) / float(np.ptp(window.command)) for window in windows) * scale
+    travel = max(float(np.ptp(window.measurement)) / float(np.ptp(window.command)) for window in windows if np.ptp(window.command)) * scale
     turned = [replace(window, measurement=sign * window.measurement) for window in windows]
 
     def stages(vector: Array) -> list[Stage]:
