@@ -75,7 +75,7 @@ def run(json_path: str | None = None, figures: str | None = None) -> Table:
 
         tuning = tune(without_coupling(fits["joint"].model), sample_time=SAMPLE_TIME)
         reference, parts = tracking_reference()
-        model = without_coupling(fits["joint"].model)
+        model = without_coupling(fits["paper"].model)
         save_model(model, folder / "model.yaml")
         tracked = {name: track(folder / kind, kind, folder / "model.yaml", model, reference, tuning) for name, kind in KINDS.items()}
         tracked["whole inverse, no feedback"] = track(folder / "open", "mhl_inverse", folder / "model.yaml", model, reference, None)
