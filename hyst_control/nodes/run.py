@@ -14,6 +14,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.task import Future
 
 from hyst_control.errors import InputError
@@ -114,6 +115,12 @@ def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | N
         return run(nodes, rclpy.get_default_context()) or 0
     except ExternalShutdownException:
         # Python's own interrupt of the same Ctrl-C is still to come: let it come here, where it is waited for.
+        time.sleep(INTERRUPT_LATENCY)
+        return 0
+    except rclpy_implementation.RCLError:
+        # Between a Ctrl-C and the end of a tick the context is gone, and a last message with it; anything else is an error.
+        if rclpy.ok():
+            raise
         time.sleep(INTERRUPT_LATENCY)
         return 0
     except InputError as error:
