@@ -20,7 +20,7 @@ demo: env
 	$(VENV)/bin/hyst demo $(ARGS)
 
 test: env
-	$(VENV)/bin/python -m pytest $(ARGS)
+	$(VENV)/bin/python -m pytest -n 2 --dist loadfile $(ARGS)
 
 fuzz: env
 	PYTHONPATH=. $(VENV)/bin/python test/fuzz $(ARGS)

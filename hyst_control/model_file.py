@@ -13,7 +13,6 @@ import yaml
 
 import hyst_control.effects  # noqa: F401  (makes the effects' stages known)
 from hyst_control.chain import STAGES, Chain, Parallel, Sampling, Stage
-from hyst_control.chain.chain import resolved
 from hyst_control.chain.stage import HOLDS, Array
 from hyst_control.errors import InputError
 from hyst_control.files import write_text
@@ -150,7 +149,10 @@ def model_from_document(document: Any) -> Model:
             raise InputError(f"chain[{index}] ({stage.name}): {FORM} ({error})") from None
         except MemoryError:
             raise InputError(f"chain[{index}] ({stage.name}): too large for this machine at {sample_time:g} s") from None
-    resolved(chain.stages, len(axes))
+    try:
+        chain.filter(Sampling(float(sample_time), len(axes), hold))  # modifiers change their neighbours
+    except InputError as error:
+        raise InputError(f"chain: {error}") from None
     return Model(
         name=name,
         axes=tuple(axes),

@@ -42,7 +42,7 @@ class AddedMass(Modifier):
             raise InputError("added_mass: no mechanics before it (transfer function or continuous state space): put it behind them")
         if not np.any(per_axis_scalar(self.mass_ratio, axes, "mass_ratio")):
             return before
-        return (*before[:index], Changed(before[index], self._heavier), *before[index + 1 :])
+        return (*before[:index], Changed(before[index], self._heavier, self.name), *before[index + 1 :])
 
     def _heavier(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
         ratio = per_axis_scalar(self.mass_ratio, axes, "mass_ratio")

@@ -49,10 +49,16 @@ class Memoryless(Stage):
 
 @dataclass(frozen=True)
 class Changed(LinearStage):
-    """A linear stage whose systems are changed: change(systems, axes) -> systems; part of a started chain only."""
+    """A linear stage whose systems a modifier changes: change(systems, axes) -> systems; part of a started chain only."""
 
     base: Any
     change: Any
+    modifier: str
+
+    @property
+    def name(self) -> str:
+        """What it is in a message."""
+        return f"{self.modifier} of {self.base.name}"
 
     @property
     def coupled(self) -> bool:

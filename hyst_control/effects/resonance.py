@@ -37,7 +37,7 @@ class Resonance(Modifier):
         index = mechanics_index(before)
         if index is None:
             index, before = len(before), (*before, TransferFunction((1.0,), (1.0,)))
-        return (*before[:index], Changed(before[index], self._with_mode), *before[index + 1 :])
+        return (*before[:index], Changed(before[index], self._with_mode, self.name), *before[index + 1 :])
 
     def _with_mode(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
         frequency, damping, gain = (per_axis_scalar(getattr(self, name), axes, name) for name in ("frequency", "damping", "gain"))

@@ -9,18 +9,19 @@ from __future__ import annotations
 import array
 import json
 import math
+import signal
 import sys
 import time
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64MultiArray
 
 from hyst_control.control.feedforward import build_compensator
@@ -42,6 +43,7 @@ class PlainNode(Node):
         self.model = load_model(settings["model"])
         self.axes = len(self.model.axes)
         self.settings = settings
+        self.create_timer(0.5, lambda: None)  # wakes the executor, which hears no signal while it waits
         if self.timed:
             self.create_timer(self.period, self.tick)
 
@@ -184,17 +186,15 @@ def main() -> None:
     *names, path = sys.argv[1:]
     settings = json.loads(Path(path).read_text(encoding="utf-8"))
     environment.prepare()
-    rclpy.init()
+    heard: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))  # an exception within a call of rclpy breaks that call
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # else a Ctrl-C takes the context from under a callback
     executor = SingleThreadedExecutor()
     for name in names or NODES:
         executor.add_node(NODES[name](settings))
-    try:
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        with suppress(RuntimeError):  # rclpy's own signal handler may be faster
-            rclpy.try_shutdown()
+    while not heard:
+        executor.spin_once()
+    rclpy.try_shutdown()
 
 
 if __name__ == "__main__":

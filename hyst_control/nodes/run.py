@@ -8,13 +8,13 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from types import FrameType
 from typing import Any
 
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.task import Future
 
 from hyst_control.errors import InputError
@@ -87,11 +87,23 @@ def close(nodes: Sequence[EndingNode]) -> None:
 def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None) -> int:
     """Body of an executable: 0 when it ended by itself or was interrupted, 2 on bad input, told in one line."""
     environment.prepare()
+    heard: list[int] = []
+
+    def on_interrupt(number: int, frame: FrameType | None) -> None:
+        heard.append(number)
+        signal.default_int_handler(number, frame)
+
+    signal.signal(signal.SIGINT, on_interrupt)
     try:
         return _body(factories, args)
     except KeyboardInterrupt:
         # rclpy hears the signal first, in a thread of its own: Python's interrupt may come while the nodes are being closed.
         return 0
+    except RuntimeError:
+        # rclpy fails in several ways on an interrupt within a call of its own, and on a message whose context has gone meanwhile.
+        if heard or not rclpy.ok():
+            return 0
+        raise
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C during the shutdown would leave a traceback
         with suppress(RuntimeError):  # rclpy's own signal handler may be faster
@@ -115,12 +127,6 @@ def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | N
         return run(nodes, rclpy.get_default_context()) or 0
     except ExternalShutdownException:
         # Python's own interrupt of the same Ctrl-C is still to come: let it come here, where it is waited for.
-        time.sleep(INTERRUPT_LATENCY)
-        return 0
-    except rclpy_implementation.RCLError:
-        # Between a Ctrl-C and the end of a tick the context is gone, and a last message with it; anything else is an error.
-        if rclpy.ok():
-            raise
         time.sleep(INTERRUPT_LATENCY)
         return 0
     except InputError as error:
