@@ -10,6 +10,9 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.diagnosis import AxisDiagnosis, Diagnosis
+from hyst_control.diagnose.explained import Explanation
+from hyst_control.diagnose.problem import Problem
+from hyst_control.effects import EFFECTS
 
 BLOCKS = 24
 RESAMPLES = 300
@@ -31,6 +34,37 @@ def budget(diagnosis: Diagnosis) -> dict[str, Rows]:
                          zip(diagnosis.parts, residuals, strict=True) for i, axis in enumerate(part.axes)}], diagnosis.seed),
         "time": _added([_spans(part, residual) for part, residual in zip(diagnosis.parts, residuals, strict=True)], diagnosis.seed),
     }
+
+
+def stages(diagnosis: Diagnosis, explanation: Explanation, unfaithful: Sequence[str] = ()) -> Rows:
+    """Shares by place in the signal chain: the plant's places, the model's own coefficients, noise, what is unexplained.
+
+    unfaithful: software blocks that did not do what they should; named with no share of the plant's residual.
+    """
+    energies: dict[str, Array] = dict.fromkeys(unfaithful, np.zeros(BLOCKS))
+    effects = coefficients = noise = unexplained = np.zeros(BLOCKS)
+    for part in diagnosis.parts:
+        problem, linearised, solution = part.problem, part.linearised, part.decision.chosen.solution
+        unknowns = part.decision.chosen.candidate.unknowns() if part.decision.chosen.candidate else None
+        given = _energy(problem, linearised.measured - linearised.simulate(np.zeros(linearised.count)))
+        left = np.minimum(_energy(problem, solution.residual), given)
+        # What the effects leave with the coefficients as given is the coefficients' part.
+        with_effects = _energy(problem, linearised.measured - linearised.simulate(np.zeros(linearised.count), unknowns, solution.x))
+        fitted = np.clip(with_effects - left, 0.0, given - left)
+        floor = np.minimum(float(np.sum(problem.sigma ** 2)) * len(linearised.measured) / len(problem.sigma) / BLOCKS, left)
+        effects, coefficients = effects + given - left - fitted, coefficients + fitted
+        noise, unexplained = noise + floor, unexplained + left - floor
+    named = [effect for effect in explanation.effects if effect.shrink is not None]
+    for effect in named:
+        place = EFFECTS[effect.name].place
+        energies[place] = energies.get(place, 0.0) + effects * effect.share
+    energies |= {"coefficients": coefficients if named else coefficients + effects, "noise": noise, "unexplained": unexplained}
+    return shares_with_intervals(energies, diagnosis.seed)
+
+
+def _energy(problem: Problem, error: Array) -> Array:
+    """Squared error of all axes in the measurement's unit, summed over each of BLOCKS stretches."""
+    return _blocks((problem.rows(error) ** 2).sum(axis=1))
 
 
 def shares_with_intervals(energies: Mapping[str, Array], seed: int) -> Rows:

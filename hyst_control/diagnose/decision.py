@@ -124,9 +124,7 @@ def _without_idle_members(claims: list[Scored], gain: float, temper: float, befo
     for scored in claims:
         names = set(scored.names)
         parts = [other for other in claims if set(other.names) < names]
-        needed = max((other.solution.misfit for other in parts), default=np.inf)
         better = min((other.solution.misfit for other in parts), default=np.inf) - scored.solution.misfit
-        if len(scored.names) <= 1 or not np.isfinite(needed) or (
-                temper * better > gain and better > further * (before - scored.solution.misfit)):
+        if not parts or temper * better > gain and better > further * (before - scored.solution.misfit):
             kept.append(scored)
     return kept

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hyst_control.chain.stage import Array
-from hyst_control.diagnose.candidates import Candidate, catalogue
+from hyst_control.diagnose.candidates import catalogue
 from hyst_control.diagnose.checks import Finding, excess_noise, findings, lattice_of, lines
 from hyst_control.diagnose.coloured import Flicker, flicker
 from hyst_control.diagnose.decision import Decision, Thresholds, decide, thresholds
@@ -117,13 +117,10 @@ def problem_of(records: Sequence[Record], model: Model) -> tuple[Problem, list[s
 def _with_noise(problem: Problem, residuals: Array) -> Problem:
     """The same problem with the noise (A,) that the residuals' upper spectrum has."""
     measured = np.concatenate([piece.measurement for piece in problem.pieces])
-    edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in problem.pieces)])
     sigma = []
     for axis in range(residuals.shape[1]):
         lattice = lattice_of(measured[:, axis])
-        # At rest a lattice hides the noise: the rests do not count.
-        commands = None if lattice else [piece.counted(piece.command)[:, axis] for piece in problem.pieces]
-        noise = noise_of([residuals[a:b, axis] for a, b in zip(edges[:-1], edges[1:], strict=True)], commands)
+        noise = _white(problem, residuals, axis, rests=not lattice)  # at rest a lattice hides the noise
         sigma.append(max(noise, LEAST_NOISE * float(np.ptp(measured[:, axis])), lattice / np.sqrt(12.0), 1e-12))
     return replace(problem, sigma=np.array(sigma))
 
@@ -192,10 +189,11 @@ def _without_repeats(problem: Problem, found: Sequence[Finding]) -> Problem:
     return replace(problem, pieces=tuple(pieces))
 
 
-def _white(problem: Problem, residuals: Array, axis: int) -> float:
+def _white(problem: Problem, residuals: Array, axis: int, rests: bool = True) -> float:
+    """Rms of an axis' noise from the residuals (rows, A) of all pieces; rests: whether stretches at rest count."""
     edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in problem.pieces)])
     return noise_of([residuals[a:b, axis] for a, b in zip(edges[:-1], edges[1:], strict=True)],
-                    [piece.counted(piece.command)[:, axis] for piece in problem.pieces])
+                    [piece.counted(piece.command)[:, axis] for piece in problem.pieces] if rests else None)
 
 
 def _flicker(problem: Problem, found: Found, decision: Decision, threshold: float, floor: float) -> Flicker | None:
@@ -215,8 +213,3 @@ def _outweighs(noise: Flicker, found: Found, decision: Decision) -> bool:
     """Whether 1/f noise explains more than the chosen effect does."""
     best = found.temper * (found.none.solution.misfit - decision.chosen.solution.misfit)
     return decision.chosen.candidate is None or noise.gain > best
-
-
-def explanation(candidate: Candidate | None) -> str:
-    """An explanation in words."""
-    return "no effect" if candidate is None else " and ".join(candidate.names)

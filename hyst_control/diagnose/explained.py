@@ -9,9 +9,9 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.candidates import Member
-from hyst_control.diagnose.decision import PARAMETERS, key
+from hyst_control.diagnose.decision import key
 from hyst_control.diagnose.diagnosis import AxisDiagnosis, Diagnosis
-from hyst_control.diagnose.search import Scored
+from hyst_control.diagnose.search import INFLATION, Scored
 from hyst_control.diagnose.shrink import HeldOut, held_out, shares, shrink
 
 DRAWS = 400
@@ -50,7 +50,6 @@ def explain(diagnosis: Diagnosis) -> Explanation:
     """All that is concluded, put together over the axes."""
     parts = diagnosis.parts
     verdicts = [part.decision.verdict for part in parts]
-    looked = [finding for part in parts for finding in part.findings]
     named = _waveforms(diagnosis) + _without_waveform(diagnosis)
     if "unknown" in verdicts:
         verdict = "unknown"
@@ -62,8 +61,6 @@ def explain(diagnosis: Diagnosis) -> Explanation:
         verdict = "parameters"
     else:
         verdict = "no_gap"
-    if verdict == "unknown" and looked and not any(part.decision.remainder for part in parts):
-        verdict = "effect"
     return Explanation(verdict, tuple(sorted(named, key=lambda effect: (-round(effect.probability, 3), -effect.share))),
                        _candidates(diagnosis), _parameters(diagnosis), max(part.decision.remainder for part in parts))
 
@@ -197,11 +194,8 @@ def _parameters(diagnosis: Diagnosis) -> tuple[tuple[str, float], ...]:
     found = []
     for part in diagnosis.parts:
         chosen = part.decision.chosen
-        factor = 5.0 if chosen.inflated else 1.0
+        factor = INFLATION if chosen.inflated else 1.0
         scatter = part.linearised.scatter.coefficients
         axis = f" ({diagnosis.model.axes[part.axes[0]]})" if len(diagnosis.parts) > 1 else ""
         found += [(c.name + axis, float(z * factor)) for c, z in zip(scatter, chosen.solution.z, strict=True) if abs(z * factor) > 2.0]
     return tuple(sorted(found, key=lambda item: -abs(item[1])))
-
-
-__all__ = ["PARAMETERS", "Explanation", "Named", "explain"]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.diagnose.budget import Rows, budget
+from hyst_control.diagnose.budget import budget, stages
 from hyst_control.diagnose.diagnosis import Diagnosis
 from hyst_control.diagnose.explained import Explanation
 from hyst_control.diagnose.next_experiment import next_experiment
@@ -25,7 +25,7 @@ def gap_report(diagnosis: Diagnosis, explanation: Explanation, blocks: Sequence[
     return _finite({
         "schema": SCHEMA, "version": VERSION, "verdict": explanation.verdict,
         "gap": _gap(diagnosis),
-        "where": {"stage": _stages(diagnosis, explanation, blocks), **budget(diagnosis)},
+        "where": {"stage": stages(diagnosis, explanation, [block.name for block in blocks if not block.faithful]), **budget(diagnosis)},
         "effects": [_effect(effect) for effect in explanation.effects],
         "candidates": [{"name": name, "probability": _number(p)} for name, p in explanation.candidates],
         "parameters": [{"name": name, "z": _number(z)} for name, z in explanation.parameters],
@@ -57,41 +57,6 @@ def _gap(diagnosis: Diagnosis) -> dict[str, Any]:
         relative += list(100.0 * np.sqrt(np.mean(rows ** 2, axis=0)) / np.maximum(np.ptp(measured, axis=0), 1e-300))
     return {"rms": _number(np.sqrt(np.mean(energies))), "nrmse": _number(np.mean(relative)), "nrmse_unit": "% of range",
             "floor_rms": _number(np.sqrt(np.mean(floors))), "unit": diagnosis.model.units["measurement"]}
-
-
-def _stages(diagnosis: Diagnosis, explanation: Explanation, blocks: Sequence[Block]) -> Rows:
-    """Shares by place in the signal chain: software blocks, the plant's places, the model's own coefficients, noise, unexplained."""
-    before = after = noise = coefficients = 0.0
-    for part in diagnosis.parts:
-        lin, chosen = part.linearised, part.decision.chosen
-        weight = float(np.mean(np.asarray(part.problem.sigma) ** 2))
-        raw = float(np.mean((lin.measured - lin.simulate(np.zeros(lin.count))) ** 2)) * weight
-        left = float(np.mean(chosen.solution.residual ** 2)) * weight
-        unknowns = chosen.candidate.unknowns() if chosen.candidate else None
-        # What the effects leave with the coefficients as given is the coefficients' part.
-        only = float(np.mean((lin.measured - lin.simulate(np.zeros(lin.count), unknowns, chosen.solution.x)) ** 2)) * weight
-        before, after, noise = before + raw, after + min(left, raw), noise + min(weight, left, raw)
-        coefficients += float(np.clip(only - left, 0.0, max(raw - left, 0.0)))
-    effects = max(before - after - coefficients, 0.0)
-    shares: dict[str, float] = {}
-    for effect in explanation.effects:
-        if effect.shrink is not None:
-            place = EFFECTS[effect.name].place
-            shares[place] = shares.get(place, 0.0) + effects * effect.share
-    if effects and not shares:
-        coefficients += effects
-    shares["coefficients"] = coefficients
-    shares["noise"] = noise
-    shares["unexplained"] = max(after - noise, 0.0)
-    for block in blocks:
-        if not block.faithful:
-            shares.setdefault(block.name, 0.0)
-    total = sum(shares.values()) or 1.0
-    spread = {effect.name: effect.shrink_ci90 for effect in explanation.effects if effect.shrink_ci90}
-    width = max((high - low for low, high in spread.values()), default=0.05)
-    return [{"name": name, "share": value / total,
-             "ci90": [max(value / total * (1 - 0.5 * width), 0.0), min(value / total * (1 + 0.5 * width), 1.0)]}
-            for name, value in shares.items()]
 
 
 def _effect(effect: Any) -> dict[str, Any]:

@@ -11,6 +11,7 @@ along the record, so its samples do not count as independent.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,9 +68,7 @@ class Found:
 
 def inflated(linearised: Linearised, factor: float = INFLATION) -> Linearised:
     """The same columns with every tolerance multiplied."""
-    wide = object.__new__(Linearised)
-    wide.problem, wide.count = linearised.problem, linearised.count
-    wide.measured, wide.nominal = linearised.measured, linearised.nominal
+    wide = copy(linearised)
     wide.scatter = replace(linearised.scatter, coefficients=tuple(
         replace(c, tolerance=c.tolerance * factor) for c in linearised.scatter.coefficients))
     wide.columns, wide.gram = linearised.columns * factor, linearised.gram * factor ** 2
