@@ -5,7 +5,7 @@ The figures are of this machine at this moment; the table names the machine.
 
 examples:
   hyst bench --only loops --json bench.json
-  hyst bench --soak 10                      long runs, to see that memory stays flat
+  hyst bench --soak 60                      long runs, to see that memory stays flat
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ HELP = "measure the speed of kernels, bags and the running loop on this machine"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--only", choices=("kernels", "bags", "loops"), help="one group of measurements")
     parser.add_argument("--seconds", type=float, default=6.0, help="length of every run of the loop (default 6)")
-    parser.add_argument("--soak", type=float, metavar="MINUTES", help="run the loop that long instead, half in lockstep, half on the "
-                        "wall clock, and look at its memory")
+    parser.add_argument("--soak", type=float, metavar="MINUTES", help="run the loop that long in lockstep instead, then a sixth of "
+                        "it on the wall clock, and look at its memory")
     parser.add_argument("--json", metavar="OUT", help="result table to write")
 
 

@@ -83,11 +83,11 @@ def _add_timing(table: Table, case: str, subject: str, measured: Run) -> None:
 
 
 def soak(table: Table, minutes: float) -> None:
-    """Half the time in lockstep, half on the wall clock, composed and recorded: rate and resident memory from begin to end."""
-    for schedule, name in (("lockstep", "soak, lockstep"), ("timer", "soak, wall clock 1 kHz")):
+    """That long in lockstep, then a sixth of it on the wall clock, composed and recorded: rate, loss, memory from begin to end."""
+    for schedule, name, length in (("lockstep", "soak, lockstep", minutes), ("timer", "soak, wall clock 1 kHz", minutes / 6.0)):
         with tempfile.TemporaryDirectory() as folder:
-            measured = measure("composed", "hyst", schedule, 30.0 * minutes, Path(folder) / "bag")
-            case = f"{minutes / 2:g} min, composed, recorded"
+            measured = measure("composed", "hyst", schedule, 60.0 * length, Path(folder) / "bag")
+            case = f"{length:g} min, composed, recorded"
             quarter = max(len(measured.memory) // 4, 1)
             begin, end = np.mean(measured.memory[:quarter]), np.mean(measured.memory[-quarter:])
             table.add(name, case, "hyst", "rounds_rate", "rounds/s", measured.rate)
