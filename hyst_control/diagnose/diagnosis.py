@@ -57,14 +57,14 @@ class Diagnosis:
 
 
 def diagnose(records: Sequence[Record], model: Model, seed: int = 0, without: Sequence[str] = (), cache: bool = True,
-             limits: Thresholds | None = None, progress: Callable[[str], None] = lambda _: None) -> Diagnosis:
+             limits: Thresholds | None = None, progress: Callable[[str], None] = lambda _: None, warm_up: float = 0.0) -> Diagnosis:
     """Diagnose records against a model.
 
-    without: effects left out of the catalogue; cache: keep the null's threshold between runs. Raises `InputError` when the
-    records cannot be used.
+    without: effects left out of the catalogue; cache: keep the null's threshold between runs; warm_up: as in `problem_of`.
+    Raises `InputError` when the records cannot be used.
     """
     limits = limits or thresholds()
-    problem, notes = problem_of(records, model)
+    problem, notes = problem_of(records, model, warm_up)
     parts = []
     axis = 0
     for part in split(problem):
@@ -74,8 +74,14 @@ def diagnose(records: Sequence[Record], model: Model, seed: int = 0, without: Se
     return Diagnosis(model, problem, tuple(parts), tuple(notes), seed)
 
 
-def problem_of(records: Sequence[Record], model: Model) -> tuple[Problem, list[str]]:
-    """The records as pieces of one problem, and sentences on what was met in them."""
+def problem_of(records: Sequence[Record], model: Model, warm_up: float = 0.0) -> tuple[Problem, list[str]]:
+    """The records as pieces of one problem, and sentences on what was met in them.
+
+    warm_up: s at the beginning of each record that bring the simulation into the plant's state and do not count, for records
+    that do not begin at rest.
+    """
+    if not 0.0 <= warm_up < np.inf:
+        raise InputError(f"warm-up: {warm_up!r} s, 0 or more is due")
     pieces, notes, sample_times, holds = [], [], set(), set()
     for record in records:
         check_units(model, record.signal("measurement").unit, record.source)
@@ -96,6 +102,11 @@ def problem_of(records: Sequence[Record], model: Model) -> tuple[Problem, list[s
             keep = None
             if i or stretch is not stretches[0]:
                 keep = np.arange(len(command)) >= len(command) // 3  # the memory of the hysteresis has to fill first
+            elif warm_up:
+                keep = np.arange(len(command)) >= round(warm_up / stretch.sample_time)
+                if np.count_nonzero(keep) < LEAST_ROWS:
+                    raise InputError(f"{record.source}: {warm_up:g} s of warm-up leave {np.count_nonzero(keep)} samples, {LEAST_ROWS} "
+                                     "are due: shorten the warm-up or record longer")
             pieces.append(Piece(command, measurement, keep))
             sample_times.add(stretch.sample_time)
         holds.add(model.hold if record.hold == "zoh" and model.hold == "foh" else record.hold)

@@ -22,7 +22,7 @@ from hyst_control.record import Record
 
 def diagnose_bags(bags: Sequence[str | Path], model: str | Path, json: str | None = None, report: str | None = None,
                   augmented: str | None = None, without: Sequence[str] = (), seed: int = 0, cache: bool = True,
-                  namespace: str | None = None, unit: str = "unknown", progress: bool = False) -> str:
+                  namespace: str | None = None, unit: str = "unknown", progress: bool = False, warm_up: float = 0.0) -> str:
     """Diagnose bags, write what is asked for, and return the report in words. Raises `InputError`."""
     for name in without:
         if name not in EFFECTS:
@@ -32,7 +32,7 @@ def diagnose_bags(bags: Sequence[str | Path], model: str | Path, json: str | Non
             raise InputError(f"{path}: {Path(path).resolve().parent} is no folder: choose one that exists")
     nominal = load_model(model)
     records = [read_bag(bag, namespace, unit) for bag in bags]
-    document, diagnosis, better = diagnosed(records, nominal, seed, without, cache, augmented, progress)
+    document, diagnosis, better = diagnosed(records, nominal, seed, without, cache, augmented, progress, warm_up)
     if report is not None:
         from hyst_control.diagnose.page import write_page
 
@@ -45,14 +45,14 @@ def diagnose_bags(bags: Sequence[str | Path], model: str | Path, json: str | Non
 
 
 def diagnosed(records: Sequence[Record], model: Model, seed: int = 0, without: Sequence[str] = (), cache: bool = True,
-              augmented: str | None = None, progress: bool = False) -> tuple[dict[str, Any], Diagnosis, Model | None]:
+              augmented: str | None = None, progress: bool = False, warm_up: float = 0.0) -> tuple[dict[str, Any], Diagnosis, Model | None]:
     """The report document, the diagnosis behind it, and the augmented model (None where there is nothing to add).
 
     augmented: the path that the report names for it.
     """
     meter = _Progress(progress and sys.stderr.isatty())
     try:
-        diagnosis = diagnose(records, model, seed, without, cache, progress=meter)
+        diagnosis = diagnose(records, model, seed, without, cache, progress=meter, warm_up=warm_up)
         meter("shrink on held-out blocks")
         explanation = explain(diagnosis)
         better = augmented_model(diagnosis) if explanation.effects else None

@@ -24,7 +24,7 @@ FOLLOWERS = {
     "hysteresis": ("hysteresis_width", "hysteresis_shape", "hysteresis_rate"),
     "piezo": ("creep",),
     "mechanics": ("added_mass", "resonance"),
-    "motion": ("backlash", "vibration"),
+    "motion": ("backlash", "softening_modes", "vibration"),
     "adc": ("sensor_noise", "flicker_noise", "quantization"),
     "transport": ("held_samples",),
 }

@@ -36,11 +36,12 @@ TABLE = {
     "dac_hold": {"samples", "step"}, "resonance": {"frequency", "damping", "gain"}, "added_mass": {"mass_ratio"},
     "backlash": {"half_width"}, "cross_coupling": {"coupling", "corner"}, "sensor_nonlinearity": {"second", "third"},
     "sensor_noise": {"rms"}, "flicker_noise": {"rms"}, "mains_hum": {"amplitude", "frequency"},
-    "vibration": {"amplitude", "frequency"}, "quantization": {"step"}, "held_samples": {"fraction"},
+    "vibration": {"amplitude", "frequency"}, "softening_modes": {"softening", "damping"},
+    "quantization": {"step"}, "held_samples": {"fraction"},
 }  # fmt: skip
 """Names and parameters of the gap report. An `order` is chosen, not fitted."""
 
-MODIFIERS = ("hysteresis_width", "hysteresis_shape", "hysteresis_rate", "added_mass")
+MODIFIERS = ("hysteresis_width", "hysteresis_shape", "hysteresis_rate", "added_mass", "softening_modes")
 
 
 @cache

@@ -1,0 +1,175 @@
+"""Modes that soften with amplitude."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
+
+import numpy as np
+from numba import njit
+from scipy.linalg import block_diag
+
+from hyst_control.chain.chain import Parallel
+from hyst_control.chain.linear import LinearStage, LinearSystem, stacked
+from hyst_control.chain.stage import (
+    Array,
+    Filter,
+    Modifier,
+    Sampling,
+    Stage,
+    per_axis_scalar,
+    register,
+    require_finite,
+    require_positive,
+)
+from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.effects.places import mechanics_index
+from hyst_control.errors import InputError
+
+MEMORY = 0.1  # s, over which the amplitude is averaged
+DEFECTIVE = 1e9
+"""Condition of the eigenvectors beyond which a system has no modes of its own: its poles coincide."""
+
+
+@register
+@dataclass(frozen=True)
+class SofteningModes(Modifier):
+    """Lets the modes of the mechanics G before it move with the slow amplitude a of the motion; G is theirs at rest.
+
+    a (measurement unit) is the root of the mean square about the slow mean of the static deflection G(0) u, averaged over
+    0.1 s; where the mechanics couple the axes, over these too. With r = sqrt(a / amplitude) every pole λ of G becomes
+
+        λ(a) = Re λ (1 + damping r) + j Im λ (1 - softening r),    static deflection of each mode kept.
+
+    The square root is the law of a restoring force q |q|^0.5 that loses stiffness (measured on a mirror, see
+    `chain.softening_modal`). `softening` and `damping` are shares at the amplitude `amplitude`.
+    """
+
+    name: ClassVar[str] = "softening_modes"
+    softening: Any
+    damping: Any
+    amplitude: Any
+
+    def check(self) -> None:
+        for field in ("softening", "damping"):
+            require_finite(getattr(self, field), field)
+        require_positive(self.amplitude, "amplitude", "(measurement unit)")
+
+    def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
+        index = mechanics_index(before)
+        if index is None:
+            raise InputError(f"{self.name}: no mechanics before it (transfer function or continuous state space): put it behind them")
+        softening, damping, amplitude = (per_axis_scalar(getattr(self, field.name), axes, field.name) for field in fields(self))
+        if not softening.any() and not damping.any():
+            return before
+        moved = ModesMoved(before[index], tuple(softening), tuple(damping), tuple(amplitude))
+        # Beside all that leads to the mechanics, not beside them alone: a chain merges them with what stands before.
+        return (Parallel((before[: index + 1], (*before[:index], moved))), *before[index + 1 :])
+
+
+@dataclass(frozen=True)
+class ModesMoved(Stage):
+    """What moving modes add to the response of a linear stage; values per axis. Part of a started chain only."""
+
+    base: Any
+    softening: tuple[float, ...]
+    damping: tuple[float, ...]
+    amplitude: tuple[float, ...]
+
+    def filter(self, sampling: Sampling) -> Filter:
+        stage: LinearStage = self.base
+        systems = stage.systems(sampling.axes)
+        if len(systems) == 1 and sampling.axes > 1 and len(set(zip(self.softening, self.damping, self.amplitude))) > 1:
+            raise InputError("softening_modes: a list with one value per axis, but coupled axes share their modes: give one number")
+        return ModesMovedFilter(systems, self, sampling)
+
+
+class ModesMovedFilter(Filter):
+    """Streaming `ModesMoved`: every mode run twice, moved and as it is, and subtracted."""
+
+    hold = "foh"
+
+    def __init__(self, systems: list[LinearSystem], stage: ModesMoved, sampling: Sampling) -> None:
+        values = zip(stage.softening, stage.damping, strict=True) if len(systems) > 1 else [(stage.softening[0], stage.damping[0])]
+        poles, shares = [], []
+        for system, moved in zip(systems, values, strict=True):
+            own, vectors = np.linalg.eig(system.A)
+            if len(own) and not np.linalg.cond(vectors) < DEFECTIVE:
+                raise InputError("softening_modes: the mechanics' poles coincide, they have no modes of their own: separate them a little")
+            poles.append((own, np.broadcast_to(np.array(moved), (len(own), 2)), vectors))
+            shares.append((np.linalg.solve(vectors, system.B.astype(complex)) if len(own) else system.B, system.C @ vectors))
+        whole = stacked(systems)
+        self.poles = np.concatenate([own for own, _, _ in poles]).astype(complex)
+        self.change = np.ascontiguousarray(np.concatenate([moved for _, moved, _ in poles]))
+        self.inputs, self.outputs = block_diag(*(b for b, _ in shares)), block_diag(*(c for _, c in shares))
+        self.static = np.ascontiguousarray(whole.static_gain() / np.array(stage.amplitude)[:, None])
+        self.step, self.smooth = sampling.sample_time, 1.0 - np.exp(-sampling.sample_time / MEMORY)
+        self.held = sampling.hold == "zoh"
+        self.state = np.zeros((2, len(self.poles)), dtype=complex)
+        self.mean, self.square, self.last = np.zeros(sampling.axes), np.zeros(len(systems)), np.full(sampling.axes, np.nan)
+        self.whose = np.repeat(np.arange(len(systems)), [len(own) for own, _, _ in poles])
+
+    def settle(self, value: Array) -> Array:
+        value = np.asarray(value, dtype=float)
+        self.mean[:], self.square[:] = self.static @ value, 0.0
+        self.state[:] = -(self.inputs @ value) / self.poles
+        self.last[:] = np.nan if self.held else value
+        return np.zeros(len(value))
+
+    def process(self, block: Array) -> Array:
+        output = np.empty_like(block)
+        advance_modes_moved(block, self.step, self.smooth, self.poles, self.change, self.inputs, self.outputs, self.static, self.last,
+                            self.mean, self.square, self.whose, self.state, output)
+        return output
+
+
+@njit(cache=True)
+def advance_modes_moved(block, step, smooth, poles, change, inputs, outputs, static, last, mean, square, whose, state, output):
+    """The equations of `SofteningModes` over a block (N, A), mean (A,) and square in units of the amplitude.
+
+    square (A,), or (1,) where the axes are coupled; whose (M,): which of them a mode goes by;
+    last (A,): the input before, with which it is averaged (`last[0]` NaN: a held input); state (2, M) complex: the modes as
+    they are, and moved. last, mean, square and state are updated.
+    """
+    modes, axes, shared = len(poles), block.shape[1], block.shape[1] // len(square)
+    held = np.isnan(last[0])
+    drive = np.empty(axes)
+    as_it_is = np.exp(poles * step)
+    for row in range(block.shape[0]):
+        for j in range(axes):
+            drive[j] = block[row, j] if held else 0.5 * (block[row, j] + last[j])
+            if not held:
+                last[j] = block[row, j]
+        for s in range(len(square)):
+            power = 0.0
+            for o in range(s * shared, (s + 1) * shared):
+                deflection = 0.0
+                for j in range(axes):
+                    deflection += static[o, j] * drive[j]
+                power += (deflection - mean[o]) ** 2
+                mean[o] += smooth * (deflection - mean[o])
+            square[s] += smooth * (power / shared - square[s])
+        for o in range(axes):
+            output[row, o] = 0.0
+        for i in range(modes):
+            entering = 0j
+            for j in range(axes):
+                entering += inputs[i, j] * drive[j]
+            rest, root = -entering / poles[i], square[whose[i]] ** 0.25
+            pole = complex(poles[i].real * max(1.0 + change[i, 1] * root, 0.0), poles[i].imag * (1.0 - change[i, 0] * root))
+            state[0, i] = rest + as_it_is[i] * (state[0, i] - rest)
+            state[1, i] = rest + np.exp(pole * step) * (state[1, i] - rest)
+            for o in range(axes):
+                output[row, o] += (outputs[o, i] * (state[1, i] - state[0, i])).real
+
+
+EFFECT = Effect(
+    "softening_modes",
+    "motion",
+    "The modes soften with amplitude: their frequencies fall and their damping grows with the root of it.",
+    lambda around: (
+        Parameter("softening", "", 0.0, (0.002,), -0.2, 0.2, 0.02),
+        Parameter("damping", "", 0.0, (0.0,), -0.9, 5.0, 0.5),
+    ),
+    lambda values, around: SofteningModes(values["softening"], values["damping"], max(0.25 * around.stroke, 1e-300)),
+)
