@@ -6,6 +6,8 @@ VENV := .venv
 KEY := $(shell $(PYTHON) -c 'import hashlib, os, sys; \
 	print(hashlib.sha256((sys.version + os.getcwd() + open("requirements.txt").read()).encode()).hexdigest()[:16])')
 READY := $(VENV)/.ready-$(KEY)
+CHECKS_READY := $(VENV)/.checks-$(KEY)-$(shell $(PYTHON) -c 'import hashlib; \
+	print(hashlib.sha256(open("requirements-checks.txt", "rb").read()).hexdigest()[:16])')
 INSTALLED := $(VENV)/.installed
 
 # Traffic stays on this machine unless the user says otherwise.
@@ -15,7 +17,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONPATH
 
-.PHONY: demo test fuzz lint bench env clean
+.PHONY: demo test fuzz lint docs check-wheel check-colcon check-readme bench env clean
 demo: env
 	$(VENV)/bin/hyst demo $(ARGS)
 
@@ -25,7 +27,16 @@ test: env
 fuzz: env
 	PYTHONPATH=. $(VENV)/bin/python test/fuzz $(ARGS)
 
-lint: env
+check-wheel: $(CHECKS_READY)
+	$(VENV)/bin/python .ci/wheel.py
+
+check-colcon: $(CHECKS_READY) env
+	.ci/colcon.sh
+
+check-readme: env
+	$(VENV)/bin/python .ci/readme.py
+
+lint: $(CHECKS_READY)
 	$(VENV)/bin/python -m ruff check .
 
 bench: env
@@ -40,6 +51,10 @@ $(READY): requirements.txt
 	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -r requirements.txt
 	touch $(VENV)/COLCON_IGNORE $@
+
+$(CHECKS_READY): $(READY) requirements-checks.txt
+	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements-checks.txt
+	touch $@
 
 $(INSTALLED): $(READY) setup.py setup.cfg
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .

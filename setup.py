@@ -19,6 +19,8 @@ NODES = {
 
 root = Path(__file__).parent
 folders = [Path("config"), *(path.relative_to(root) for path in sorted((root / "config").rglob("*")) if path.is_dir())]
+# Without versions: a ROS 2 machine has its distribution's. What `make` and the checks install is pinned in requirements.txt.
+REQUIRED = ["numpy", "scipy", "numba", "PyYAML", "matplotlib", "plotly", "tqdm", "rosbags", "mcap", "argcomplete"]
 present = {name: module for name, module in NODES.items() if (root / (module.replace(".", "/") + ".py")).exists()}
 
 setup(
@@ -27,6 +29,7 @@ setup(
     description="Identification, feedforward control and gap diagnosis of piezoelectric actuators with hysteresis",
     license="Apache-2.0",
     python_requires=">=3.10",
+    install_requires=REQUIRED,
     packages=find_packages(include=["hyst_control*", "hyst_plant_sim*"]),
     package_data={"hyst_control": ["experiments/*.c", "diagnose/*.yaml", "py.typed"], "hyst_plant_sim": ["py.typed"]},
     data_files=[

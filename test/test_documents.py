@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from pathlib import Path
 
 import pytest
@@ -37,3 +38,22 @@ def test_the_readme_shows_every_subcommand():
     commands = next(action for action in parser()._actions if hasattr(action, "choices") and action.choices).choices
     missing = [name for name in commands if f"hyst {name}" not in text]
     assert not missing
+
+
+def shown_commands() -> list[str]:
+    """Every line of a code block of the README that calls `hyst`, with a prompt or without, and without its comment."""
+    blocks = re.findall(r"^```\w*\n(.*?)^```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    lines = [line.removeprefix("$ ") for block in blocks for line in block.splitlines()]
+    return [line.partition(" #")[0].strip() for line in lines if line.startswith("hyst ")]
+
+
+def test_the_readme_shows_commands():
+    assert len(shown_commands()) > 10
+
+
+@pytest.mark.parametrize("line", shown_commands())
+def test_a_command_of_the_readme_parses(line, capsys):
+    try:
+        parser().parse_args(shlex.split(line)[1:])
+    except SystemExit as ended:
+        assert ended.code == 0, capsys.readouterr().err

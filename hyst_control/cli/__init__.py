@@ -14,6 +14,9 @@ from pkgutil import iter_modules
 
 from hyst_control.errors import InputError
 
+ROS = ("rclpy", "std_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces")
+"""Packages that nodes need and pip does not bring."""
+
 
 def parser() -> argparse.ArgumentParser:
     """The parser of all subcommands."""
@@ -36,6 +39,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return arguments.run(arguments) or 0
     except InputError as error:
         print(f"hyst {arguments.command}: {error}", file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as error:
+        if error.name not in ROS:
+            raise
+        print(f"hyst {arguments.command}: {error.name} is not installed: source a ROS 2 Jazzy installation, or use make's "
+              "environment (make env, then .venv/bin/hyst)", file=sys.stderr)
         return 2
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
