@@ -67,6 +67,9 @@ class Structure:
             options.append(replace(self, zeros=self.zeros + 1))
         if not self.slow_pair and self.modes:
             options.append(replace(self, slow_pair=True))
+        if self.lags == 0 and self.zeros + 2 <= 2 * self.modes:
+            # A lag lets a part of the motion arrive late only together with zeros: alone it delays all of it.
+            options.append(replace(self, lags=1, zeros=self.zeros + 2))
         if self.modes == 1:
             options.append(replace(self, modes=2))
         return options

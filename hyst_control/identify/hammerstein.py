@@ -17,10 +17,10 @@ from hyst_control.identify.dynamics import Structure
 from hyst_control.identify.gram import Operators, Window
 from hyst_control.identify.prandtl_model import AxisFit, assemble
 from hyst_control.identify.varpro import Problem, Solution, solve
-from hyst_control.identify.windows import stretches, whole_records
+from hyst_control.identify.windows import largest_drift, stretches, whole_records
 
 FAMILIES = ("pi", "hapi", "rdpi", "hampi")
-SELECTION_ROWS = 100_000
+SELECTION_ROWS = 60_000
 WORTHWHILE = 0.03
 """A factor of G is kept when it lowers the held-out mean square error by more than this share."""
 
@@ -76,15 +76,18 @@ def fit_axis(datasets: Sequence[Dataset], axis: int, family: str, options: Optio
     operators = default_operators(windows, family, options)
     travel = max(np.ptp(window.measurement) for window in windows)
     drive = max(np.ptp(window.command) for window in windows)
-    problem = Problem(windows, operators, options.nuisance, len(datasets), travel / drive)
+    problem = Problem(windows, operators, options.nuisance, len(datasets), travel / drive,
+                      [largest_drift(data, axis) for data in datasets])
     if family == "rdpi":
         return AxisFit(*rate_dependent(problem))
     if family == "pi":
         structure = Structure()
         chosen = solve(problem, structure, structure.start(1.0))
         return AxisFit(solve(problem, structure, structure.start(1.0), everything=True), operators, chosen.held_out)
-    chosen = choose_structure(replace(problem, windows=stretches(windows, SELECTION_ROWS)), options.structure)
-    final = solve(problem, chosen.structure, chosen.parameters, chosen.theta, passes=4, everything=True)
+    selection = replace(problem, windows=stretches(windows, SELECTION_ROWS))
+    chosen = choose_structure(selection, options.structure)
+    chosen = solve(selection, chosen.structure, chosen.parameters, chosen.theta, passes=20)
+    final = solve(problem, chosen.structure, chosen.parameters, chosen.theta, passes=3, everything=True)
     return AxisFit(final, operators, chosen.held_out)
 
 

@@ -61,6 +61,13 @@ def _runs(moving: Array, rest: int) -> list[tuple[int, int]]:
     return list(zip(begins.tolist(), ends.tolist(), strict=True))
 
 
+def still(command: Array, least: int) -> list[tuple[int, int]]:
+    """Begins and ends of the stretches over which a command (N,) holds still for at least so many samples."""
+    moving = np.flatnonzero(np.abs(np.diff(command)) > 1e-6 * np.ptp(command))
+    edges = np.concatenate([[-1], moving, [len(command) - 1]])
+    return [(int(begin) + 1, int(end) + 1) for begin, end in zip(edges, edges[1:], strict=False) if end - begin >= least]
+
+
 def _motions(command: Array, sample_time: float) -> list[tuple[int, int, float, float]]:
     """Cut a motion into runs of equal period and peak-to-peak amplitude, from its turning points."""
     turns = np.append(turning_points(command), len(command) - 1)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyst_control.chain.stage import Array
 from hyst_control.identify.dynamics import Structure
@@ -31,6 +32,8 @@ class Problem:
     nuisance: str
     groups: int
     mean_slope: float
+    drift: Sequence[float] = ()
+    """Largest drift of each record (measurement unit), where the nuisance is linear; no bound where there is none."""
 
     @property
     def to_weights(self) -> Array:
@@ -41,10 +44,13 @@ class Problem:
         return matrix
 
     def bounds(self, free: int) -> tuple[Array, Array]:
-        """Bounds of the bounded coordinates followed by `free` unbounded ones."""
+        """Bounds of the bounded coordinates followed by the `free` nuisances, of which only drifts are bounded."""
         n, dynamic = len(self.operators.thresholds), self.operators.dynamic
         lower = np.concatenate([np.full(n, LEAST_SLOPE * self.mean_slope), [0.0, 0.0, -np.inf] * dynamic, np.full(free, -np.inf)])
-        return lower, np.full(len(lower), np.inf)
+        upper = np.full(len(lower), np.inf)
+        if self.nuisance == "linear" and len(self.drift) and free:
+            lower[self.operators.columns + 1::2], upper[self.operators.columns + 1::2] = np.negative(self.drift), self.drift
+        return lower, upper
 
 
 @dataclass(frozen=True)
@@ -81,60 +87,77 @@ def linear_solution(problem: Problem, gram: Array, size: int) -> tuple[Array, Ar
 
 def solve(problem: Problem, structure: Structure, start: Array, theta: Array | None = None, passes: int = 15,
           tolerance: float = 1e-4, everything: bool = False) -> Solution:
-    """Fit G's parameters from `start`. With `everything` the held-out rows are fitted too, for the final model.
+    """Fit G's parameters from `start` by Levenberg-Marquardt steps, at most `passes` passes over the records.
 
-    Each pass over the records gives the cost at the present parameters and the Gauss-Newton step from them; a step that did
-    not lower the cost is shortened.
+    With `everything` the held-out rows are fitted too, for the final model. The derivatives by G's parameters are taken at the
+    linear parameters of the pass before; without any (`theta` None) the first pass only finds them.
     """
-    columns, size = problem.operators.columns, structure.size
     sample_time = min(window.sample_time for window in problem.windows)
-    present = structure.limit(start, sample_time)
-    theta = np.zeros(columns) if theta is None else theta
-    best: Solution | None = None
-    damping, passed = 1e-3, 0
-    while passed < passes:
-        grams = gram_matrices(problem.windows, problem.operators, structure, present, theta, problem.nuisance, problem.groups)
+    passed = 0
+
+    def visit(parameters: Array, theta: Array) -> Solution:
+        nonlocal passed
         passed += 1
+        grams = gram_matrices(problem.windows, problem.operators, structure, parameters, theta, problem.nuisance, problem.groups)
         gram = grams.fitted + grams.held_out if everything else grams.fitted
-        found, nuisances = linear_solution(problem, gram, size)
+        found, nuisances = linear_solution(problem, gram, structure.size)
+        vector = np.concatenate([found, np.zeros(structure.size), nuisances])
         rows = sum(grams.rows) if everything else grams.rows[0]
-        vector = np.concatenate([found, np.zeros(size), nuisances])
-        fitted = cost(gram, vector) / max(rows, 1)
-        if not np.any(theta) and size:
-            theta = found  # the derivatives by G's parameters need a first θ: pass once more at the same parameters
-            continue
-        if best is not None and not fitted < best.fitted:
-            if np.max(np.abs(present - best.parameters)) < 1e-6 or passed == passes:
+        return Solution(structure, parameters, found, nuisances, cost(gram, vector) / max(rows, 1),
+                        cost(grams.held_out, vector) / max(grams.rows[1], 1), grams, passed)
+
+    present = structure.limit(start, sample_time)
+    best = visit(present, np.zeros(problem.operators.columns) if theta is None else theta)
+    if structure.size and theta is None:
+        best = visit(present, best.theta)
+    damping = 1e-3
+    while structure.size and passed < passes:
+        wanted = best.parameters + _limited_step(problem, best, everything, damping, sample_time)
+        trial = visit(structure.limit(wanted, sample_time), best.theta)
+        if trial.fitted < best.fitted:
+            improvement, best, damping = 1.0 - trial.fitted / best.fitted, trial, max(0.2 * damping, 1e-9)
+            if improvement < tolerance:
                 break
-            present = best.parameters + 0.3 * (present - best.parameters)
-            damping = min(damping * 10, 1e6)
-            theta = best.theta
-            continue
-        improvement = np.inf if best is None else 1.0 - fitted / best.fitted
-        held_out = cost(grams.held_out, vector) / max(grams.rows[1], 1)
-        best = Solution(structure, present, found, nuisances, fitted, held_out, grams, passed)
-        theta = found
-        if not size or (improvement < tolerance and passed > 2):
+        elif np.max(np.abs(trial.parameters - best.parameters)) < 1e-6:
             break
-        step = _newton_step(problem, gram, vector, size, damping)
-        present = structure.limit(present + np.clip(step, -0.7, 0.7), sample_time)
-        damping = max(damping * 0.2, 1e-9)
-    assert best is not None
-    return best
+        else:
+            damping *= 10.0
+    return replace(best, passes=passed)
 
 
-def _newton_step(problem: Problem, gram: Array, vector: Array, size: int, damping: float) -> Array:
-    columns = problem.operators.columns
-    total = len(gram) - 1
-    dynamic = np.arange(columns, columns + size)
-    others = np.r_[0:columns, columns + size:total]
-    # Project the linear parameters out of the dynamics columns, then take a damped step.
-    cross = gram[np.ix_(others, dynamic)]
-    inner = gram[np.ix_(others, others)]
+def _limited_step(problem: Problem, at: Solution, everything: bool, damping: float, sample_time: float) -> Array:
+    """The damped Gauss-Newton step; parameters that it would push out of bounds at which they stand are held there."""
+    gram = at.grams.fitted + at.grams.held_out if everything else at.grams.fitted
+    free = np.ones(at.structure.size, dtype=bool)
+    while True:
+        step = np.zeros(len(free))
+        step[free] = np.clip(_newton_step(problem, gram, at, np.flatnonzero(free), damping), -0.7, 0.7)
+        moved = at.structure.limit(at.parameters + step, sample_time) - at.parameters
+        stuck = free & (np.abs(step) > 1e-9) & (np.abs(moved) < 1e-12)
+        if not stuck.any() or stuck.sum() == free.sum():
+            return step
+        free &= ~stuck
+
+
+def _newton_step(problem: Problem, gram: Array, at: Solution, free: NDArray[np.intp], damping: float) -> Array:
+    """Step of G's parameters `free`; linear parameters follow it, except those held at a bound, which stay there."""
+    columns, size, extra = len(at.theta), at.structure.size, len(at.nuisances)
+    residual = gram[:-1, -1] - gram[:-1, :-1] @ np.concatenate([at.theta, np.zeros(size), at.nuisances])
+    # The linear parameters that can move, as directions in the coordinates of the Gram matrix.
+    bounded = np.concatenate([np.linalg.solve(problem.to_weights, at.theta), at.nuisances])
+    lower, upper = problem.bounds(extra)
+    near = 1e-9 * np.max(np.abs(bounded))
+    moving = (bounded > lower + near) & (bounded < upper - near)
+    followers = np.zeros((len(residual), columns + extra))
+    followers[:columns, :columns] = problem.to_weights
+    followers[columns + size:, columns:] = np.eye(extra)
+    followers = followers[:, moving]
+    dynamic = columns + free
+    cross = followers.T @ gram[:-1, dynamic]
+    inner = followers.T @ gram[:-1, :-1] @ followers
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     projected = np.linalg.lstsq(inner / scale[:, None] / scale, cross / scale[:, None], rcond=1e-11)[0] / scale[:, None]
     normal = gram[np.ix_(dynamic, dynamic)] - cross.T @ projected
-    residual = gram[:, total] - gram[:, :total] @ vector
-    gradient = residual[dynamic] - projected.T @ residual[others]
+    gradient = residual[dynamic] - projected.T @ (followers.T @ residual)
     diagonal = np.maximum(np.diag(normal), 1e-12 * np.max(np.diag(normal)) + 1e-300)
     return np.linalg.solve(normal + damping * np.diag(diagonal), gradient)

@@ -9,7 +9,7 @@ import numpy as np
 from hyst_control.chain.stage import Array
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.gram import Window
-from hyst_control.identify.roles import stretches_between_rests
+from hyst_control.identify.roles import REST_TIME, still, stretches_between_rests
 from hyst_control.identify.turning import turning_points
 
 SETTLE_TIME = 0.25
@@ -88,3 +88,23 @@ def memory_filled(command: Array) -> int:
     span = np.ptp(command)
     high, low = np.flatnonzero(command >= command.max() - 0.01 * span), np.flatnonzero(command <= command.min() + 0.01 * span)
     return int(max(high[0], low[0]))
+
+
+def largest_drift(data: Dataset, axis: int) -> float:
+    """The drift over the whole record (measurement unit) that its rests at one command leave room for; infinite without such rests.
+
+    A drift shows at rest as in motion. What changes with the motions alone, as the mean of a loop does with its frequency, must
+    not be taken for one: records whose frequency rises with time would else teach the model the wrong mean.
+    """
+    command, measurement = data.command[:, axis], data.measurement[:, axis]
+    rests = [(begin, end) for begin, end in still(command, int(max(REST_TIME / data.sample_time, 2)))
+             if begin >= memory_filled(command)]
+    span, largest = float(np.ptp(command)), np.inf
+    for level in {round(float(command[end - 1]) / span, 4) for _, end in rests} if span else ():
+        equal = [(begin, end) for begin, end in rests if abs(command[end - 1] / span - level) < 2e-4]
+        # The later half of a rest: what the motion before it left behind has gone by then.
+        values = [float(np.mean(measurement[(begin + end) // 2:end])) for begin, end in equal]
+        apart = 0.75 * (equal[-1][1] - equal[0][1]) + 0.25 * (equal[-1][0] - equal[0][0])
+        if apart > 0.5 * len(command):
+            largest = min(largest, float(np.ptp(values)) * len(command) / apart)
+    return largest
