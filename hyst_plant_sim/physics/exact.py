@@ -29,6 +29,15 @@ def ramp_step(a: Array, b: Array, step: float) -> tuple[Array, Array, Array]:
     return phi, gamma - ramp, ramp
 
 
+def mean_of_step(a: Array, b: Array, step: float) -> tuple[Array, Array]:
+    """(M, m): the state's mean over a step of `step` s whose input u is held is M x + m u, x being the state at its beginning."""
+    n = len(a)
+    block = np.zeros((2 * n + 1, 2 * n + 1))
+    block[:n, :n], block[:n, n], block[n + 1:, :n] = a, b, np.eye(n) / step  # the last rows integrate
+    result = expm(block * step)[n + 1:]
+    return result[:, :n], result[:, n]
+
+
 def rest(a: Array, b: Array, value: float) -> Array:
     """The state at rest for a constant input."""
     return -np.linalg.solve(a, b) * value

@@ -1,6 +1,6 @@
 """The truth FSM: a fast steering mirror of two axes, each tilted by a push-pull pair of stacks (MHL paper §4).
 
-The path of each axis, stepped at 200 kHz or finer:
+The path of each axis, stepped at 500 kHz or finer:
 
 1. drive: an input delay; the driver's rating clips the voltage.
 2. amplifier: a notch against the mechanical mode and the poles that go with it, then a first-order low-pass.
@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from hyst_plant_sim.physics import exact
 from hyst_plant_sim.physics.checks import check_positive
 from hyst_plant_sim.physics.line import Frame, Part
 from hyst_plant_sim.physics.mechanics import mechanics, oscillator
-from hyst_plant_sim.physics.parts import Chain, Clip, Delay, Linear, Mixing, System
+from hyst_plant_sim.physics.parts import Chain, Clip, Delay, Held, Mixing, Straight, System
 from hyst_plant_sim.physics.slip import PushPull, Slip
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ class FsmParameters:
 
     axes: ClassVar[tuple[str, ...]] = ("x", "y")
     unit: ClassVar[str] = "mrad"
-    internal_rate: ClassVar[float] = 200e3
+    internal_rate: ClassVar[float] = 500e3
 
     delay: Sequence[float]
     notch_frequency: float
@@ -65,21 +65,20 @@ class FsmParameters:
         check_positive(self, ("notch_frequency", "pole_frequency", "pole_damping", "amplifier_cutoff", "elastic_slope", "slip_range",
                               "slip_decay", "relaxation_time", "mode_frequency", "sensor_cutoff"), PER_AXIS)
 
-    def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, float]) -> dict[str, list[Part]]:
+    def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
         """The parts of an axis by place, with what is changed in the hysteresis and in the mechanics."""
         stacks = [Slip(self.elastic_slope[axis], self.slip_slope[axis], int(self.slip_elements), self.slip_range, self.slip_decay,
                        self.saturation, hysteresis.get("width", 0.0)) for _ in range(2)]
         rest = 0.5 * stacks[0].settle(self.bias)  # of the second stack at 0 V, halved: the zero of the tilt
-        late = Linear(exact.slow_share(self.relaxation_share * hysteresis.get("rate", 1.0), self.relaxation_time), frame.step, held=True,
-                      middle=True)
+        late = Held(exact.slow_share(self.relaxation_share * hysteresis.get("rate", 1.0), self.relaxation_time), frame.step)
+        delay = Delay(self.delay[axis] + moving.get("delay", 0.0), frame.step)
         return {
-            "drive": [Delay(self.delay[axis], frame.step), Clip(*frame.rating)],
-            "amplifier": [Linear(exact.series(self._notch(), exact.lag(2 * np.pi * self.amplifier_cutoff)), frame.step,
-                                 held=True, middle=True)],
+            "drive": [delay, Clip(*frame.rating)],
+            "amplifier": [Held(exact.series(self._notch(), exact.lag(2 * np.pi * self.amplifier_cutoff)), frame.step)],
             "hysteresis": [Chain(PushPull(*stacks, self.bias, rest), late)],
             "mechanics": [mechanics(lambda mass_ratio, ratio: oscillator(self.mode_frequency[axis], self.mode_damping[axis],
-                                                                         mass_ratio, ratio), frame, moving, held=True)],
-            "sensor": [Linear(exact.lag(2 * np.pi * self.sensor_cutoff), frame.step)],
+                                                                         mass_ratio, ratio), frame, moving, delay.rest)],
+            "sensor": [Straight(exact.lag(2 * np.pi * self.sensor_cutoff), frame.step)],
         }
 
     def mixing(self) -> Mixing | None:

@@ -3,6 +3,10 @@
 A part is one axis' element at one place: `settle(value)` brings it to rest at a constant input and returns its first output,
 `process(block (M,))` returns as many outputs and carries its state on, so that cutting a signal changes no bit. A part that
 mixes axes is entered for axis None and gets (A, M).
+
+What a value between the samples stands for: from the drive up to the mechanics for the whole internal step, held there or the
+mean over it, which the next part takes as held; from the mechanics on for the end of the step, up to which the next part takes
+it as running straight. Both are of second order in the step, also where a command jumps.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ PLACES = ("dac", "drive", "amplifier", "hysteresis", "piezo", "mechanics", "moti
 """In signal order. dac, adc and transport work on samples, the others on the internal steps in between."""
 
 SAMPLED = ("dac", "adc", "transport")
-BLOCK = 4096
+BLOCK = 1024
 """Most samples taken through the line at a time: bounds the memory, and changes no bit."""
 
 

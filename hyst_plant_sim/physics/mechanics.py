@@ -7,14 +7,15 @@ A plant gives its mechanics as a function `system(mass_ratio, frequency_ratio)`:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from hyst_plant_sim.physics import exact
-from hyst_plant_sim.physics.line import Frame
-from hyst_plant_sim.physics.parts import Linear, System
+from hyst_plant_sim.physics.line import Frame, Part
+from hyst_plant_sim.physics.parts import Held, Sum, System
 
 Array = NDArray[np.float64]
 
@@ -28,15 +29,31 @@ def oscillator(frequency: float, damping: float, mass_ratio: float = 0.0, freque
     return exact.oscillator(2 * np.pi * frequency * frequency_ratio / heavier, damping / heavier)
 
 
-def mechanics(system: Callable[[float, float], System], frame: Frame, changes: Mapping[str, float],
-              held: bool = False) -> Linear | Irregular:
-    """The part for a set of changes: added_mass, duffing, friction, wander, period (s); see `Irregular`."""
+def mechanics(system: Callable[[float, float], System], frame: Frame, changes: Mapping[str, Any],
+              late: float) -> Part:
+    """The part for a set of changes: added_mass, modes (see `beside`), duffing, friction, wander, period (s; see `Irregular`).
+
+    Read `late` s before the end of a step (see `Delay`).
+    """
+    if "modes" in changes:
+        others = {name: value for name, value in changes.items() if name != "modes"}
+        modes = [beside(system(0.0, 1.0), mode, frame.step, late) for mode in changes["modes"]]
+        return Sum(mechanics(system, frame, others, late), *modes)
     mass_ratio = changes.get("added_mass", 0.0)
     duffing, friction, wander = (changes.get(name, 0.0) for name in ("duffing", "friction", "wander"))
     if duffing == 0 and friction == 0 and wander == 0:
-        return Linear(system(mass_ratio, 1.0), frame.step, held)
-    return Irregular(system, frame, mass_ratio, duffing, friction, wander, changes.get("period", 1.0),
+        return Held(system(mass_ratio, 1.0), frame.step, late)
+    return Irregular(system, frame, late, mass_ratio, duffing, friction, wander, changes.get("period", 1.0),
                      changes.get("phase", 0.0))
+
+
+def beside(main: System, mode: tuple[float, float, float], step: float, late: float) -> Held:
+    """A further mode fed like the main system: frequency (Hz), damping, share of the main system's static gain."""
+    frequency, damping, share = mode
+    a, b, c, _ = main
+    static = float(c @ exact.rest(a, b, 1.0))
+    a, b, c, d = oscillator(frequency, damping)
+    return Held((a, b, share * static * c, d), step, late)
 
 
 class Irregular:
@@ -45,16 +62,17 @@ class Irregular:
     duffing: a spring force growing with the cube of the displacement: at the full stroke it takes this share of the drive.
     friction: a guide that holds back with a slip force worth `friction` of the stroke, reached over as long a way.
     wander: the main mode's frequency moves by ± this share, as a sine with `period` s.
-    The forces are those of the displacement one internal step ago.
+    The forces are those of the displacement in the middle of a step, on the straight line through the ends of the last two.
     """
 
-    def __init__(self, system: Callable[[float, float], System], frame: Frame, mass_ratio: float, duffing: float, friction: float,
-                 wander: float, period: float, phase: float) -> None:
+    def __init__(self, system: Callable[[float, float], System], frame: Frame, late: float, mass_ratio: float, duffing: float,
+                 friction: float, wander: float, period: float, phase: float) -> None:
         ratios = 1.0 + wander * np.linspace(-1.0, 1.0, GRID) if wander else np.ones(1)
         systems = [system(mass_ratio, ratio) for ratio in ratios]
-        steps = [exact.ramp_step(a, b, frame.step) for a, b, _, _ in systems]
-        self._phi, self._from, self._to = (np.stack([row[i] for row in steps]) for i in range(3))
+        steps = [(*exact.held_step(a, b, frame.step), *exact.held_step(a, b, frame.step - late)) for a, b, _, _ in systems]
+        self._phi, self._to = (np.stack([row[i] for row in steps]) for i in range(2))
         self._a, self._b, self._c, _ = systems[len(systems) // 2]
+        self._read = np.stack([np.append(self._c @ state, self._c @ shift) for _, _, state, shift in steps])
         self._gain = float(self._c @ exact.rest(self._a, self._b, 1.0))
         span = frame.stroke[1] - frame.stroke[0]
         self._force = np.array([duffing / self._gain / span ** 2, friction * span / self._gain, friction * span])
@@ -67,36 +85,40 @@ class Irregular:
         for _ in range(200):  # the spring takes its share: a contraction for any share below one third
             drive = value - spring * (self._gain * drive) ** 3
         self._x = exact.rest(self._a, self._b, drive)
-        # last drive, place of the guide's slip element, internal steps so far
-        self._memory = np.array([drive, self._gain * drive, 0.0])
-        return float(self._c @ self._x)
+        y = float(self._c @ self._x)
+        # displacement one step ago, place of the guide's slip element, internal steps so far
+        self._memory = np.array([y, self._gain * drive, 0.0])
+        return y
 
     def process(self, block: Array) -> Array:
         output = np.empty(block.size)
-        _irregular(block, self._phi, self._from, self._to, self._c, self._force, self._turn, self._x, self._memory, output)
+        _irregular(block, self._phi, self._to, self._c, self._read, self._force, self._turn, self._x, self._memory, output)
         return output
 
 
 @njit(cache=True, error_model="numpy")
-def _irregular(block, phi, ramp_from, ramp_to, read, force, turn, x, memory, output):
+def _irregular(block, phi, gamma, end, read, force, turn, x, memory, output):
     order, middle = x.size, (phi.shape[0] - 1) // 2
     fresh = np.empty(order)
-    y = (read * x).sum()
+    y = (end * x).sum()
     for k in range(block.size):
         at = middle + int(np.rint(middle * np.sin(turn[0] * memory[2] + turn[1]))) if middle else 0
-        now = block[k] - force[0] * y * y * y
+        ahead = 1.5 * y - 0.5 * memory[0]
+        now = block[k] - force[0] * ahead * ahead * ahead
         if force[2] > 0:
-            memory[1] = min(max(memory[1], y - force[2]), y + force[2])
-            now -= force[1] * (y - memory[1]) / force[2]
+            memory[1] = min(max(memory[1], ahead - force[2]), ahead + force[2])
+            now -= force[1] * (ahead - memory[1]) / force[2]
+        memory[0] = y
+        value = read[at, order] * now
         for i in range(order):
-            value = ramp_from[at, i] * memory[0] + ramp_to[at, i] * now
+            value += read[at, i] * x[i]
+            moved = gamma[at, i] * now
             for j in range(order):
-                value += phi[at, i, j] * x[j]
-            fresh[i] = value
+                moved += phi[at, i, j] * x[j]
+            fresh[i] = moved
         y = 0.0
         for i in range(order):
             x[i] = fresh[i]
-            y += read[i] * x[i]
-        output[k] = y
-        memory[0] = now
+            y += end[i] * x[i]
+        output[k] = value
         memory[2] += 1.0

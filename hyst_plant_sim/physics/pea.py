@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit
@@ -26,7 +26,7 @@ from hyst_plant_sim.physics import exact
 from hyst_plant_sim.physics.checks import check_positive
 from hyst_plant_sim.physics.line import Frame, Part
 from hyst_plant_sim.physics.mechanics import mechanics, oscillator
-from hyst_plant_sim.physics.parts import Chain, Delay, Linear, System
+from hyst_plant_sim.physics.parts import Chain, Delay, Held, Straight, System
 from hyst_plant_sim.physics.slip import Slip
 
 Array = NDArray[np.float64]
@@ -63,17 +63,18 @@ class PeaParameters:
         check_positive(self, ("amplifier_cutoff", "elastic_slope", "slip_range", "slip_decay", "stroke", "mode_frequency",
                               "slow_time", "sensor_cutoff", "drag_level"))
 
-    def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, float]) -> dict[str, list[Part]]:
+    def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
         """The parts of an axis by place, with what is changed in the hysteresis and in the mechanics."""
         slip = Slip(self.elastic_slope, self.slip_slope, int(self.slip_elements), self.slip_range, self.slip_decay,
                     self.saturation / self.stroke, hysteresis.get("width", 0.0))
+        delay = Delay(self.delay + moving.get("delay", 0.0), frame.step)
         drag = Drag(self.drag_rise, self.drag_fall, self.drag_level, hysteresis.get("rate", 1.0), frame.step)
         return {
-            "drive": [Delay(self.delay, frame.step)] if self.delay else [],
-            "amplifier": [Linear(exact.lag(2 * np.pi * self.amplifier_cutoff), frame.step, held=True)],
+            "drive": [delay],
+            "amplifier": [Held(exact.lag(2 * np.pi * self.amplifier_cutoff), frame.step)],
             "hysteresis": [Chain(slip, drag)],
-            "mechanics": [mechanics(self._system, frame, moving)],
-            "sensor": [Linear(exact.lag(2 * np.pi * self.sensor_cutoff), frame.step)],
+            "mechanics": [mechanics(self._system, frame, moving, delay.rest)],
+            "sensor": [Straight(exact.lag(2 * np.pi * self.sensor_cutoff), frame.step)],
         }
 
     def _system(self, mass_ratio: float, frequency_ratio: float) -> System:
@@ -82,7 +83,7 @@ class PeaParameters:
 
 
 class Drag:
-    """P' = (Y - P) / T(Y); rise, fall in s, times `factor`; level in the unit of Y."""
+    """P' = (Y - P) / T(Y), Y held over a step, its mean over the step; rise, fall in s, times `factor`; level in the unit of Y."""
 
     def __init__(self, rise: float, fall: float, level: float, factor: float, step: float) -> None:
         self._law = np.array([rise * factor, fall * factor, level, step])
@@ -105,9 +106,11 @@ def _drag(block, law, state, output):
     for k in range(block.size):
         wanted = block[k]
         time = (rise if wanted > polarisation else fall) * abs(wanted) / (abs(wanted) + level)
+        gone = 0.0
         if time > 1e-3 * step:
-            polarisation += (wanted - polarisation) * (1.0 - np.exp(-step / time))
+            gone = (polarisation - wanted) * (1.0 - np.exp(-step / time))
+            polarisation -= gone
         else:
             polarisation = wanted
-        output[k] = polarisation
+        output[k] = wanted + gone * time / step
     state[0] = polarisation

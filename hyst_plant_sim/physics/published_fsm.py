@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from hyst_plant_sim.physics.line import Frame, Part, PlantError
 from hyst_plant_sim.physics.mechanics import mechanics
-from hyst_plant_sim.physics.parts import Delay, Linear
+from hyst_plant_sim.physics.parts import Delay, Held, Sum
 from hyst_plant_sim.physics.rational import rational
 
 Array = NDArray[np.float64]
@@ -60,29 +60,17 @@ class PublishedFsmParameters:
             if abs(ends[0] - ends[1]) > 1e-6 * abs(ends[0]):
                 raise PlantError(f"descending: axis {self.axes[axis]} ends at {ends[1]:g}, ascending at {ends[0]:g}: scale both alike")
 
-    def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, float]) -> dict[str, list[Part]]:
+    def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
         """The parts of an axis by place, with what is changed in the hysteresis and in the mechanics."""
         static = Madelung(self.ascending[axis], self.descending[axis], self.span[axis], self.scale[axis],
                           hysteresis.get("width", 0.0))
         rate = hysteresis.get("rate", 1.0) * self.k1[axis] / self.k2[axis]
         pole = self.b2[axis] / self.k2[axis]
-        lead = Linear((np.array([[-pole]]), np.array([pole]), np.array([-rate]), rate), frame.step, held=True, middle=True)
-        return {"drive": [Delay(self.delay[axis], frame.step)],
+        lead = Held((np.array([[-pole]]), np.array([pole]), np.array([-rate]), rate), frame.step)
+        delay = Delay(self.delay[axis] + moving.get("delay", 0.0), frame.step)
+        return {"drive": [delay],
                 "hysteresis": [Sum(static, lead)],
-                "mechanics": [mechanics(partial(rational, self.num[axis], self.den[axis]), frame, moving, held=True)]}
-
-
-class Sum:
-    """Two parts fed alike, their outputs added."""
-
-    def __init__(self, first: Part, second: Part) -> None:
-        self._first, self._second = first, second
-
-    def settle(self, value: float) -> float:
-        return float(self._first.settle(value) + self._second.settle(value))
-
-    def process(self, block: Array) -> Array:
-        return self._first.process(block) + self._second.process(block)
+                "mechanics": [mechanics(partial(rational, self.num[axis], self.den[axis]), frame, moving, delay.rest)]}
 
 
 class Madelung:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hyst_plant_sim.physics.line import Frame, Part, PlantError
 from hyst_plant_sim.physics.mechanics import mechanics
+from hyst_plant_sim.physics.parts import Delay
 from hyst_plant_sim.physics.rational import rational
 
 Array = NDArray[np.float64]
@@ -44,10 +45,12 @@ class PublishedPeaParameters:
         if len(self.thresholds) != len(self.weights):
             raise PlantError(f"weights: {len(self.weights)} for {len(self.thresholds)} thresholds: give one each")
 
-    def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, float]) -> dict[str, list[Part]]:
+    def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
         """The parts of an axis by place, with what is changed in the hysteresis and in the mechanics."""
-        return {"hysteresis": [DynamicWeights(self, frame, hysteresis.get("width", 0.0), hysteresis.get("rate", 1.0))],
-                "mechanics": [mechanics(partial(rational, self.num, self.den), frame, moving, held=True)]}
+        delay = Delay(moving.get("delay", 0.0), frame.step)
+        return {"drive": [delay],
+                "hysteresis": [DynamicWeights(self, frame, hysteresis.get("width", 0.0), hysteresis.get("rate", 1.0))],
+                "mechanics": [mechanics(partial(rational, self.num, self.den), frame, moving, delay.rest)]}
 
 
 class DynamicWeights:

@@ -68,20 +68,27 @@ def _slip(block, slack, weights, sums, law, slip, state, output):
     slip: places of the others.
     """
     last, direction, moving, resting, value = state[0], state[1], int(state[2]), state[3], state[4]
+    elastic, curvature, count = law[0], law[1], slack.size
+    slope, held, goal = 0.0, 0.0, -np.inf  # of the elements that move: output per volt, rest; how far until another one moves
     for k in range(block.size):
         voltage = block[k]
         if voltage != last:
             if (voltage - last) * direction <= 0.0:  # it turns: all rest where they are
                 for i in range(moving):
                     slip[i] = last - direction * slack[i]
-                direction, moving, resting = np.sign(voltage - last), 0, 0.0
-                for i in range(slack.size):
-                    resting += weights[i] * slip[i]
-            while moving < slack.size and (voltage - slip[moving]) * direction > slack[moving]:
-                resting -= weights[moving] * slip[moving]
-                moving += 1
-            free = (law[0] + sums[0, moving]) * voltage - direction * sums[1, moving] + resting
-            value = free - law[1] * free * free
+                resting += sums[0, moving] * last - direction * sums[1, moving]
+                direction, moving, goal = np.sign(voltage - last), 0, -np.inf
+            if voltage * direction > goal:
+                while moving < count and (voltage - slip[moving]) * direction > slack[moving]:
+                    resting -= weights[moving] * slip[moving]
+                    moving += 1
+                if moving < count:
+                    goal = slip[moving] * direction + slack[moving]
+                else:
+                    goal, resting = np.inf, 0.0
+                slope, held = elastic + sums[0, moving], resting - direction * sums[1, moving]
+            free = slope * voltage + held
+            value = free - curvature * free * free
             last = voltage
         output[k] = value
     state[0], state[1], state[2], state[3], state[4] = last, direction, moving, resting, value

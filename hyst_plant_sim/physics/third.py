@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit
@@ -20,12 +20,15 @@ from hyst_plant_sim.physics import exact
 from hyst_plant_sim.physics.checks import check_positive
 from hyst_plant_sim.physics.line import Frame, Part, PlantError
 from hyst_plant_sim.physics.mechanics import mechanics, oscillator
-from hyst_plant_sim.physics.parts import Chain, Linear, System
+from hyst_plant_sim.physics.parts import Chain, Delay, Held, Straight, System
 
 Array = NDArray[np.float64]
 
 PIECE = 0.5
 """Most volts in one step of the hysteresis' own equation."""
+
+SHORT = 0.2
+"""Volts below which a rule of second order does for such a step: z bends over some 30 V, which leaves about 1e-6 of the stroke."""
 
 
 @dataclass(frozen=True)
@@ -57,15 +60,17 @@ class ThirdParameters:
         if len(self.ladder_shares) != len(self.ladder_times):
             raise PlantError(f"ladder_times: {len(self.ladder_times)} for {len(self.ladder_shares)} of ladder_shares: give one each")
 
-    def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, float]) -> dict[str, list[Part]]:
+    def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
         """The parts of an axis by place, with what is changed in the hysteresis and in the mechanics."""
         rate = hysteresis.get("rate", 1.0)
+        delay = Delay(moving.get("delay", 0.0), frame.step)
         return {
-            "amplifier": [Linear(oscillator(self.amplifier_frequency, self.amplifier_damping), frame.step, held=True)],
-            "hysteresis": [Chain(BoucWen(self, frame.rating, 1.0 + hysteresis.get("width", 0.0)), Linear(self._ladder(rate), frame.step))],
+            "drive": [delay],
+            "amplifier": [Held(oscillator(self.amplifier_frequency, self.amplifier_damping), frame.step)],
+            "hysteresis": [Chain(BoucWen(self, frame.rating, 1.0 + hysteresis.get("width", 0.0)), Held(self._ladder(rate), frame.step))],
             "mechanics": [mechanics(lambda mass_ratio, ratio: oscillator(self.mode_frequency, self.mode_damping, mass_ratio, ratio),
-                                    frame, moving)],
-            "sensor": [Linear(exact.lag(2 * np.pi * self.sensor_cutoff), frame.step)],
+                                    frame, moving, delay.rest)],
+            "sensor": [Straight(exact.lag(2 * np.pi * self.sensor_cutoff), frame.step)],
         }
 
     def _ladder(self, rate: float) -> System:
@@ -104,9 +109,14 @@ def _bouc_wen(block, law, state, output):
         if way != 0.0:
             pieces = int(np.ceil(abs(way) / PIECE))
             part, sign = way / pieces, np.sign(way)
-            for _ in range(pieces):  # Runge and Kutta's fourth order
+            for _ in range(pieces):
                 first = _slope(u, z, sign, law)
                 second = _slope(u + 0.5 * part, z + 0.5 * part * first, sign, law)
+                if abs(part) < SHORT:  # the midpoint rule
+                    z += part * second
+                    u += part
+                    continue
+                # Runge and Kutta's fourth order
                 third = _slope(u + 0.5 * part, z + 0.5 * part * second, sign, law)
                 fourth = _slope(u + part, z + part * third, sign, law)
                 z += part * (first + 2.0 * second + 2.0 * third + fourth) / 6.0

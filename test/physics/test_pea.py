@@ -25,13 +25,6 @@ def loop(frequency: float, peak: float, cycles: int = 2) -> np.ndarray:
     return (0.5 * peak * (1 - np.cos(2 * np.pi * frequency * STEP * np.arange(count))))[:, None]
 
 
-def test_halving_the_internal_step_changes_little():
-    time = np.arange(6000) * STEP
-    command = (60 + 30 * np.sin(2 * np.pi * 200 * time) + 20 * np.sin(2 * np.pi * 35 * time))[:, None]
-    coarse, finer = run(plant(noise=0.0), command), run(plant(noise=0.0, refinement=2), command)
-    assert np.max(np.abs(finer - coarse)) < 5e-4 * np.ptp(coarse)
-
-
 def test_stroke_and_lag_are_those_of_the_papers_actuator():
     """About 14-15 um at 140 V; the lag beyond that of slow loops is near HAMPI paper Table 1's measured 7.65, 27.5, 49.1 degrees.
 

@@ -19,13 +19,16 @@ from typing import Any
 import numpy as np
 
 from hyst_plant_sim.physics.effects import drive, moving, piezo, sensing
-from hyst_plant_sim.physics.effects.effect import Beside, Context, Effect, Switch, Through
+from hyst_plant_sim.physics.effects.effect import Context, Effect, Switch, Through
 from hyst_plant_sim.physics.line import Frame, Line, PlantError
 
 EFFECTS: dict[str, Effect] = {**drive.EFFECTS, **piezo.EFFECTS, **moving.EFFECTS, **sensing.EFFECTS}
 """Every effect by name, in the order in which a signal meets them."""
 
 ELSEWHERE = {"gain": ("amplifier", "piezo", "sensor"), "delay": ("drive", "sensor")}
+ADDED = ("delay", "modes")
+"""Changes of a part of which several add up; of the others the newest counts."""
+
 KEYS = ("name", "axis", "from", "at")
 
 
@@ -38,6 +41,12 @@ class Present:
     place: str
     axis: int | None
     start: float
+
+    @property
+    def kind(self) -> str:
+        """How it is brought in; put elsewhere, every effect is a part of its own."""
+        effect = EFFECTS[self.name]
+        return effect.kind if self.place == effect.place else "insert"
 
 
 def read_effects(given: Any, frame: Frame) -> list[Present]:
@@ -83,42 +92,35 @@ def insert_effects(line: Line, axis: int | None, parts: Any, present: Sequence[P
     """
     for item in present:
         effect = EFFECTS[item.name]
-        if (effect.kind == "mixing") != (axis is None) or axis is not None and item.axis not in (None, axis):
+        if (item.kind == "mixing") != (axis is None) or axis is not None and item.axis not in (None, axis):
             continue
         context = Context(frame, item.place, item.axis if axis is None else axis, item.start)
-        if effect.kind in ("insert", "mixing"):
+        if item.kind in ("insert", "mixing"):
             part = effect.make(item.values, context)
             late = context.first > 0
             line[item.place].append((axis, Switch([(0, Through()), (context.first, part)]) if late else part))
     if axis is not None:
         own = [item for item in present if item.axis in (None, axis)]
-        _change(line, axis, "hysteresis", own, frame, lambda changes: piezo.hysteresis(parts, changes, frame))
-        _change(line, axis, "mechanics", own, frame, lambda changes: parts({}, changes)["mechanics"][0])
-        for item in own:
-            if EFFECTS[item.name].kind == "beside":
-                context = Context(frame, item.place, axis, item.start)
-                at = _index(line, axis, item.place)
-                static = parts({}, {})["mechanics"][0].settle(1.0)
-                scaled = {**item.values, "gain": item.values["gain"] * static}
-                line[item.place][at] = (axis, Beside(line[item.place][at][1], EFFECTS[item.name].make(scaled, context), context.first))
+        _change(line, axis, "drive", ("delay",), own, frame, lambda changes: parts({}, changes)["drive"][0])
+        _change(line, axis, "hysteresis", ("hysteresis",), own, frame, lambda changes: piezo.hysteresis(parts, changes, frame))
+        _change(line, axis, "mechanics", ("mechanics", "delay"), own, frame, lambda changes: parts({}, changes)["mechanics"][0])
 
 
-def _change(line: Line, axis: int, kind: str, present: Sequence[Present], frame: Frame, build: Any) -> None:
-    """Put a part built with the changes in place of the plant's own, one after the other when they begin at different times."""
-    own = sorted((item for item in present if EFFECTS[item.name].kind == kind), key=lambda item: item.start)
+def _change(line: Line, axis: int, place: str, kinds: Sequence[str], present: Sequence[Present], frame: Frame, build: Any) -> None:
+    """Put a part built with the changes in place of the plant's own first one there, one after the other when they begin at
+    different times."""
+    own = sorted((item for item in present if item.kind in kinds), key=lambda item: item.start)
     if not own:
         return
-    at = _index(line, axis, kind)
-    changes: dict[str, float] = {}
-    stages = [(0, line[kind][at][1])]
+    at = next(i for i, (entered, _) in enumerate(line[place]) if entered == axis)
+    changes: dict[str, Any] = {}
+    stages = [(0, line[place][at][1])]
     for start, group in groupby(own, key=lambda item: item.start):
-        context = Context(frame, kind, axis, start)
+        context = Context(frame, place, axis, start)
         for item in group:
-            changes = {**changes, **EFFECTS[item.name].make(item.values, context)}
+            fresh = EFFECTS[item.name].make(item.values, context)
+            changes = {**changes, **{key: changes[key] + value if key in ADDED and key in changes else value
+                                     for key, value in fresh.items()}}
         stages.append((context.first, build(changes)))
     stages = stages[max(i for i, (first, _) in enumerate(stages) if first <= 0):]
-    line[kind][at] = (axis, stages[0][1] if len(stages) == 1 else Switch(stages))
-
-
-def _index(line: Line, axis: int, place: str) -> int:
-    return next(i for i, (own, _) in enumerate(line[place]) if own == axis)
+    line[place][at] = (axis, stages[0][1] if len(stages) == 1 else Switch(stages))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hyst_plant_sim.physics import exact
 from hyst_plant_sim.physics.effects.effect import Context, Effect, Pointwise
-from hyst_plant_sim.physics.parts import Clip, Delay, Linear
+from hyst_plant_sim.physics.parts import Clip, Held, LateReading, Straight
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ class Hold:
 
 
 class Slew:
-    """The voltage follows no faster than `rate` V/s."""
+    """The voltage follows no faster than `rate` V/s; its mean over a step."""
 
     def __init__(self, rate: float, step: float) -> None:
         self._most, self._last = rate * step, np.zeros(1)
@@ -85,8 +85,14 @@ class Stretch:
 def _slew(block, most, last, output):
     value = last[0]
     for k in range(block.size):
-        value += min(max(block[k] - value, -most), most)
-        output[k] = value
+        way = block[k] - value
+        if abs(way) < most:  # there before the step is over
+            output[k] = value + way * (1.0 - 0.5 * abs(way) / most)
+            value = block[k]
+        else:
+            way = most if way > 0.0 else -most
+            output[k] = value + 0.5 * way
+            value += way
     last[0] = value
 
 
@@ -100,12 +106,12 @@ def _dead_band(values: Mapping[str, float], context: Context) -> Pointwise:
     return Pointwise(lost)
 
 
-def low_pass(values: Mapping[str, float], context: Context) -> Linear:
+def low_pass(values: Mapping[str, float], context: Context) -> Held | Straight:
     """`order` equal first-order low-passes in a row."""
     system = single = exact.lag(2 * np.pi * values["cutoff"])
     for _ in range(int(values["order"]) - 1):
         system = exact.series(system, single)
-    return Linear(system, context.period)
+    return (Straight if context.place == "sensor" else Held)(system, context.period)
 
 
 def factor(values: Mapping[str, float], context: Context) -> Pointwise:
@@ -113,9 +119,8 @@ def factor(values: Mapping[str, float], context: Context) -> Pointwise:
     return Pointwise(lambda block: (1.0 + values["gain"]) * block)
 
 
-def delay(values: Mapping[str, float], context: Context) -> Delay:
-    """tau s."""
-    return Delay(values["tau"], context.period)
+def _delay(values: Mapping[str, float], context: Context) -> LateReading | dict[str, float]:
+    return LateReading(values["tau"], context.period) if context.place == "sensor" else {"delay": values["tau"]}
 
 
 EFFECTS = {
@@ -123,7 +128,7 @@ EFFECTS = {
                        "Every n-th command is taken and held; or commands are rounded to a lattice.", {"samples": "", "step": "V"}),
     "clock_rate_mismatch": Effect("insert", "drive", {"share": 0.0}, lambda v, c: Stretch(v["share"], c),
                                   "The drive's clock runs slow: commands come later and later.", {"share": ""}),
-    "delay": Effect("insert", "drive", {"tau": 0.0}, delay, "A transport delay; `at: sensor` puts it there.", {"tau": "s"}),
+    "delay": Effect("delay", "drive", {"tau": 0.0}, _delay, "A transport delay; `at: sensor` puts it there.", {"tau": "s"}),
     "slew_limit": Effect("insert", "drive", {"rate": np.inf}, lambda v, c: Slew(v["rate"], c.period),
                          "The driver follows no faster.", {"rate": "V/s"}),
     "saturation": Effect("insert", "drive", {"lower": -np.inf, "upper": np.inf}, lambda v, c: Clip(v["lower"], v["upper"]),

@@ -1,4 +1,4 @@
-"""What an effect is, and the parts that bring one in, from a time on, beside or in place of another."""
+"""What an effect is, and the parts that bring one in, from a time on, in place of another."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ class Context:
 class Effect:
     """An effect by name.
 
-    kind: "insert" (a part more at `place`), "beside" (a part fed like the mechanics, its output added), "mixing" (a part of
-    all axes), "hysteresis" or "mechanics" (that part of the plant is built with other parameters, which `make` returns).
+    kind: "insert" (a part more at `place`), "mixing" (a part of all axes), "hysteresis" or "mechanics" (that part of the plant is
+    built with other parameters, which `make` returns), "delay" (as those, but of two parts: see `Delay`).
     absent: the parameters that say how strong it is, at the values where it is not there; others: the rest and their defaults.
     units: of the parameters; meaning: one sentence.
     """
@@ -95,25 +95,6 @@ class Switch:
             begin = min(max(first - self._count, 0), length)
             output[..., begin:] = found[..., begin:]
         self._count += length
-        return output
-
-
-class Beside:
-    """A part, and another fed with the same input whose output is added from its `first` value on."""
-
-    def __init__(self, part: Part, added: Part, first: int) -> None:
-        self._part, self._added, self._first, self._count = part, added, first, 0
-
-    def settle(self, value: float) -> float:
-        self._count = 0
-        added = self._added.settle(value)
-        return float(self._part.settle(value) + (added if self._first <= 0 else 0.0))
-
-    def process(self, block: Array) -> Array:
-        output, added = self._part.process(block), self._added.process(block)
-        begin = min(max(self._first - self._count, 0), len(block))
-        output[begin:] += added[begin:]
-        self._count += len(block)
         return output
 
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from hyst_plant_sim.physics import exact
 from hyst_plant_sim.physics.effects.effect import Context, Effect
-from hyst_plant_sim.physics.mechanics import oscillator
-from hyst_plant_sim.physics.parts import Linear
+from hyst_plant_sim.physics.parts import Straight
 
 Array = NDArray[np.float64]
 
@@ -38,7 +37,7 @@ class FromOther:
     def __init__(self, coupling: float, corner: float, axis: int | None, axes: int, period: float) -> None:
         self._coupling, self._onto = coupling, range(axes) if axis is None else (axis,)
         self._axes = axes
-        self._filters = [Linear(exact.lag(2 * np.pi * corner), period) for _ in self._onto]
+        self._filters = [Straight(exact.lag(2 * np.pi * corner), period) for _ in self._onto]
 
     def settle(self, values: Array) -> Array:
         output = values.copy()
@@ -89,17 +88,13 @@ def _wander(draws, keep, fresh, state, output):
             output[k, i] = state[i]
 
 
-def _mode(values: Mapping[str, float], context: Context) -> Linear:
-    a, b, c, d = oscillator(values["frequency"], values["damping"])
-    return Linear((a, b, values["gain"] * c, d), context.period)
-
-
 def _wandering(values: Mapping[str, float], context: Context) -> dict[str, float]:
     return {"wander": values["change"], "period": values["period"], "phase": 2 * np.pi * context.stream("wandering_mode").random()}
 
 
 EFFECTS = {
-    "resonance": Effect("beside", "mechanics", {"gain": 0.0}, _mode,
+    "resonance": Effect("mechanics", "mechanics", {"gain": 0.0},
+                        lambda v, c: {"modes": ((v["frequency"], v["damping"], v["gain"]),)},
                         "A further mode is fed with the mechanics' input; `gain` is its share of the mechanics' static gain.",
                         {"frequency": "Hz", "damping": "", "gain": ""}, {"frequency": 600.0, "damping": 0.02}),
     "added_mass": Effect("mechanics", "mechanics", {"mass_ratio": 0.0}, lambda v, c: {"added_mass": v["mass_ratio"]},

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hyst_plant_sim.physics import exact
 from hyst_plant_sim.physics.effects.effect import Context, Effect
 from hyst_plant_sim.physics.line import Frame, Part
-from hyst_plant_sim.physics.parts import Linear
+from hyst_plant_sim.physics.parts import Held
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ class Scheduled:
     def __init__(self, part: Part, mean: Part, amount: float, tau: float, frame: Frame) -> None:
         self._part, self._mean, self._amount = part, mean, amount
         self._lower, self._span = frame.rating[0], frame.rating[1] - frame.rating[0]
-        self._average = Linear(exact.lag(1.0 / tau), frame.step)
+        self._average = Held(exact.lag(1.0 / tau), frame.step)
 
     def settle(self, value: float) -> float:
         share = (self._average.settle(value) - self._lower) / self._span
@@ -68,14 +68,14 @@ def hysteresis(parts: Any, changes: Mapping[str, float], frame: Frame) -> Part:
     return Shape(part, changes["amount"], frame) if changes.get("amount", 0.0) else part
 
 
-def _creep(values: Mapping[str, float], context: Context) -> Linear:
+def _creep(values: Mapping[str, float], context: Context) -> Held:
     """y + gamma Σ log10(q) (share of y that has come after time constant τ_i): after a step about gamma log10(1 + t / 0.1 s).
 
     τ_i = 0.1 s q^(i + 1/2), q = 10^(1/2), i = 0 … 7: two elements per decade from 0.1 to 1000 s.
     """
     count = CREEP_PER_DECADE * CREEP_DECADES
     rates = 1.0 / (CREEP_BEGIN * 10.0 ** ((np.arange(count) + 0.5) / CREEP_PER_DECADE))
-    return Linear((np.diag(-rates), rates, np.full(count, values["gamma"] / CREEP_PER_DECADE), 1.0), context.period)
+    return Held((np.diag(-rates), rates, np.full(count, values["gamma"] / CREEP_PER_DECADE), 1.0), context.period)
 
 
 EFFECTS = {
