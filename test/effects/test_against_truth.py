@@ -157,8 +157,9 @@ def test_mains_hum_has_the_plants_harmonics(kind):
 
 def test_every_effect_with_a_waveform_is_compared():
     compared = {name for name, *_ in CASES} | {"mains_hum"}
-    # The plant's vibration wanders at random: its stage is compared with a sine elsewhere.
-    assert {name for name, effect in EFFECTS.items() if effect.waveform} - compared == {"vibration"}
+    # The plant's vibration wanders at random: its stage is compared with a sine elsewhere. No truth plant has modes that soften:
+    # the measured mirror has.
+    assert {name for name, effect in EFFECTS.items() if effect.waveform} - compared == {"vibration", "softening_modes"}
 
 
 if __name__ == "__main__":
