@@ -7,6 +7,7 @@ imports what it needs within `run`, so that `hyst --help` is quick.
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -35,6 +36,8 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a subcommand. Exit status 0 when it finished, 2 on unusable input (one line says what, where and what to do)."""
     arguments = parser().parse_args(argv)
+    if argv is None:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # whatever was started is ended, as on Ctrl-C
     try:
         return arguments.run(arguments) or 0
     except InputError as error:

@@ -1,5 +1,6 @@
-"""Measure speed: the chain's kernels beside the same loops in C (needs gcc), reading and writing bags, and the running loop (rounds
-per second in lockstep; period, latency, loss and load at 1 kHz) beside the same loop written the plain way.
+"""Measure speed: the chain's kernels beside the same loops in C (needs gcc), reading and writing bags, the running loop (rounds
+per second in lockstep; period, latency, loss and load at 1 kHz) beside the same loop written the plain way, and workflows
+(identification from a minute at 20 kHz, diagnosis of a record).
 
 The figures are of this machine at this moment; the table names the machine.
 
@@ -17,7 +18,7 @@ HELP = "measure the speed of kernels, bags and the running loop on this machine"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--only", choices=("kernels", "bags", "loops"), help="one group of measurements")
+    parser.add_argument("--only", choices=("kernels", "bags", "loops", "workflows"), help="one group of measurements")
     parser.add_argument("--seconds", type=float, default=6.0, help="length of every run of the loop (default 6)")
     parser.add_argument("--soak", type=float, metavar="MINUTES", help="run the loop that long in lockstep instead, then a sixth of "
                         "it on the wall clock, and look at its memory")

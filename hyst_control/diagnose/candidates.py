@@ -215,7 +215,7 @@ def catalogue(problem: Problem, lines: Mapping[str, Sequence[float]], without: S
             step = replace(step, starts=tuple(sorted({value for value in step.starts if value > 0.0})))
             found += [Member(effect, (step,), problem, axis, fixed=((samples.name, samples.absent),)) for axis in axes]
         else:
-            found += [Member(effect, parameters, problem, axis) for axis in axes]
+            found += [Member(effect, parameters, problem, axis) for axis in ([None] if effect.shared else axes)]
     return found
 
 

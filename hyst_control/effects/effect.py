@@ -65,7 +65,8 @@ class Effect:
     place: one of `PLACES`; an effect that may be at several has its usual one. meaning: one sentence for people.
     parameters: of a record's surroundings. stage: the stage for parameter values (and surroundings). exercised: whether a
     record could show the effect at all. waveform: whether it has one that a simulation can be compared with; noise, lattices
-    and repeated samples have none and are found by looking at the record. couples: whether it needs a second axis.
+    and repeated samples have none and are found by looking at the record. couples: whether it needs a second axis. shared: whether
+    coupled axes have it in common, as they have their modes.
     """
 
     name: str
@@ -76,3 +77,4 @@ class Effect:
     exercised: Callable[[Surroundings], bool] = lambda _: True
     waveform: bool = True
     couples: bool = False
+    shared: bool = False

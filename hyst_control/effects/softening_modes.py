@@ -172,4 +172,5 @@ EFFECT = Effect(
         Parameter("damping", "", 0.0, (0.0,), -0.9, 5.0, 0.5),
     ),
     lambda values, around: SofteningModes(values["softening"], values["damping"], max(0.25 * around.stroke, 1e-300)),
+    shared=True,
 )

@@ -11,7 +11,7 @@ import numpy as np
 from hyst_control.bag_reader import read_bag
 from hyst_control.bag_writer import BagWriter
 from hyst_control.errors import InputError
-from hyst_control.experiments import kernel_bench, loop_bench
+from hyst_control.experiments import kernel_bench, loop_bench, workflow_bench
 from hyst_control.signal_message import Encoder
 from hyst_control.tables import Table
 
@@ -20,11 +20,11 @@ MESSAGES, ROWS = 24_000, 50
 REPEATS = 5
 
 
-GROUPS = ("kernels", "bags", "loops")
+GROUPS = ("kernels", "bags", "loops", "workflows")
 
 
 def run(only: str | None = None, seconds: float = loop_bench.SECONDS, soak: float | None = None) -> Table:
-    """All groups, or one of "kernels", "bags" and "loops"; `seconds`: length of every run of the loop; `soak`: minutes of the long run,
+    """All groups, or one of `GROUPS`; `seconds`: length of every run of the loop; `soak`: minutes of the long run,
     in place of the groups. Raises `InputError` when gcc is missing for the kernels, or a node fails.
     """
     table = Table("bench")
@@ -41,6 +41,8 @@ def run(only: str | None = None, seconds: float = loop_bench.SECONDS, soak: floa
         bags(table)
     if only in (None, "loops"):
         loop_bench.run(table, seconds)
+    if only in (None, "workflows"):
+        workflow_bench.run(table)
     return table
 
 

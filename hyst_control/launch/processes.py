@@ -15,6 +15,7 @@ from typing import Any
 
 from hyst_control.errors import InputError
 from hyst_control.launch import environment
+from hyst_control.launch.domain import lock_of
 
 MODULES = {
     "reference_generator": "hyst_control.nodes.reference_generator",
@@ -38,6 +39,7 @@ class Processes:
         environment.prepare()
         self._environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(self.folder),
                              "PYTHONUNBUFFERED": "1"}
+        self._lock = lock_of(domain)
         self.running: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self, node: str, parameters: Mapping[str, Any], name: str | None = None) -> subprocess.Popen[bytes]:
@@ -55,7 +57,8 @@ class Processes:
         """Start a module as a process on the domain; its output goes to `name`.log."""
         with open(self.log(name), "ab") as log:
             process = subprocess.Popen([sys.executable, "-m", module, *arguments], env=self._environment, stdin=subprocess.DEVNULL,
-                                       stdout=log, stderr=log, start_new_session=True)  # a Ctrl-C is passed on by `stop`, once
+                                       stdout=log, stderr=log, pass_fds=self._lock,
+                                       start_new_session=True)  # a Ctrl-C is passed on by `stop`, once
         self.running[name] = process
         return process
 
