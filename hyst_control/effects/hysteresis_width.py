@@ -12,11 +12,24 @@ from hyst_control.chain.chain import Parallel
 from hyst_control.chain.madelung import Madelung, end_slope
 from hyst_control.chain.play import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
 from hyst_control.chain.rate_dependent import RateDependentPrandtlIshlinskii
-from hyst_control.chain.stage import Array, Modifier, Stage, frozen, per_axis, per_axis_scalar, register, require_finite
+from hyst_control.chain.stage import (
+    Array,
+    Modifier,
+    Stage,
+    frozen,
+    per_axis,
+    per_axis_scalar,
+    register,
+    require_finite,
+    require_positive,
+)
 from hyst_control.chain.static import Gain
 from hyst_control.effects.effect import Effect, Parameter
 from hyst_control.effects.modifying import Memoryless, numbers, replaced, scaled
+from hyst_control.effects.places import hysteresis_index
 from hyst_control.errors import InputError
+
+OPERATORS = 8
 
 
 @register
@@ -26,20 +39,35 @@ class HysteresisWidth(Modifier):
 
     The mean curve of a play operator H[u] is u, also under the dynamic weights of the modified Prandtl-Ishlinskii model; that of
     Madelung hysteresis is the mean of the two major branches.
+
+    A chain without hysteresis gets one behind what is before: u + width (mean of H_r[u] - u) over the play operators of
+    `OPERATORS` thresholds r spread evenly over half of `span` (V). Driven over the span from end to end, that loop opens by
+    width span / 4 at its middle.
     """
 
     name: ClassVar[str] = "hysteresis_width"
     width: Any
+    span: Any = 100.0
 
     def check(self) -> None:
         require_finite(self.width, "width")
+        require_positive(self.span, "span", "V")
 
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
         width = per_axis_scalar(self.width, axes, "width")
         changed = replaced(before, lambda stage: _widened(stage, width))
+        if changed is None and hysteresis_index(before) is None:
+            changed = (*before, _memory(width, per_axis_scalar(self.span, axes, "span")))
         if changed is None:
             raise InputError("hysteresis_width: no hysteresis before it whose width could change: put it behind one")
         return changed if np.any(width) else before
+
+
+def _memory(width: Array, span: Array) -> PrandtlIshlinskii:
+    """What a chain without hysteresis gets."""
+    thresholds = 0.5 * span[:, None] * (np.arange(OPERATORS) + 0.5) / OPERATORS
+    weights = np.repeat(width[:, None] / OPERATORS, OPERATORS, axis=1)
+    return PrandtlIshlinskii(frozen(thresholds), frozen(weights), frozen(1.0 - width))
 
 
 def _widened(stage: Stage, width: Array) -> Stage | None:
@@ -94,5 +122,5 @@ EFFECT = Effect(
     "hysteresis",
     "The loops are wider or narrower than the model's, about the same mean curve.",
     lambda around: (Parameter("width", "", 0.0, (0.02,), -0.6, 0.6, 0.1),),
-    lambda values, around: HysteresisWidth(values["width"]),
+    lambda values, around: HysteresisWidth(values["width"], max(around.command[1] - around.command[0], 1e-300)),
 )

@@ -32,8 +32,12 @@ FOLLOWERS = {
 
 
 def hysteresis_index(stages: Sequence[Stage]) -> int | None:
-    """Index of the hysteresis stage, or of the `parallel` that contains it; None where a chain has none."""
-    return next((i for i, stage in enumerate(stages) if _has_hysteresis(stage)), None)
+    """Index of the hysteresis stage, or of the `parallel` that contains it; None where a chain has none.
+
+    A `hysteresis_width` that stands in a chain without one is its hysteresis.
+    """
+    added = next((i for i, stage in enumerate(stages) if stage.name == "hysteresis_width"), None)
+    return next((i for i, stage in enumerate(stages) if _has_hysteresis(stage)), added)
 
 
 def mechanics_index(stages: Sequence[Stage]) -> int | None:

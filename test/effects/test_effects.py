@@ -77,7 +77,7 @@ def around(kind: str) -> Surroundings:
 
 
 def fits(name: str, kind: str) -> bool:
-    return not (EFFECTS[name].couples and kind != "fsm_mhl") and not (kind == "linear" and name in MODIFIERS[:3])
+    return not (EFFECTS[name].couples and kind != "fsm_mhl") and not (kind == "linear" and name in ("hysteresis_shape", "hysteresis_rate"))
 
 
 CASES = [(name, kind) for name in EFFECTS for kind in MODELS if fits(name, kind)]
@@ -319,17 +319,25 @@ def test_coupling_comes_through_its_own_corner():
     np.testing.assert_allclose(found[:, 0], 0.1 * (1.0 - np.exp(-2 * np.pi * 200.0 * time)), atol=1e-12)
 
 
-@pytest.mark.parametrize("stage", [HysteresisWidth(0.1), HysteresisRate(2.0), HysteresisShape(0.1, 0.0, 1.0), AddedMass(0.1)])
+@pytest.mark.parametrize("stage", [HysteresisRate(2.0), HysteresisShape(0.1, 0.0, 1.0), AddedMass(0.1)])
 def test_what_changes_nothing_is_refused(stage):
     with pytest.raises(InputError, match=stage.name):
         Chain((Gain(2.0), stage)).filter(Sampling(1e-4, 1))
 
 
 def test_a_model_file_with_nothing_to_change_is_refused(tmp_path):
-    written = model("linear").with_stages((*model("linear").chain.stages, HysteresisWidth(0.1)))
+    written = model("linear").with_stages((*model("linear").chain.stages, HysteresisRate(2.0)))
     save_model(written, tmp_path / "model.yaml")
-    with pytest.raises(InputError, match="hysteresis_width"):
+    with pytest.raises(InputError, match="hysteresis_rate"):
         load_model(tmp_path / "model.yaml")
+
+
+def test_a_chain_without_hysteresis_gets_a_loop_of_the_stated_width():
+    u = 50.0 - 50.0 * np.cos(2 * np.pi * np.arange(4001) / 2000)[:, None]
+    y = run([HysteresisWidth(0.4, 100.0)], u, hold="foh")[:, 0]
+    assert y[3500] - y[2500] == pytest.approx(0.4 * 100.0 / 4.0)  # falling over rising, at the middle of the span
+    forth_and_back = y[2000:] + y[2000:][::-1]
+    assert forth_and_back[500] == pytest.approx(2 * u[2500, 0])  # about the same mean curve
 
 
 def test_mass_without_a_mode_is_refused():
