@@ -38,11 +38,12 @@ class Row:
 
 @dataclass
 class Table:
-    """Rows of one source ("reproduce hampi"), in the order in which they are printed."""
+    """Rows of one source ("reproduce hampi"), in the order in which they are printed; notes: sentences on what they cannot show."""
 
     source: str
     rows: list[Row] = field(default_factory=list)
     machine: str = ""
+    notes: list[str] = field(default_factory=list)
 
     def add(
         self,
@@ -88,6 +89,7 @@ class Table:
             "source": self.source,
             "machine": self.machine or machine(),
             "rows": rows,
+            **({"notes": self.notes} if self.notes else {}),
         }
 
     def text(self) -> str:
@@ -120,7 +122,7 @@ class Table:
                     right=("value", "published", "n"),
                 )
             )
-        return "\n".join(lines)
+        return "\n".join([*lines, *([""] if self.notes else []), *self.notes])
 
     def write(self, path: str | Path) -> None:
         """Write the JSON. Raises `InputError` where that is not possible."""

@@ -1,13 +1,15 @@
-"""`hyst reproduce hampi`: the HAMPI paper's model comparison on a truth actuator, recorded through the real nodes.
+"""`hyst reproduce hampi`: the HAMPI paper's experiments on a truth actuator, everything through the real nodes in lockstep.
 
-Table 4: HAPI, RDPI and HAMPI, identified jointly from one excitation record up to 140 V, on held-out loops of 140 V at 50 to 500 Hz;
-and the joint identification beside the paper's own sequence on the same held-out loops. The published figures are of the paper's
-actuator; the plant here is a simulated one like it, whose hysteresis and drag are not the model's own.
+Excite, record, identify in the paper's sequence and jointly, score on held-out loops, track open loop. The published figures are
+of the paper's actuator; the plant here is a simulated one like it, whose hysteresis and drag are not the model's own, and nothing
+is taken from its parameters. Models for Table 4 are identified up to 140 V; those that track, and G(s) of Table 1, up to 50 V, as
+the paper's are: its reference needs no more.
 """
 
 from __future__ import annotations
 
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,104 +17,140 @@ import numpy as np
 from hyst_control import excitation
 from hyst_control.bag_reader import read_bag
 from hyst_control.chain.stage import Array
+from hyst_control.control.feedforward import build_compensator
+from hyst_control.experiments import hampi_figures, hampi_tables
+from hyst_control.experiments.hampi_published import FREQUENCIES, TABLE_1, TABLE_5
+from hyst_control.experiments.hampi_tables import Place
 from hyst_control.experiments.runs import run_processes
 from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
-from hyst_control.identify.report import residual
 from hyst_control.identify.workflow import datasets_of
-from hyst_control.model_file import Model
+from hyst_control.model_file import Model, save_model
 from hyst_control.share import config_path
 from hyst_control.tables import Table
 
 SAMPLE_TIME = 5e-5
-PEAK = 140.0
-"""V, paper §5.1."""
-FREQUENCIES = (50.0, 100.0, 200.0, 300.0, 400.0, 500.0)
-PUBLISHED = {"HAPI": (3.83, 3.68, 4.71, 4.70, 5.22, 5.58), "RDPI": (1.47, 3.18, 4.75, 6.26, 8.18, 10.44),
-             "HAMPI": (2.10, 1.60, 1.26, 1.40, 2.14, 3.07)}
-"""NRMSE in %, HAMPI paper Table 4."""
-CYCLES = 12
-SCORED_CYCLES = 4
+RATING = (0.0, 150.0)
+PEAKS = (50.0, 100.0, 140.0)
+"""V, of the held-out loops (paper Figs. 11 to 13)."""
+LOW = PEAKS[0]
+"""V, up to which the tracking models and G(s) are identified (paper §3.2)."""
+CYCLES, SCORED_CYCLES = 12, 4
+STROKE, OFFSET = 4.0, 1.0
+"""um, peak to peak, and the lowest point of the reference: a drive that is never negative cannot bring the actuator back to 0."""
 SEED = 4040
 BLOCK = 500
 
 
-def run(json_path: str | None = None, figures: str | None = None) -> Table:
-    """Record, identify, score; the table."""
+@dataclass(frozen=True)
+class Extent:
+    """How much is run: cycles of held-out loops and of tracking references, their frequencies, and the excitation's own options."""
+
+    frequencies: tuple[float, ...] = FREQUENCIES
+    peaks: tuple[float, ...] = PEAKS
+    lags: tuple[float, ...] = tuple(TABLE_1)
+    tracked: tuple[float, ...] = tuple(TABLE_5["HAMPI"])
+    excitation: tuple[tuple[str, float], ...] = ()
+
+
+def run(json_path: str | None = None, figures: str | None = None, plant: str = "pea", extent: Extent | None = None) -> Table:
+    """Record, identify, score, track; the table. plant: "pea" or "third". Raises `InputError` when a node fails."""
+    extent = extent or Extent()
     table = Table("reproduce hampi")
-    with tempfile.TemporaryDirectory() as folder:
-        training = record(Path(folder) / "training", excitation.build(
-            {"signal": "hampi_identification", "peak": PEAK, "fast_share": 1.0, "lower": 0.0, "upper": 150.0}, SAMPLE_TIME), SEED)
-        loops, places = held_out_loops()
-        held_out = record(Path(folder) / "held_out", loops, SEED + 1)
-    models = {family.upper(): identify([training], family).model for family in ("hapi", "rdpi", "hampi")}
-    for name, model in models.items():
-        add_rows(table, "HAMPI Table 4", name, model, held_out, places, PUBLISHED[name])
-    for family in ("hapi", "hampi"):
-        paper = identify([training], family, "paper").model
-        add_rows(table, "joint identification beside the paper's sequence", f"{family.upper()}, paper's sequence", paper, held_out, places)
-        add_rows(table, "joint identification beside the paper's sequence", f"{family.upper()}, joint", models[family.upper()], held_out,
-                 places)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        training = record(folder / "training", identification(extent.peaks[-1], extent), SEED, plant)
+        low = record(folder / "low", identification(LOW, extent), SEED + 1, plant)
+        loops, places = held_out_loops(extent)
+        held_out = record(folder / "held_out", loops, SEED + 2, plant)
+        harmonics, beats = harmonic_drive(extent)
+        lagging = record(folder / "harmonics", harmonics, SEED + 3, plant)
+
+        models = {family.upper(): identify([training], family).model for family in ("hapi", "rdpi", "hampi")}
+        sequences = {family.upper(): identify([training], family, "paper").model for family in ("hapi", "hampi")}
+        compensated = {f"{family.upper()}, {method}": identify([low], family, method).model
+                       for family in ("hapi", "hampi") for method in ("joint", "paper")}
+        reference, parts = tracking_reference(extent)
+        tracked = {name: track(folder / name.replace(", ", "_"), name.split(",")[0].lower(), model, reference, plant)
+                   for name, model in compensated.items()}
+
+    linear = compensated["HAPI, paper"]
+    hampi_tables.phase_lags(table, linear, lagging, beats)
+    hampi_tables.step_fit(table, linear, low)
+    hampi_tables.inverses(table, linear, SAMPLE_TIME)
+    hampi_tables.predictions(table, models, held_out, places)
+    hampi_tables.methods(table, models, sequences, held_out, places)
+    hampi_tables.tracking(table, tracked, parts, STROKE)
+    table.notes += hampi_tables.NOTES
     if json_path:
         table.write(json_path)
     if figures:
-        draw_loops(Path(figures), models, held_out, places)
+        hampi_figures.write(Path(figures), table, linear, models, {"low": low, "held_out": held_out}, places, tracked, parts)
     return table
 
 
-def held_out_loops() -> tuple[Array, list[tuple[float, int, int]]]:
-    """Loops of full height at every frequency with rests between; and the rows of the last cycles of each."""
+def identification(peak: float, extent: Extent) -> Array:
+    """The excitation (N, 1) in V of paper §3.2, up to `peak`."""
+    return excitation.build({"signal": "hampi_identification", "peak": peak, "fast_share": 1.0, "lower": RATING[0], "upper": RATING[1],
+                             **dict(extent.excitation)}, SAMPLE_TIME)
+
+
+def held_out_loops(extent: Extent) -> tuple[Array, list[Place]]:
+    """Loops of every height at every frequency with rests between; and the rows of the last cycles of each."""
     pieces, places = [excitation.rest(SAMPLE_TIME, 0.02)], []
-    for frequency in FREQUENCIES:
-        begin = sum(len(piece) for piece in pieces)
-        wave = excitation.loops(SAMPLE_TIME, frequency, PEAK, CYCLES)
-        places.append((frequency, begin + len(wave) - int(round(SCORED_CYCLES / frequency / SAMPLE_TIME)), begin + len(wave)))
+    for peak in extent.peaks:
+        for frequency in extent.frequencies:
+            begin = sum(map(len, pieces))
+            wave = excitation.loops(SAMPLE_TIME, frequency, peak, CYCLES)
+            scored = int(round(SCORED_CYCLES / frequency / SAMPLE_TIME))
+            places.append(Place(peak, frequency, begin + len(wave) - scored, begin + len(wave)))
+            pieces += [wave, excitation.rest(SAMPLE_TIME, 0.02)]
+    return np.concatenate(pieces)[:, None], places
+
+
+def harmonic_drive(extent: Extent) -> tuple[Array, list[Place]]:
+    """Sines of 0 to 50 V (paper Fig. 4, Table 1), and the rows of the last whole cycles of each."""
+    pieces, places = [excitation.rest(SAMPLE_TIME, 0.02)], []
+    for frequency in extent.lags:
+        begin, cycles = sum(map(len, pieces)), max(2, int(round(0.05 * frequency)))
+        wave = excitation.loops(SAMPLE_TIME, frequency, LOW, cycles)
+        places.append(Place(LOW, frequency, begin + len(wave) // 2, begin + len(wave)))
         pieces += [wave, excitation.rest(SAMPLE_TIME, 0.02)]
     return np.concatenate(pieces)[:, None], places
 
 
-def record(folder: Path, signal: Array, seed: int) -> Dataset:
-    """An open-loop record of the truth actuator, through the five nodes."""
+def tracking_reference(extent: Extent) -> tuple[Array, list[Place]]:
+    """The reference (N, 1) in um: up to its top and down to its offset once, then sines at every frequency; and the rows scored."""
+    ts, top = SAMPLE_TIME, OFFSET + STROKE
+    pieces = [excitation.rest(ts, 0.02), excitation.cosine_ramp(ts, 0.0, top, 0.1), excitation.cosine_ramp(ts, top, OFFSET, 0.1)]
+    places = []
+    for frequency in extent.tracked:
+        pieces.append(excitation.rest(ts, 0.02, OFFSET))
+        begin, cycles = sum(map(len, pieces)), max(4, int(round(0.08 * frequency)))
+        wave = OFFSET + excitation.loops(ts, frequency, STROKE, cycles)
+        places.append(Place(STROKE, frequency, begin + len(wave) // 2, begin + len(wave)))
+        pieces.append(wave)
+    pieces.append(excitation.rest(ts, 0.02, OFFSET))
+    return np.concatenate(pieces)[:, None], places
+
+
+def record(folder: Path, signal: Array, seed: int, plant: str) -> Dataset:
+    """An open-loop record of the truth actuator for a drive (N, 1) in V, through the five nodes."""
     bag = run_processes(folder, signal, SAMPLE_TIME, {
         "hampi_feedforward": {"kind": "proportional", "gain": [1.0], "offset": [0.0]},
-        "pi_feedback": {"upper": 150.0, "start": "first_command"},
-        "plant": {"plant": str(config_path("plants/pea.yaml")), "seed": seed}}, block=BLOCK)
+        "pi_feedback": {"lower": RATING[0], "upper": RATING[1], "start": "first_command"},
+        "plant": {"plant": str(config_path(f"plants/{plant}.yaml")), "seed": seed}}, block=BLOCK)
     return datasets_of(read_bag(bag))[0]
 
 
-def add_rows(table: Table, title: str, subject: str, model: Model, data: Dataset, places: list[tuple[float, int, int]],
-             published: tuple[float, ...] | None = None) -> None:
-    """NRMSE (% of range, paper Eq. 26) and RMSE at every frequency, means kept."""
-    error = residual(model, data)[:, 0]
-    for index, (frequency, begin, end) in enumerate(places):
-        rmse = float(np.sqrt(np.mean(error[begin:end] ** 2)))
-        span = float(np.ptp(data.measurement[begin:end, 0]))
-        table.add(title, f"{frequency:g} Hz", subject, "nrmse", "%", 100 * rmse / span,
-                  published=published[index] if published else None, n=end - begin)
-        table.add(title, f"{frequency:g} Hz", subject, "rmse", data.unit, rmse, n=end - begin)
-
-
-def draw_loops(folder: Path, models: dict[str, Model], data: Dataset, places: list[tuple[float, int, int]]) -> None:
-    """Fig. 13: loops at every frequency, measured and simulated."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    from hyst_control.model_file import simulate
-
+def track(folder: Path, kind: str, model: Model, reference: Array, plant: str) -> dict[str, Array]:
+    """One open-loop tracking run with a compensator; every signal (N, 1)."""
     folder.mkdir(parents=True, exist_ok=True)
-    figure, axes = pyplot.subplots(2, 3, figsize=(11, 7), sharex=True, sharey=True)
-    simulated = {name: simulate(model, data.command, data.sample_time, data.hold)[:, 0] for name, model in models.items()}
-    for axis, (frequency, _, end) in zip(axes.ravel(), places, strict=True):
-        rows = slice(end - int(round(1.0 / frequency / SAMPLE_TIME)), end)
-        axis.plot(data.command[rows, 0], data.measurement[rows, 0], color="#1c2430", label="measured")
-        for name, values in simulated.items():
-            axis.plot(data.command[rows, 0], values[rows], linewidth=1.0, linestyle="--", label=name)
-        axis.set_title(f"{frequency:g} Hz")
-    axes[0, 0].legend(frameon=False)
-    figure.supxlabel("command [V]")
-    figure.supylabel("displacement [um]")
-    figure.tight_layout()
-    figure.savefig(folder / "hampi_loops_140V.svg")
-    pyplot.close(figure)
+    path = folder / "model.yaml"
+    save_model(model, path)
+    preview = build_compensator(model, kind, sample_time=SAMPLE_TIME, limits=RATING).preview
+    bag = run_processes(folder, reference, SAMPLE_TIME, {
+        "hampi_feedforward": {"kind": kind, "model": str(path), "limits": list(RATING)},
+        "pi_feedback": {"lower": RATING[0], "upper": RATING[1]},
+        "plant": {"plant": str(config_path(f"plants/{plant}.yaml")), "seed": SEED + 4}}, block=BLOCK, lead=preview + 1)
+    return dict(read_bag(bag).aligned(("reference", "feedforward", "command", "measurement"))[0].values)
