@@ -27,6 +27,9 @@ test: env
 fuzz: env
 	PYTHONPATH=. $(VENV)/bin/python test/fuzz $(ARGS)
 
+docs: $(CHECKS_READY)
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --quiet --strict $(ARGS)
+
 check-wheel: $(CHECKS_READY)
 	$(VENV)/bin/python .ci/wheel.py
 
@@ -38,6 +41,7 @@ check-readme: env
 
 lint: $(CHECKS_READY)
 	$(VENV)/bin/python -m ruff check .
+	$(VENV)/bin/python -m mypy
 
 bench: env
 	$(VENV)/bin/hyst bench $(ARGS)
@@ -61,4 +65,4 @@ $(INSTALLED): $(READY) setup.py setup.cfg
 	touch $@
 
 clean:
-	rm -rf $(VENV) build install log demo_out .pytest_cache .ruff_cache .hypothesis *.egg-info
+	rm -rf $(VENV) build install log demo_out site .pytest_cache .ruff_cache .hypothesis *.egg-info

@@ -51,12 +51,12 @@ def read_bag(path: str | Path, namespace: str | None = None, unit: str = "unknow
         raise InputError(f"{path}: holds no {MESSAGE_TYPE} messages: check what was recorded")
     named = {name: found[topic] for name, topic in _by_last_part(path, found, namespace).items() if found[topic].wanted}
     found.clear()
-    origin = min((min(topic.times) for topic in named.values() if topic.times), default=0)
+    origin = min((min(each.times) for each in named.values() if each.times), default=0)
     signals: dict[str, Signal] = {}
     for name in list(named):
-        topic = named.pop(name)  # its blocks are given back as soon as the signal has them
+        held = named.pop(name)  # its blocks are given back as soon as the signal has them
         try:
-            signals[name] = _signal(path, name, topic, origin, unit, notes)
+            signals[name] = _signal(path, name, held, origin, unit, notes)
         except InputError as error:
             if name in SIGNALS or topics is not None:
                 raise
@@ -112,10 +112,11 @@ def _messages(path: Path, notes: list[str]) -> Iterator[tuple[str, int, bytes]]:
 
 def _files(path: Path) -> list[Path]:
     """The storage files of a bag; compressed ones only where metadata.yaml says how to read them."""
+    known: tuple[str, ...] = STORAGE
     if path.is_file():
-        known, files = STORAGE, [path]
+        files = [path]
     else:
-        known = STORAGE + COMPRESSED if (path / "metadata.yaml").exists() else STORAGE
+        known += COMPRESSED if (path / "metadata.yaml").exists() else ()
         files = sorted(file for file in path.iterdir() if file.name.endswith(known))
     if not files or not all(file.name.endswith(known) for file in files):
         raise InputError(f"{path}: is no bag: a rosbag2 directory, or an .mcap or .db3 file, is due")
@@ -273,7 +274,7 @@ def _signal(path: Path, name: str, topic: _Topic, origin: int, unit: str, notes:
         return _ordered(path, name, Signal(time, values, axes, units[0]), notes)
     stamps = np.frombuffer(topic.times, np.int64)
     order = np.argsort(stamps, kind="stable")
-    time = (stamps[order] - origin) * 1e-9
+    time = np.asarray((stamps[order] - origin) * 1e-9, dtype=np.float64)
     return Signal(time, np.concatenate(blocks)[order], axes, "V" if name in COMMAND_SIDE else unit, "receive")
 
 

@@ -179,7 +179,7 @@ def triangle(sample_time: float, frequency: float, amplitude: float, offset: flo
     return offset + amplitude * (1.0 - 4.0 * np.abs(phase - 0.5))
 
 
-def staircase(sample_time: float, levels: Sequence[float], hold: float, ramp: float = 0.0) -> Array:
+def staircase(sample_time: float, levels: Sequence[float] | Array, hold: float, ramp: float = 0.0) -> Array:
     """Each level held for `hold` s, reached over `ramp` s (0: a jump)."""
     values = [_number(level, "levels") for level in levels]
     if not values:
@@ -366,4 +366,4 @@ def _count(duration: float, sample_time: float) -> int:
 
 
 def _time(duration: float, sample_time: float) -> Array:
-    return np.arange(_count(duration, sample_time)) * sample_time
+    return np.arange(_count(duration, sample_time), dtype=np.float64) * sample_time

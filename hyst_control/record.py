@@ -67,7 +67,7 @@ class Record:
         """Raise `InputError` when a value of these topics is not finite, naming its time and how many there are."""
         for topic in topics:
             signal = self.signal(topic)
-            bad = ~np.isfinite(signal.values).all(axis=1)
+            bad = np.asarray(~np.isfinite(signal.values).all(axis=1))
             if bad.any():
                 first = signal.time[np.argmax(bad)]
                 raise InputError(f"{self.source}: {topic}: {int(bad.sum())} of {len(bad)} samples are NaN or infinite, the first at "

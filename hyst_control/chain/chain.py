@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -65,6 +65,17 @@ class SeriesFilter(Filter):
         return block
 
 
+@runtime_checkable
+class Averaged(Protocol):
+    """A stage that bends the held command within a sample: what follows gets the samples it ends at, or the mean over each."""
+
+    def at_samples(self) -> Stage:
+        """What the samples go through."""
+
+    def between_samples(self) -> tuple[Stage, ...]:
+        """What bends the way from one sample to the next."""
+
+
 class ParallelFilter(Filter):
     """Filters fed alike, outputs added."""
 
@@ -73,7 +84,7 @@ class ParallelFilter(Filter):
         self.hold = "zoh" if all(running.hold == "zoh" for running in filters) else "foh"
 
     def settle(self, value: Array) -> Array:
-        return sum(running.settle(value) for running in self.filters)
+        return np.sum([running.settle(value) for running in self.filters], axis=0)
 
     def process(self, block: Array) -> Array:
         total = self.filters[0].process(block)
@@ -135,10 +146,10 @@ def _pass_bends(stages: Sequence[Stage]) -> list[Stage]:
     waiting: tuple[Stage, ...] = ()
     for index, stage in enumerate(stages):
         following = next((other for other in stages[index + 1 :] if not isinstance(other, Delay)), None)
-        bends = getattr(stage, "averaged", False) and not any(_is_system(before) for before in passed)
+        bends = isinstance(stage, Averaged) and not any(_is_system(before) for before in passed)
         if bends and isinstance(following, Parallel):
             waiting = (*waiting, stage)
-        elif bends and following is not None and not _is_system(following) and not following.mixes_axes:
+        elif bends and isinstance(stage, Averaged) and following is not None and not _is_system(following) and not following.mixes_axes:
             passed.append(stage.at_samples())
             waiting = (*waiting, *stage.between_samples())
         elif waiting and isinstance(stage, Parallel):
@@ -165,12 +176,12 @@ def _in_linear_run(stage: Stage) -> bool:
 def _averaged(run: Sequence[Stage]) -> bool:
     """Whether what follows a run of a held signal shall see it held at its means (see `effects.amplifier_lowpass`)."""
     systems = [stage for stage in run if not isinstance(stage, Delay)]
-    return bool(systems) and all(getattr(stage, "averaged", False) for stage in systems)
+    return bool(systems) and all(isinstance(stage, Averaged) for stage in systems)
 
 
 def _carries_delay(stage: Stage) -> bool:
     # A mean is taken over the intervals of the command: a delay waits until behind it.
-    return isinstance(stage, Parallel) or (_in_linear_run(stage) and not getattr(stage, "averaged", False))
+    return isinstance(stage, Parallel) or (_in_linear_run(stage) and not isinstance(stage, Averaged))
 
 
 def _place_delays(stages: Sequence[Stage]) -> list[Stage]:
@@ -221,7 +232,7 @@ def _couples(stage: Stage) -> bool:
 
 
 def _even(delays: Sequence[Stage]) -> bool:
-    return all(np.ndim(delay.tau) == 0 or len(set(delay.tau)) == 1 for delay in delays)
+    return all(not isinstance(delay, Delay) or np.ndim(delay.tau) == 0 or len(set(delay.tau)) == 1 for delay in delays)
 
 
 def _cut_before_uneven_delays(run: Sequence[Stage]) -> list[list[Stage]]:

@@ -217,8 +217,8 @@ def invertible_range(core: Stage, drive: Array, needed: Array) -> Array:
     upper = drive[1].copy()
 
     def least_slope(axis: int, end: float) -> tuple[float, float, float, float]:
-        return slope_range(operators.thresholds[axis], operators.release[axis], operators.weights[axis], *coefficients[:, axis],
-                           drive[0, axis], end)
+        w0, k, b = coefficients[:, axis]
+        return slope_range(operators.thresholds[axis], operators.release[axis], operators.weights[axis], w0, k, b, drive[0, axis], end)
 
     for axis in range(axes):
         if least_slope(axis, upper[axis])[0] > 0.0:

@@ -23,7 +23,6 @@ class AmplifierLowpass(Lowpass):
     """
 
     name: ClassVar[str] = "amplifier_lowpass"
-    averaged: ClassVar[bool] = True
 
     def at_samples(self) -> Stage:
         """The voltage at the ends of the intervals."""
