@@ -1,8 +1,8 @@
 """Cases of the blind test: records of truth plants with effects in them, and what is in each, kept apart.
 
 A case is a truth plant whose coefficients scatter, one of four excitations, one of two noise levels, and effects of drawn size:
-one, two, none, coefficients off by more than their tolerance, or an effect that is in nobody's catalogue. Seeds 0 to 999 are for
-tuning, scoring seeds begin at 100000.
+one, two, none, coefficients off by more than their tolerance, or an effect that is in nobody's catalogue; they are there from the
+start or, where asked for, from a time within the record on. Seeds 0 to 999 are for tuning, scoring seeds begin at 100000.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ from hyst_plant_sim.physics import Plant, load_plant
 from hyst_plant_sim.physics.loading import shipped
 
 PLANTS = ("pea_published", "fsm_published", "third")
+"""The blind test's; others that can be asked for are in `SETUPS`."""
+
 EXCITATIONS = ("rich", "multisine", "sine", "closed_loop")
 KINDS = ("single", "pair", "parameters", "none", "open_set")
 NOISES = (5e-4, 3e-3)
@@ -37,6 +39,12 @@ SCATTER = 0.01
 
 OFF = (4.0, 8.0)
 """`parameters`: the coefficients are off by this many times their tolerance."""
+
+SHARES = {"single": 0.45, "none": 0.25, "pair": 0.12, "open_set": 0.1, "parameters": 0.08}
+"""Of the kinds."""
+
+BEGIN = (0.3, 0.7)
+"""Share of the record's length after which an effect that is switched on begins."""
 
 LEAST = 10.0
 """Distance (standard deviations, coefficients marginalised) below which nobody could see a gap: such a case counts as none."""
@@ -61,6 +69,17 @@ SETUPS = {
                            (5.0, 9000.0)),
     "third": Setup(None, 5e-5, (0.0, 100.0), 9.0, ("slope", "alpha", "beta", "gamma", "ladder_shares", "mode_frequency", "mode_damping"),
                    (1.0, 2000.0)),
+    "pea": Setup(None, 5e-5, (0.0, 100.0), 10.8, ("elastic_slope", "slip_slope", "slip_decay", "saturation", "drag_rise", "drag_fall",
+                                                  "mode_frequency", "mode_damping", "slow_share"), (1.0, 2000.0)),
+    "fsm": Setup(None, 1e-4, (0.0, 100.0), 2.0, ("delay", "elastic_slope", "slip_slope", "slip_decay", "relaxation_share",
+                                                 "mode_frequency", "mode_damping"), (5.0, 9000.0)),
+}
+
+IDENTIFICATION: dict[str, tuple[str, dict[str, Any]]] = {
+    # by plant without a published model: the family, and what identifies it beside the diagnostic record, over the command range
+    "third": ("hampi", {"signal": "hampi_identification"}),
+    "pea": ("hampi", {"signal": "hampi_identification"}),
+    "fsm": ("mhl", {"signal": "mhl_identification", "sweep_time": 1.0}),
 }
 
 TOLERANCE = ("weights", "m1", "m2", "k", "b", "w0", "num", "den", "ascending", "descending", "tau", "k1", "k2", "b2")
@@ -132,13 +151,20 @@ class Case:
         return tuple(effect["name"] for effect in self.effects)
 
 
-def draw(seed: int, count: int, plants: Sequence[str] = PLANTS, kinds: Mapping[str, float] | None = None,
-         excitations: Sequence[str] = EXCITATIONS) -> list[Case]:
-    """A balanced set of cases: every effect on every plant in turn, kinds in these shares, half of it on the rich record."""
+def draw(seed: int, count: int, plants: Sequence[str] = PLANTS, kinds: Mapping[str, float] | Sequence[str] | None = None,
+         excitations: Sequence[str] = EXCITATIONS, switched: float = 0.0) -> list[Case]:
+    """A balanced set of cases: every effect on every plant in turn, half of it on the rich record.
+
+    kinds: which, with their usual shares among each other, or with these shares. switched: share of the cases with effects in
+    which every effect begins within the record, each at a time of its own.
+    """
     random = np.random.default_rng(seed)
-    shares = kinds or {"single": 0.45, "none": 0.25, "pair": 0.12, "open_set": 0.1, "parameters": 0.08}
+    chosen = kinds or SHARES
+    shares = dict(chosen) if isinstance(chosen, Mapping) else {kind: SHARES[kind] for kind in SHARES if kind in chosen}
+    if not isinstance(chosen, Mapping):
+        shares = {kind: share / sum(shares.values()) for kind, share in shares.items()}
     order = [kind for kind, share in shares.items() for _ in range(int(round(share * count)))]
-    order = (order + ["single"] * count)[:count]
+    order = (order + [max(shares, key=lambda kind: shares[kind])] * count)[:count]
     cycles: dict[str, list[tuple[str, ...]]] = {}
     cases = []
     for index, kind in enumerate(order):
@@ -150,7 +176,17 @@ def draw(seed: int, count: int, plants: Sequence[str] = PLANTS, kinds: Mapping[s
         case = Case("", plant, kind, excitation, noise, int(random.integers(1 << 31)), off=off)
         cases.append(replace(case, effects=tuple(_severity(name, plant, noise, random) for name in names)))
     random.shuffle(cases)  # type: ignore[arg-type]
-    return [replace(case, name=f"case_{index:04d}") for index, case in enumerate(cases)]
+    times = np.random.default_rng([seed, 3])  # apart, so that the cases are the same with and without
+    return [replace(case, name=f"case_{index:04d}", effects=_begun(case, switched, times)) for index, case in enumerate(cases)]
+
+
+def _begun(case: Case, switched: float, random: np.random.Generator) -> tuple[Mapping[str, Any], ...]:
+    """Its effects, switched on within the record in a share `switched` of the cases."""
+    if not case.effects or random.random() >= switched:
+        return case.effects
+    sample_time = SETUPS[case.plant].sample_time
+    length = len(commands(case))
+    return tuple({**effect, "from": round(random.uniform(*BEGIN) * length) * sample_time} for effect in case.effects)
 
 
 def _names(kind: str, plant: str, cycles: dict[str, list[tuple[str, ...]]], random: np.random.Generator) -> tuple[str, ...]:
@@ -243,7 +279,7 @@ def scatter(plant: str, seed: int, size: float) -> dict[str, Any]:
     def off(value: Any) -> Any:
         return [off(item) for item in value] if isinstance(value, list) else value * (1.0 + size * random.standard_normal())
 
-    if not plant.startswith("fsm"):
+    if plant != "fsm_published":
         return {name: off(parameters[name]) for name in setup.scattered}
     changes = {name: [off(parameters[name][0]) for _ in range(2)] for name in setup.scattered}
     for name in ("span", "scale", "b2"):
@@ -273,24 +309,29 @@ def nominal(plant: str, noise: float) -> Model:
     if setup.model is not None:
         model = load_model(config_path(setup.model))
     else:
-        document = {"plant": plant, "rating": list(setup.command)}
-        truth = load_plant(document, seed=1, sample_time=setup.sample_time, noise=1e-4 * setup.stroke)
-        datasets = []
-        low, high = setup.command
-        for index, spec in enumerate(({"signal": "hampi_identification", "peak": high},
-                                      {"signal": "diagnostic", "lowest": low, "highest": high, "seed": 5000})):
-            rows = build(spec, setup.sample_time, 1)
-            first = truth.reset(rows[0])
-            measured = np.concatenate([first[None], truth.step(rows)[:-1]])
-            datasets.append(Dataset(f"clean {index}", rows, measured, setup.sample_time, ("x",), "um"))
-        model = identify(datasets, "hampi").model
-        # What the model family leaves of this physics, on a record that did not identify it.
-        rows = build({"signal": "diagnostic", "lowest": low, "highest": high, "seed": 6000}, setup.sample_time, 1)
-        first = truth.reset(rows[0])
-        left = np.concatenate([first[None], truth.step(rows)[:-1]]) - simulate(model, rows, setup.sample_time)
-        sigma = float(np.hypot(sigma, np.sqrt(np.mean(left ** 2))))
+        model, left = _identified(plant)
+        sigma = float(np.hypot(sigma, left))
     return replace(model, sample_time=setup.sample_time, noise={"sigma": sigma},
                    tolerance={name: SCATTER for name in TOLERANCE}, valid={**model.valid, "command": list(setup.command)})
+
+
+@cache
+def _identified(plant: str) -> tuple[Model, float]:
+    """A model of the nominal plant, and what (rms) its family leaves of this physics on a record that did not identify it."""
+    setup, (family, spec) = SETUPS[plant], IDENTIFICATION[plant]
+    low, high = setup.command
+    truth = load_plant({"plant": plant, "rating": [low, high]}, seed=1, sample_time=setup.sample_time, noise=1e-4 * setup.stroke)
+
+    def clean(spec: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+        rows = build(spec, setup.sample_time, len(truth.axes))
+        return rows, np.concatenate([truth.reset(rows[0])[None], truth.step(rows)[:-1]])
+
+    diagnostic = {"signal": "diagnostic", "lowest": low, "highest": high}
+    records = [clean({**spec, "peak": high}), clean({**diagnostic, "seed": 5000})]
+    model = identify([Dataset(f"clean {index}", *record, setup.sample_time, truth.axes, truth.units["measurement"])
+                      for index, record in enumerate(records)], family).model
+    rows, measured = clean({**diagnostic, "seed": 6000})
+    return model, float(np.sqrt(np.mean((measured - simulate(model, rows, setup.sample_time)) ** 2)))
 
 
 def record_of(case: Case, signals: Mapping[str, np.ndarray]) -> Record:
@@ -303,11 +344,19 @@ def record_of(case: Case, signals: Mapping[str, np.ndarray]) -> Record:
     return Record({name: Signal(time, values, axes, units.get(name, unit)) for name, values in signals.items()}, case.name)
 
 
-def labelled(case: Case) -> Case:
-    """The case with its label: what to score, the true gap, and whether anybody could see it."""
+def stated_noise(plant: str, noise: float) -> float:
+    """What the nominal model of a plant says of the noise, rms."""
+    return float(np.max(nominal(plant, noise).noise["sigma"]))
+
+
+def labelled(case: Case, stated: float | None = None) -> Case:
+    """The case with its label: what to score, the true gap, from when each effect is there, and whether anybody could see it.
+
+    stated: what `stated_noise` says, where it is known already (a plant without a published model is identified first).
+    """
     setup = SETUPS[case.plant]
     noise = case.noise * setup.stroke
-    stated = float(np.max(nominal(case.plant, case.noise).noise["sigma"]))
+    stated = stated_noise(case.plant, case.noise) if stated is None else stated
     label: dict[str, Any] = {"kind": case.kind, "names": list(case.names), "effects": [dict(effect) for effect in case.effects],
                              "plant": case.plant, "excitation": case.excitation, "noise": case.noise}
     gap, distance = 0.0, np.inf if case.kind == "parameters" else 0.0

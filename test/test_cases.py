@@ -10,7 +10,8 @@ import pytest
 
 from hyst_control.cli import main
 from hyst_control.experiments.blind_scores import metrics, wilson
-from hyst_plant_sim.cases import KINDS, LEAST, SEVERITIES, draw, labelled, run
+from hyst_plant_sim.cases import BEGIN, EXCITATIONS, KINDS, LEAST, SETUPS, SEVERITIES, Case, commands, draw, labelled, run
+from hyst_plant_sim.physics import PLANTS as TRUTH_PLANTS
 
 
 def test_a_seed_draws_the_same_balanced_cases():
@@ -34,6 +35,61 @@ def test_labels_state_the_true_gap_and_hide_what_nobody_could_see():
     assert label["kind"] == ("single" if label["distance"] >= LEAST else "none")
 
 
+def test_effects_begin_within_the_record_where_asked_for():
+    """The cases are otherwise those of the seed, on every plant; before an effect begins the record is the one without it."""
+    plants = tuple(SETUPS)
+    always = draw(5, 100, plants, ("single", "pair", "open_set"))
+    switched = draw(5, 100, plants, ("single", "pair", "open_set"), switched=1.0)
+    assert {case.plant for case in switched} == set(plants) == set(TRUTH_PLANTS)
+    assert [case.names for case in switched] == [case.names for case in always]
+    for case in switched:
+        length = len(commands(case)) * SETUPS[case.plant].sample_time
+        assert all(BEGIN[0] * length - 1e-3 < effect["from"] < BEGIN[1] * length + 1e-3 for effect in case.effects)
+    assert 0.3 < np.mean(["from" in case.effects[0] for case in draw(5, 100, kinds=("single",), switched=0.5)]) < 0.7
+    case = next(case for case in switched if case.plant == "fsm" and case.kind == "pair" and case.excitation == "rich")
+    begin = round(min(effect["from"] for effect in case.effects) / SETUPS["fsm"].sample_time)
+    found, without = run(case)["measurement"], run(case, effects=False)["measurement"]
+    np.testing.assert_array_equal(found[:begin], without[:begin])
+    assert np.any(found[begin:] != without[begin:])
+
+
+@pytest.mark.parametrize("plant", ["pea", "fsm", "third"])
+@pytest.mark.parametrize("excitation", EXCITATIONS)
+def test_plants_stay_within_their_range_and_stroke(plant, excitation):
+    """Also those that the blind test does not take, in closed loop as well."""
+    signals = run(Case("", plant, "none", excitation, 5e-4, 7))
+    setup = SETUPS[plant]
+    assert np.all((signals["command"] >= setup.command[0]) & (signals["command"] <= setup.command[1]))
+    assert np.all(np.abs(signals["measurement"]) < 1.3 * setup.stroke) and np.ptp(signals["measurement"]) > 0.3 * setup.stroke
+    if excitation == "closed_loop":  # settled on its slow lines: it tracks
+        error = (signals["reference"] - signals["measurement"])[len(signals["reference"]) // 3:]
+        assert np.sqrt(np.mean(error ** 2)) < 0.1 * setup.stroke
+
+
+def test_a_gap_under_the_noise_is_labelled_none_whatever_its_kind():
+    """An effect that is switched on, two, one outside the catalogue, each too small for anybody to see."""
+    small = [("single", ({"name": "delay", "tau": 1e-8, "from": 0.5},)),
+             ("open_set", ({"name": "outliers", "fraction": 1e-3, "size": 1e-4},)),
+             ("pair", ({"name": "creep", "gamma": 1e-7}, {"name": "offset", "offset": 1e-6}))]
+    for kind, effects in small:
+        case = Case("", "pea_published", kind, "multisine", 3e-3, 3, effects)
+        label = labelled(case).label
+        assert label["kind"] == "none" and label["names"] == [] and label["hidden"] == list(case.names) and label["gap_rms"] > 0
+        assert [dict(effect) for effect in label["effects"]] == [dict(effect) for effect in effects]
+
+
+def test_kinds_excitations_and_switches_are_chosen_on_the_command_line(tmp_path):
+    folder = tmp_path / "out"
+    arguments = ["cases", "make", "--seed", "4", "--count", "4", "--out", str(folder), "--plants", "pea_published"]
+    chosen = ["--kinds", "open_set", "pair", "--excitations", "sine", "--switched", "1"]
+    assert main([*arguments, *chosen]) == 0
+    cases = json.loads((folder / "labels.json").read_text())["cases"]
+    assert {case["kind"] for case in cases} == {"open_set", "pair"} and {case["excitation"] for case in cases} == {"sine"}
+    assert all(effect["from"] > 0 for case in cases for effect in case["label"]["effects"])
+    assert main([*arguments, *chosen]) == 0  # there already
+    assert main([*arguments, "--kinds", "none"]) == 2  # other cases than those
+
+
 def test_nothing_in_a_case_folder_tells_its_label(tmp_path, capsys):
     assert main(["cases", "make", "--seed", "4", "--count", "3", "--out", str(tmp_path / "out"), "--plants", "pea_published"]) == 0
     assert "SHA-256" in capsys.readouterr().out
@@ -49,8 +105,12 @@ def test_nothing_in_a_case_folder_tells_its_label(tmp_path, capsys):
 def test_unusable_requests_are_refused(tmp_path, capsys):
     assert main(["cases", "make", "--seed", "1", "--count", "0", "--out", str(tmp_path / "a")]) == 2
     assert main(["cases", "make", "--seed", "1", "--count", "2", "--out", str(tmp_path / "b"), "--plants", "pear"]) == 2
+    for option, value in (("--kinds", "triple"), ("--excitations", "step"), ("--switched", "2")):
+        assert main(["cases", "make", "--seed", "1", "--count", "2", "--out", str(tmp_path / "b"), option, value]) == 2
     error = capsys.readouterr().err
-    assert "--count 0" in error and "--plants pear" in error and error.count("\n") == 2
+    for words in ("--count 0", "--plants pear", "--kinds triple", "--excitations step", "--switched 2"):
+        assert words in error
+    assert error.count("\n") == 5 and not (tmp_path / "b").exists()
 
 
 def test_wilsons_interval_is_the_published_one():

@@ -2,6 +2,7 @@
 
 examples:
   hyst cases make --seed 7 --count 20 --out cases
+  hyst cases make --seed 7 --count 12 --out mirror --plants fsm --kinds single pair --excitations rich --switched 0.5
   hyst cases figures --out docs                     # effects.md, with a figure for every effect
 """
 
@@ -19,7 +20,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--count", type=int, default=60, help="number of cases (make)")
     parser.add_argument("--out", required=True, metavar="FOLDER",
                         help="folder to write: cases/ and labels.json (make), effects.md and figures/effects/ (figures)")
-    parser.add_argument("--plants", nargs="+", metavar="PLANT", help="truth plants (make; default: all)")
+    parser.add_argument("--plants", nargs="+", metavar="PLANT",
+                        help="truth plants (make): pea, pea_published, fsm, fsm_published, third; default: the blind test's, "
+                             "pea_published, fsm_published and third")
+    parser.add_argument("--kinds", nargs="+", metavar="KIND",
+                        help="what is in them (make): single, pair, parameters, none, open_set (default: all)")
+    parser.add_argument("--excitations", nargs="+", metavar="EXCITATION",
+                        help="records (make): rich, multisine, sine, closed_loop (default: all)")
+    parser.add_argument("--switched", type=float, default=0.0, metavar="SHARE",
+                        help="share of the cases with effects in which they begin within the record (make; default 0)")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -36,5 +45,5 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.seed is None:
         raise InputError("--seed: is missing: hyst cases make --seed 7 --out cases, say")
-    make_cases(arguments.out, arguments.seed, arguments.count, arguments.plants)
+    make_cases(arguments.out, arguments.seed, arguments.count, arguments.plants, arguments.kinds, arguments.excitations, arguments.switched)
     return 0

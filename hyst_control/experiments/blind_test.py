@@ -50,14 +50,20 @@ def run_all(out: str, seed: int, count: int, left_out: int = 0, page: str | None
     return result
 
 
-def make_cases(out: str, seed: int, count: int, plants: Sequence[str] | None = None, note: Callable[[str], None] = print) -> Path:
-    """Cases and labels only; see `make`."""
-    from hyst_plant_sim.cases import PLANTS
+def make_cases(out: str, seed: int, count: int, plants: Sequence[str] | None = None, kinds: Sequence[str] | None = None,
+               excitations: Sequence[str] | None = None, switched: float = 0.0, note: Callable[[str], None] = print) -> Path:
+    """Cases and labels only; see `make`, and `hyst_plant_sim.cases.draw` for the options."""
+    from hyst_plant_sim import cases as drawn
 
-    for plant in plants or ():
-        if plant not in PLANTS:
-            raise InputError(f"--plants {plant}: no such plant, one of {', '.join(PLANTS)} is due")
-    return make(_folder(out, count), seed, count, note, **({"plants": plants} if plants else {}))
+    for option, asked, known in (("plants", plants, drawn.SETUPS), ("kinds", kinds, drawn.KINDS),
+                                 ("excitations", excitations, drawn.EXCITATIONS)):
+        for name in asked or ():
+            if name not in known:
+                raise InputError(f"--{option} {name}: no such {option[:-1]}, one of {', '.join(known)} is due")
+    if not 0 <= switched <= 1:
+        raise InputError(f"--switched {switched:g}: a share from 0 to 1 is due")
+    given = {"plants": plants, "kinds": kinds, "excitations": excitations, "switched": switched}
+    return make(_folder(out, count), seed, count, note, **{name: value for name, value in given.items() if value})
 
 
 def _folder(out: str, count: int) -> Path:
@@ -83,22 +89,26 @@ def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = prin
         known = json.loads(labels.read_text(encoding="utf-8"))
         if (known["seed"], known["count"]) != (seed, count):
             raise InputError(f"{labels}: is of seed {known['seed']} and {known['count']} cases: choose another folder")
+        if options and json.loads(json.dumps(options)) != known.get("options"):
+            raise InputError(f"{labels}: was drawn with other options: choose another folder")
         note(f"labels: SHA-256 {_digest(labels)}")
         return labels
     (folder / "cases").mkdir(parents=True, exist_ok=True)
     cases = drawn.draw(seed, count, **options)
+    stated = {key: drawn.stated_noise(*key) for key in sorted({(case.plant, case.noise) for case in cases})}
     documents = []
-    for case, document in zip(cases, _mapped(_make_one, [(case, str(folder / "cases")) for case in cases]), strict=True):
+    jobs = [(case, str(folder / "cases"), stated[case.plant, case.noise]) for case in cases]
+    for case, document in zip(cases, _mapped(_make_one, jobs), strict=True):
         documents.append(document)
         if len(documents) % 50 == 0:
             note(f"{len(documents)} of {count} cases recorded ({case.name})")
-    for plant, noise in sorted({(case.plant, case.noise) for case in cases}):
+    for plant, noise in stated:
         path = folder / "models" / f"{plant}_{noise:g}.yaml"
         path.parent.mkdir(exist_ok=True)
         save_model(drawn.nominal(plant, noise), path)
     for case in cases:
         shutil.copy(folder / "models" / f"{case.plant}_{case.noise:g}.yaml", folder / "cases" / case.name / "model.yaml")
-    write_json(labels, {"seed": seed, "count": count, "cases": documents})
+    write_json(labels, {"seed": seed, "count": count, **({"options": options} if options else {}), "cases": documents})
     note(f"labels: SHA-256 {_digest(labels)}")
     return labels
 
@@ -148,16 +158,16 @@ def load(folder: Path, reports: str = "reports") -> Iterator[tuple[dict[str, Any
             yield case, json.loads(file.read_text(encoding="utf-8"))
 
 
-def _make_one(job: tuple[Any, str]) -> dict[str, Any]:
+def _make_one(job: tuple[Any, str, float]) -> dict[str, Any]:
     from hyst_control.importing import write_bag
     from hyst_plant_sim import cases as drawn
 
-    case, folder = job
+    case, folder, stated = job
     bag = Path(folder) / case.name / "bag"
     shutil.rmtree(bag.parent, ignore_errors=True)
     bag.parent.mkdir(parents=True)
     write_bag(bag, drawn.record_of(case, drawn.run(case)))
-    return drawn.as_document(drawn.labelled(case))
+    return drawn.as_document(drawn.labelled(case, stated))
 
 
 def _diagnose_one(job: tuple[str, str, tuple[str, ...]]) -> str:
