@@ -22,6 +22,9 @@ EXCESS = 1.15
 LINE_RATIO = 40.0
 """How far a line stands out of the spectrum around it, in power, to be a suggestion (chance alone: 1 in e^40 per bin)."""
 
+HARMONIC_WIDTH = 0.05
+"""How near a harmonic counts as one, in fundamentals: amplitudes that change spread it."""
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -104,7 +107,8 @@ def excess_noise(noise: float, stated: float, others: Sequence[Finding], axis: i
 def lines(problem: Problem, unexplained: Array) -> dict[str, list[float]]:
     """Frequencies (Hz) of `mains_hum` and `vibration` at which the residual's spectrum has a narrow line.
 
-    unexplained (M,): residual without what the scattered coefficients explain, of all rows. A line of the command's is none.
+    unexplained (M,): residual without what the scattered coefficients explain, of all rows. A line of the command's is none,
+    nor a harmonic of a command that is nearly one sine: any nonlinearity has those.
     """
     suggestions: dict[str, list[float]] = {"mains_hum": [], "vibration": []}
     rows = problem.rows(unexplained)
@@ -128,7 +132,7 @@ def lines(problem: Problem, unexplained: Array) -> dict[str, list[float]]:
             if near.any() and ratio[near].max(initial=0.0) > LINE_RATIO / 2:
                 suggestions["mains_hum"].append(mains)
         sure = ratio > LINE_RATIO
-        sure &= (frequency > 4 * width) & ~(driven > 1e-3 * driven.max())
+        sure &= (frequency > 4 * width) & ~(driven > 1e-3 * driven.max()) & ~_harmonics(frequency, driven)
         for mains in MAINS:
             for harmonic in (1, 2, 3, 5, 7):
                 sure &= np.abs(frequency - harmonic * mains) > max(0.7, 2.0 * width)
@@ -136,6 +140,16 @@ def lines(problem: Problem, unexplained: Array) -> dict[str, list[float]]:
             top = int(np.argmax(np.where(sure, power, 0.0)))
             suggestions["vibration"].append(_peak(frequency, power, top))
     return {name: _distinct(values, 2.0 / (count * problem.sample_time)) for name, values in suggestions.items()}
+
+
+def _harmonics(frequency: Array, driven: Array) -> Array:
+    """Which frequencies are near a harmonic of a command whose power is near those of one fundamental."""
+    fundamental = frequency[int(np.argmax(driven))]
+    if fundamental < 10.0 * frequency[1]:  # not resolved: everything would be near a harmonic
+        return np.zeros(len(frequency), bool)
+    order = np.round(frequency / fundamental)
+    near = (order >= 1) & (np.abs(frequency - order * fundamental) < max(2.0 * frequency[1], HARMONIC_WIDTH * fundamental))
+    return near if driven[near].sum() > 0.9 * driven.sum() else np.zeros(len(frequency), bool)
 
 
 def _background(power: Array, reach: int = 40) -> Array:

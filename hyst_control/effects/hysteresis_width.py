@@ -29,7 +29,7 @@ from hyst_control.effects.modifying import Memoryless, numbers, replaced, scaled
 from hyst_control.effects.places import hysteresis_index
 from hyst_control.errors import InputError
 
-OPERATORS = 8
+OPERATORS, DENSER = 8, 1.5  # the exponent: a measured stack's nested loops, see docs/diagnosis.md
 
 
 @register
@@ -40,9 +40,9 @@ class HysteresisWidth(Modifier):
     The mean curve of a play operator H[u] is u, also under the dynamic weights of the modified Prandtl-Ishlinskii model; that of
     Madelung hysteresis is the mean of the two major branches.
 
-    A chain without hysteresis gets one behind what is before: u + width (mean of H_r[u] - u) over the play operators of
-    `OPERATORS` thresholds r spread evenly over half of `span` (V). Driven over the span from end to end, that loop opens by
-    width span / 4 at its middle.
+    A chain without hysteresis gets one behind what is before: u + c (mean of H_r[u] - u) over the play operators of `OPERATORS`
+    thresholds r up to half of `span` (V), denser toward 0, with c such that a drive over the span from end to end gives a loop
+    that opens by width span at its middle.
     """
 
     name: ClassVar[str] = "hysteresis_width"
@@ -65,9 +65,11 @@ class HysteresisWidth(Modifier):
 
 def _memory(width: Array, span: Array) -> PrandtlIshlinskii:
     """What a chain without hysteresis gets."""
-    thresholds = 0.5 * span[:, None] * (np.arange(OPERATORS) + 0.5) / OPERATORS
-    weights = np.repeat(width[:, None] / OPERATORS, OPERATORS, axis=1)
-    return PrandtlIshlinskii(frozen(thresholds), frozen(weights), frozen(1.0 - width))
+    threshold = 0.5 * ((np.arange(OPERATORS) + 0.5) / OPERATORS) ** DENSER
+    opening = np.mean(np.minimum(2.0 * threshold, 1.0 - 2.0 * threshold))  # of the operators' mean, at the middle of a span of 1
+    share = width / opening
+    weights = np.repeat(share[:, None] / OPERATORS, OPERATORS, axis=1)
+    return PrandtlIshlinskii(frozen(span[:, None] * threshold), frozen(weights), frozen(1.0 - share))
 
 
 def _widened(stage: Stage, width: Array) -> Stage | None:

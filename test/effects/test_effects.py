@@ -334,8 +334,8 @@ def test_a_model_file_with_nothing_to_change_is_refused(tmp_path):
 
 def test_a_chain_without_hysteresis_gets_a_loop_of_the_stated_width():
     u = 50.0 - 50.0 * np.cos(2 * np.pi * np.arange(4001) / 2000)[:, None]
-    y = run([HysteresisWidth(0.4, 100.0)], u, hold="foh")[:, 0]
-    assert y[3500] - y[2500] == pytest.approx(0.4 * 100.0 / 4.0)  # falling over rising, at the middle of the span
+    y = run([HysteresisWidth(0.1, 100.0)], u, hold="foh")[:, 0]
+    assert y[3500] - y[2500] == pytest.approx(0.1 * 100.0)  # falling over rising, at the middle of the span
     forth_and_back = y[2000:] + y[2000:][::-1]
     assert forth_and_back[500] == pytest.approx(2 * u[2500, 0])  # about the same mean curve
 
