@@ -23,6 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="further ticks in the loop: 0 in lockstep (default), about 1 on wall-clock timers")
     parser.add_argument("--gain-spread", type=float, default=0.1, help="of the plant, relative (default 0.1)")
     parser.add_argument("--mode-spread", type=float, default=0.2, help="of the first resonance, relative (default 0.2)")
+    parser.add_argument("--model-error", type=float, default=0.15,
+                        help="of the model's response at any frequency, relative (default 0.15)")
     parser.add_argument("--json", metavar="OUT.json", help="result table to write")
 
 
@@ -33,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     model = load_model(arguments.model)
     result = tune(model, sample_time=arguments.sample_time, gain_margin=arguments.gain_margin, phase_margin=arguments.phase_margin,
                   peak_sensitivity=arguments.peak_sensitivity, loop_delay=arguments.loop_delay,
-                  gain_spread=arguments.gain_spread, mode_spread=arguments.mode_spread)
+                  gain_spread=arguments.gain_spread, mode_spread=arguments.mode_spread, model_error=arguments.model_error)
     table = result.table(model)
     if arguments.json:
         table.write(arguments.json)

@@ -4,6 +4,10 @@ The loop is L(z) = P(z) z^-d (kp + ki T z / (z - 1)): P exact for the held comma
 loop carries them (a loop closed over topics on wall-clock timers carries about one). Among all (kp, ki) that keep the margins for
 every case of plant gain and first resonance, the one with the greatest ki is taken: it has the least integral of the error after
 a load step (Astrom and Hagglund, Advanced PID Control, 2006, §4.6 and §6.3).
+
+The model's own error is a relative one: the plant's response may lie anywhere within `model_error` |P| of the model's, at every
+frequency and in every case (multiplicative uncertainty, Doyle, Francis and Tannenbaum, Feedback Control Theory, 1992, §4). The
+margins hold for the worst of these plants.
 """
 
 from __future__ import annotations
@@ -41,7 +45,7 @@ class Margins:
 @dataclass(frozen=True)
 class Tuning:
     """Result: gains kp (V per measurement unit) and ki (V per measurement unit and s), margins of the model as it is and the
-    worst over the spread, settling_time s of a step into 2 %, overshoot in per cent."""
+    worst over the spread and the model's own error, settling_time s of a step into 2 %, overshoot in per cent."""
 
     kp: float
     ki: float
@@ -71,26 +75,28 @@ class Tuning:
 
 
 def tune(model: Model, *, sample_time: float | None = None, gain_margin: float = 6.0, phase_margin: float = 45.0,
-         peak_sensitivity: float = 2.0, loop_delay: int = 0, gain_spread: float = 0.1, mode_spread: float = 0.2) -> Tuning:
+         peak_sensitivity: float = 2.0, loop_delay: int = 0, gain_spread: float = 0.1, mode_spread: float = 0.2,
+         model_error: float = 0.15) -> Tuning:
     """PI gains for a model, one pair for all axes.
 
     sample_time s (the model's by default); gain_margin dB; phase_margin degrees; loop_delay: further ticks in the loop;
-    gain_spread, mode_spread: relative spread of the plant's gain and of its first resonance, over which the margins hold too.
+    gain_spread, mode_spread: relative spread of the plant's gain and of its first resonance, over which the margins hold too;
+    model_error: relative error of the model's response, any frequency, any direction, on top of them.
     The hysteresis enters with its greatest slope, so that no part of a loop has less margin.
     Raises `InputError` when no controller keeps the margins.
     """
     sample_time = float(sample_time or model.sample_time)
     if not (gain_margin > 0 and 0 < phase_margin < 90 and peak_sensitivity > 1 and loop_delay >= 0
-            and 0 <= gain_spread < 1 and 0 <= mode_spread < 1):
+            and all(0 <= spread < 1 for spread in (gain_spread, mode_spread, model_error))):
         raise InputError("margins: gain margin above 0 dB, phase margin between 0 and 90 degrees, peak sensitivity above 1, "
-                         "spreads from 0 to below 1 are due")
+                         "spreads and model error from 0 to below 1 are due")
     z = np.exp(1j * np.geomspace(1e-5, 1.0, 1500) * np.pi)
     plants = _plants(model, sample_time, loop_delay, gain_spread, mode_spread, z)
     static = np.abs(plants[:, 0]).max()
     if np.any(plants[:, 0].real <= 0.0):
         raise InputError("chain: the output falls when the command rises at rest: PI gains are positive; invert the axis")
     best = (0.0, 0.0)
-    limits = 10.0 ** (gain_margin / 20.0), np.radians(phase_margin), peak_sensitivity
+    limits = 10.0 ** (gain_margin / 20.0), np.radians(phase_margin), peak_sensitivity, model_error
     # Integral action alone, and proportional-to-integral times from a tenth of a sample to ten thousand.
     for time in [0.0, *(sample_time * np.geomspace(0.1, 1e4, 51))]:
         shape = (time + sample_time * z / (z - 1.0)) / (static * sample_time)
@@ -104,7 +110,7 @@ def tune(model: Model, *, sample_time: float | None = None, gain_margin: float =
     controller = kp + ki * sample_time * z / (z - 1.0)
     axes = len(model.axes)
     nominal = [margins(plant * controller, z, sample_time) for plant in plants[:axes]]
-    cases = [margins(plant * controller, z, sample_time) for plant in plants]
+    cases = [margins(plant * controller, z, sample_time, model_error) for plant in plants]
     settling, overshoot = step_response(model, kp, ki, sample_time)
     return Tuning(kp, ki, sample_time, _worst(nominal), _worst(cases), settling, overshoot)
 
@@ -121,14 +127,15 @@ def _plants(model: Model, sample_time: float, loop_delay: int, gain_spread: floa
     return np.concatenate(responses)
 
 
-def _largest_scale(loops: Complex, gain_margin: float, phase_margin: float, peak_sensitivity: float, above: float) -> float:
+def _largest_scale(loops: Complex, gain_margin: float, phase_margin: float, peak_sensitivity: float, error: float,
+                   above: float) -> float:
     """The largest factor on loops (M, F) up to which all of them keep the margins; 0 when it is not larger than `above`."""
-    ultimate = _crossing_180(loops).max()
+    ultimate = _crossing_180(loops).max() * (1.0 + error)
     highest = 1.0 / (max(ultimate, 1e-12) * gain_margin)
 
     def kept(scale: float) -> bool:
         scaled = scale * loops
-        return 1.0 / np.abs(1.0 + scaled).min() <= peak_sensitivity and _phase_margin(scaled).min() >= phase_margin
+        return 1.0 <= peak_sensitivity * _least_distance(scaled, error) and _phase_margin(scaled, error).min() >= phase_margin
 
     if highest <= above:
         return 0.0
@@ -159,8 +166,20 @@ def _crossing_180(loops: Complex) -> Array:
     return np.maximum(np.where(crossed, -at, 0.0).max(axis=1), -real[:, -1].clip(max=0.0))
 
 
-def _phase_margin(loops: Complex) -> Array:
-    """Least distance (M,) in rad of the phase from -180 degrees where |L| of loops (M, F) crosses 1; pi where it never does."""
+def _least_distance(loops: Complex, error: float) -> float:
+    """The least |1 + L (1 + d)| over loops and all relative errors |d| up to `error`."""
+    return float((np.abs(1.0 + loops) - error * np.abs(loops)).min())
+
+
+def _phase_margin(loops: Complex, error: float = 0.0) -> Array:
+    """Least distance (M,) in rad of the phase from -180 degrees where |L| of loops (M, F) crosses 1; pi where it never does.
+
+    A relative error turns the phase by its arc sine, and moves the crossing to where |L| is between 1 / (1 + error) and
+    1 / (1 - error).
+    """
+    if error:
+        ends = [_phase_margin(loops * factor) for factor in (1.0 - error, 1.0, 1.0 + error)]
+        return np.min(ends, axis=0) - np.arcsin(error)
     size, turn = np.log(np.abs(loops)), np.angle(loops[:, 1:] / loops[:, :-1])
     change = size[:, :-1] - size[:, 1:]
     phase = np.angle(loops[:, :-1]) + turn * size[:, :-1] / np.where(change == 0.0, 1.0, change)
@@ -168,16 +187,16 @@ def _phase_margin(loops: Complex) -> Array:
     return np.where(size[:, :-1] * size[:, 1:] <= 0.0, distance, np.pi).min(axis=1)
 
 
-def margins(loop: Complex, z: Complex, sample_time: float) -> Margins:
-    """Margins of a loop that is stable, from its response (F,) at z = exp(j w T)."""
+def margins(loop: Complex, z: Complex, sample_time: float, error: float = 0.0) -> Margins:
+    """Margins of a loop that is stable, from its response (F,) at z = exp(j w T), the worst over a relative error of it."""
     frequency = np.angle(z) / (2.0 * np.pi * sample_time)
-    crossing = float(_crossing_180(loop[None])[0])
+    crossing = float(_crossing_180(loop[None])[0]) * (1.0 + error)
     above = np.flatnonzero(np.abs(loop) >= 1.0)
     closed = np.abs(loop / (1.0 + loop))
     below = np.flatnonzero(closed < np.sqrt(0.5))
     return Margins(gain_margin=-20.0 * float(np.log10(crossing)) if crossing > 0.0 else np.inf,
-                   phase_margin=float(np.degrees(_phase_margin(loop[None])[0])),
-                   peak_sensitivity=float(1.0 / np.abs(1.0 + loop).min()),
+                   phase_margin=float(np.degrees(_phase_margin(loop[None], error)[0])),
+                   peak_sensitivity=1.0 / _least_distance(loop, error),
                    crossover=float(frequency[above[-1]]) if len(above) else 0.0,
                    bandwidth=float(frequency[below[0]]) if len(below) else 0.5 / sample_time)
 

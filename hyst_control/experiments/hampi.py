@@ -18,9 +18,11 @@ from hyst_control import excitation
 from hyst_control.bag_reader import read_bag
 from hyst_control.chain.stage import Array
 from hyst_control.control.feedforward import build_compensator
+from hyst_control.control.tuning import tune
 from hyst_control.experiments import hampi_figures, hampi_tables
 from hyst_control.experiments.hampi_published import FREQUENCIES, TABLE_1, TABLE_5
 from hyst_control.experiments.hampi_tables import Place
+from hyst_control.experiments.mhl_tables import robustness
 from hyst_control.experiments.runs import run_processes
 from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
@@ -44,13 +46,16 @@ BLOCK = 500
 
 @dataclass(frozen=True)
 class Extent:
-    """How much is run: cycles of held-out loops and of tracking references, their frequencies, and the excitation's own options."""
+    """How much is run: frequencies (Hz) and peaks (V) of held-out loops, of the lags and of the tracked reference, the excitation's own
+    options, the methods whose models track, and whether the feedback's margins are measured."""
 
     frequencies: tuple[float, ...] = FREQUENCIES
     peaks: tuple[float, ...] = PEAKS
     lags: tuple[float, ...] = tuple(TABLE_1)
     tracked: tuple[float, ...] = tuple(TABLE_5["HAMPI"])
     excitation: tuple[tuple[str, float], ...] = ()
+    methods: tuple[str, ...] = ("joint", "paper")
+    margins: bool = True
 
 
 def run(json_path: str | None = None, figures: str | None = None, plant: str = "pea", extent: Extent | None = None) -> Table:
@@ -69,18 +74,20 @@ def run(json_path: str | None = None, figures: str | None = None, plant: str = "
         models = {family.upper(): identify([training], family).model for family in ("hapi", "rdpi", "hampi")}
         sequences = {family.upper(): identify([training], family, "paper").model for family in ("hapi", "hampi")}
         compensated = {f"{family.upper()}, {method}": identify([low], family, method).model
-                       for family in ("hapi", "hampi") for method in ("joint", "paper")}
+                       for family in ("hapi", "hampi") for method in extent.methods}
         reference, parts = tracking_reference(extent)
         tracked = {name: track(folder / name.replace(", ", "_"), name.split(",")[0].lower(), model, reference, plant)
                    for name, model in compensated.items()}
 
-    linear = compensated["HAPI, paper"]
+    linear = identify([low], "hapi", "paper").model
     hampi_tables.phase_lags(table, linear, lagging, beats)
     hampi_tables.step_fit(table, linear, low)
     hampi_tables.inverses(table, linear, SAMPLE_TIME)
     hampi_tables.predictions(table, models, held_out, places)
     hampi_tables.methods(table, models, sequences, held_out, places)
     hampi_tables.tracking(table, tracked, parts, STROKE)
+    if plant == "pea" and extent.margins:
+        robustness(table, tune(models["HAMPI"]), plant, "HAMPI model: feedback tuned on it")
     table.notes += hampi_tables.NOTES
     if json_path:
         table.write(json_path)

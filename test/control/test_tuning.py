@@ -39,7 +39,8 @@ def test_margins_of_an_integrator_with_one_sample_of_delay(k):
 
 def test_static_plant_gets_at_least_the_integrator_that_its_margins_allow():
     """For a pure gain g the integrator k = g ki T = 1 meets 6 dB, 60 degrees and a peak of 2; a proportional part may add to it."""
-    result = tune(plain(Gain(0.1)), gain_margin=20 * np.log10(2), gain_spread=0.0, mode_spread=0.0)
+    result = tune(plain(Gain(0.1)), gain_margin=20 * np.log10(2), gain_spread=0.0, mode_spread=0.0,
+                  model_error=0.0)
     assert 0.1 * result.ki * SAMPLE_TIME >= 0.99
     assert result.worst.gain_margin >= 6.02 and result.worst.phase_margin >= 45.0 and result.worst.peak_sensitivity <= 2.001
 
@@ -97,6 +98,17 @@ def test_margins_hold_on_the_nonlinear_model_with_its_spread(model, sample_time,
                 signals = run_loop(reference, None, controller, Simulator(spread, sample_time))
                 tail = signals["measurement"][-50:] - stroke
                 assert np.abs(tail).max() < tolerance * stroke, (gain, mode, factor)
+
+
+@pytest.mark.parametrize("error", [0.1, 0.3])
+def test_margins_hold_for_every_plant_within_the_model_error(error):
+    """L = k / (z - 1) times 1 + d for errors d all round the circle: none has less margin than the worst that is reported."""
+    z = np.exp(1j * np.geomspace(1e-4, 1.0, 3000) * np.pi)
+    worst = margins(0.6 / (z - 1.0), z, SAMPLE_TIME, error)
+    found = [margins(0.6 * (1.0 + error * np.exp(1j * turn)) / (z - 1.0), z, SAMPLE_TIME) for turn in np.linspace(-np.pi, np.pi, 61)]
+    assert min(each.phase_margin for each in found) >= worst.phase_margin - 1e-6
+    assert max(each.peak_sensitivity for each in found) == pytest.approx(worst.peak_sensitivity, rel=0.02)
+    assert margins(0.6 * (1.0 + error) / (z - 1.0), z, SAMPLE_TIME).gain_margin == pytest.approx(worst.gain_margin, abs=1e-6)
 
 
 def test_more_delay_costs_bandwidth():
