@@ -9,7 +9,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit
+from scipy.linalg import block_diag
 
+from hyst_control.chain.linear import StateSpace
 from hyst_control.chain.stage import Array, Filter, Sampling, Stage, depth, register, require_finite, require_positive
 from hyst_control.errors import InputError
 
@@ -92,6 +94,19 @@ class SofteningModal(Stage):
                 ) from None
             arrays[field] = value[0] + 1j * value[1] if field in pairs else value
         return arrays
+
+    def mean(self) -> StateSpace:
+        """The structure as it responds on the average at `amplitude`: a linear stage."""
+        parts = self.arrays(len(self.outputs[0][0]))
+        blocks, rows, columns = [], [], []
+        for i, (decay, frequency) in enumerate(zip(parts["decay"], parts["frequency"], strict=True)):
+            b, c, rate = parts["inputs"][i], parts["outputs"][i], -np.exp(decay)
+            if frequency == 0.0:
+                blocks, rows, columns = [*blocks, [[rate]]], [*rows, b.real], [*columns, c.real]
+            else:
+                blocks.append([[rate, -frequency], [frequency, rate]])
+                rows, columns = [*rows, b.real, b.imag], [*columns, 2 * c.real, -2 * c.imag]
+        return StateSpace(block_diag(*blocks), np.array(rows), np.array(columns).T, parts["feedthrough"])
 
     def filter(self, sampling: Sampling) -> Filter:
         if len(self.outputs[0][0]) != sampling.axes:

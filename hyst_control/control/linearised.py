@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.chain import Chain, Parallel, Sampling, Stage
-from hyst_control.chain.chain import ParallelFilter, SeriesFilter
+from hyst_control.chain.chain import ParallelFilter, SeriesFilter, resolved
 from hyst_control.chain.linear import Delay, LinearFilter, LinearStage, LinearSystem, StateSpace, TransferFunction, stacked
+from hyst_control.chain.softening_modal import SofteningModal
 from hyst_control.chain.stage import Array, Filter, per_axis_scalar
 from hyst_control.chain.static import Gain, Offset
 from hyst_control.control.quasi_static import hysteretic, quasi_static_stages
+from hyst_control.effects.softening_modes import ModesMoved
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 
@@ -43,8 +45,11 @@ def hysteresis_slopes(model: Model) -> tuple[Array, Array]:
 
 
 def linearised(model: Model, slope: Array) -> tuple[Stage, ...]:
-    """The chain with its hysteresis replaced by `slope` (A,), a parallel rate correction kept; offsets and limits left out."""
-    return tuple(_replaced(model.chain.stages, slope))
+    """The chain with its hysteresis replaced by `slope` (A,), a parallel rate correction kept; offsets and limits left out.
+
+    Modes that move with amplitude stand still, those of `softening_modal` at its amplitude, those of `softening_modes` at rest.
+    """
+    return tuple(_replaced(resolved(model.chain.stages, len(model.axes)), slope))
 
 
 def _replaced(stages: Sequence[Stage], slope: Array) -> list[Stage]:
@@ -56,6 +61,10 @@ def _replaced(stages: Sequence[Stage], slope: Array) -> list[Stage]:
             kept.append(TransferFunction([[float(value)] for value in slope], [1.0]))
         elif isinstance(stage, (LinearStage, Delay)):
             kept.append(stage)
+        elif isinstance(stage, SofteningModal):
+            kept.append(stage.mean())
+        elif isinstance(stage, ModesMoved):
+            kept.append(TransferFunction([0.0], [1.0]))
         elif isinstance(stage, Gain):
             axes = len(slope)
             kept.append(TransferFunction([[float(g)] for g in per_axis_scalar(stage.gain, axes, "gain")], [1.0]))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hyst_control.chain import Parallel, Stage
+from hyst_control.chain.chain import resolved
 from hyst_control.chain.linear import Delay, LinearStage
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.stage import Array, Filter, Sampling
@@ -19,7 +20,7 @@ SLOW = 1e9
 
 def quasi_static(model: Model, commands: Array) -> Array:
     """Output (N, A) of the model when every command (N, A) in V is held until all has settled, from rest at 0 V."""
-    return quasi_static_stages(model.chain.stages, np.array(commands, dtype=float), len(model.axes))
+    return quasi_static_stages(resolved(model.chain.stages, len(model.axes)), np.array(commands, dtype=float), len(model.axes))
 
 
 def quasi_static_stages(stages: Sequence[Stage], signal: Array, axes: int) -> Array:
