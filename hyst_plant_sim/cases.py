@@ -359,11 +359,13 @@ def labelled(case: Case, stated: float | None = None) -> Case:
     stated = stated_noise(case.plant, case.noise) if stated is None else stated
     label: dict[str, Any] = {"kind": case.kind, "names": list(case.names), "effects": [dict(effect) for effect in case.effects],
                              "plant": case.plant, "excitation": case.excitation, "noise": case.noise}
-    gap, distance = 0.0, np.inf if case.kind == "parameters" else 0.0
-    if case.effects:
-        with_effects, without = run(case, noisy=False), run(case, effects=False, noisy=False)
+    gap, distance = 0.0, 0.0
+    within = case.kind != "parameters"  # those off by more than their tolerance are themselves the gap
+    wrong = bool(case.effects) or not within
+    if wrong:
+        with_effects, without = run(case, noisy=False), run(case, effects=False, noisy=False, scattered=within)
         if case.excitation == "closed_loop":  # the loop hides a gap: what counts is the plant on one and the same command
-            truth, bare = plant_of(case, noisy=False), plant_of(case, False, False)
+            truth, bare = plant_of(case, noisy=False), plant_of(case, False, False, within)
             command = with_effects["command"]
             difference = np.concatenate([truth.reset(command[0])[None], truth.step(command)[:-1]]) \
                 - np.concatenate([bare.reset(command[0])[None], bare.step(command)[:-1]])
@@ -371,11 +373,11 @@ def labelled(case: Case, stated: float | None = None) -> Case:
             difference = with_effects["measurement"] - without["measurement"]
         gap = float(np.sqrt(np.mean(difference ** 2)))
         distance = visible(case, difference, stated)
-    label |= {"gap_rms": gap, "noise_rms": noise, "distance": float(min(distance, 1e9))}
+    label |= {"gap_rms": gap, "noise_rms": noise, "distance": distance}
     least = 0.2 * noise if setup.model is not None else 1.5 * stated  # under a model's own error nothing can be told
-    if case.effects and (distance < LEAST or gap < least):
+    if wrong and (distance < LEAST or gap < least):
         label["kind"] = "none"
-        label["hidden"] = list(case.names)
+        label["hidden"] = list(case.names) or [case.kind]
         label["names"] = []
     return replace(case, label=label)
 

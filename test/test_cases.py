@@ -78,6 +78,15 @@ def test_a_gap_under_the_noise_is_labelled_none_whatever_its_kind():
         assert [dict(effect) for effect in label["effects"]] == [dict(effect) for effect in effects]
 
 
+@pytest.mark.parametrize("off, kind", [(5.0, "parameters"), (0.02, "none")])
+def test_coefficients_that_are_off_count_by_their_gap(off, kind):
+    case = Case("", "pea_published", "parameters", "multisine", 3e-3, 3, off=off)
+    label = labelled(case).label
+    difference = run(case, noisy=False)["measurement"] - run(case, noisy=False, scattered=False)["measurement"]
+    assert label["gap_rms"] == pytest.approx(np.sqrt(np.mean(difference ** 2)))
+    assert label["kind"] == kind and label.get("hidden") == (["parameters"] if kind == "none" else None)
+
+
 def test_kinds_excitations_and_switches_are_chosen_on_the_command_line(tmp_path):
     folder = tmp_path / "out"
     arguments = ["cases", "make", "--seed", "4", "--count", "4", "--out", str(folder), "--plants", "pea_published"]
