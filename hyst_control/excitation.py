@@ -4,7 +4,8 @@ A description is a mapping with `signal`, the kind, and that kind's parameters (
 an excitation, um or mrad for a reference). `build` turns it into rows (N, A). Every kind takes besides:
 
     lower, upper   bounds of the values; a signal that leaves them is refused
-    slew_limit     bound of the rate (unit/s); a signal that exceeds it anywhere but in a step that is meant is refused
+    slew_limit     bound of the rate (unit/s): a jump that is held is spread along a straight line over as many samples as it takes;
+                   a signal that exceeds the bound anywhere else is refused
     axis           index of the axis that moves, the others rest at `idle` (default: all axes move alike)
 """
 
@@ -61,8 +62,25 @@ def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:
             rows[:, [other for other in range(axes) if other != axis]] = idle
     if not rows.size or not np.isfinite(rows).all():
         raise InputError(f"{kind}: the signal is empty or not finite: check duration, frequency and amplitude")
+    rows = _jumps_spread(rows, slew_limit * sample_time)
     _check_bounds(kind, rows, sample_time, lower, upper, slew_limit)
     return np.ascontiguousarray(rows)
+
+
+def _jumps_spread(rows: Array, most: float) -> Array:
+    """Jumps of more than `most` from one sample to the next made straight lines, where what they lead to is held that long."""
+    if not np.isfinite(most) or most <= 0:
+        return rows
+    spread = rows.copy()
+    for before, after in zip(rows.T, spread.T, strict=True):
+        changes = np.diff(before)
+        for index in np.flatnonzero(np.abs(changes) > most * (1 + 1e-9)):
+            count = int(np.ceil(abs(changes[index]) / most - 1e-9))
+            following = slice(index + 1, index + 1 + count)
+            if np.all(before[following] == before[index + 1]):
+                line = before[index] + changes[index] * np.arange(1, count + 1) / count
+                after[following] = line[:len(after[following])]
+    return spread
 
 
 def _check_bounds(kind: str, rows: Array, sample_time: float, lower: float, upper: float, slew_limit: float) -> None:

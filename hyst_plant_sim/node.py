@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 from std_msgs.msg import Int64
 
@@ -40,6 +41,8 @@ class PlantNode(SignalNode):
     SETTINGS = (
         Setting("plant", "", "", "truth plant: a name in config/plants or a file"),
         Setting("model", "", "", "model file, run in place of a truth plant"),
+        Setting("parameters", "", "", "of the truth plant, in place of its file's, as YAML: '{mode_frequency: 1180.0}'"),
+        Setting("effects", "", "", "in the truth plant, as YAML: '[{name: delay, tau: 4.0e-4, axis: x, from: 0.5}]'"),
         Setting("seed", 0, "", "seed of the plant's noise", 0, 2**31 - 1),
         Setting("ticks", 0, "ticks", "length of the run, 0 for endless", 0, 2**52),
         Setting("start", "rest", "", "settled at 0 V, or at the first command (open loop)",
@@ -178,18 +181,34 @@ class PlantNode(SignalNode):
             raise InputError(f"{name}: give either the parameter plant or the parameter model")
         try:
             if given.model:
+                if given.parameters or given.effects:
+                    raise InputError("parameters and effects are a truth plant's: put them into the model file")
                 plant: Any = Simulator(load_model(given.model), self.period)
             else:
                 from hyst_plant_sim.physics import load_plant
 
                 path = given.plant if Path(given.plant).exists() else config_path(f"plants/{given.plant}.yaml")
-                plant = load_plant(path, seed=given.seed, sample_time=self.period)
+                plant = load_plant(path, seed=given.seed, sample_time=self.period, effects=_yaml(given.effects, "effects", list),
+                                   parameters=_yaml(given.parameters, "parameters", dict))
         except ValueError as error:
             raise InputError(f"{name}: {error}") from None
         if tuple(plant.axes) != self.axes or plant.units["measurement"] != self.unit:
             raise InputError(f"{name}: {given.plant or given.model} has axes [{', '.join(plant.axes)}] in "
                              f"{plant.units['measurement']}: set the parameters axes and unit to them")
         return plant
+
+
+def _yaml(text: str, name: str, kind: type) -> Any:
+    """What a parameter's text says, None for an empty one. Raises `InputError` naming the parameter."""
+    if not text.strip():
+        return None
+    try:
+        found = yaml.safe_load(text)
+    except yaml.YAMLError:
+        found = None
+    if not isinstance(found, kind):
+        raise InputError(f"{name}: {text!r}, {'a list [{name: …}, …]' if kind is list else 'a mapping {name: value, …}'} is due")
+    return found
 
 
 def main() -> int:

@@ -2,9 +2,13 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from hyst_control.cli import main
 from hyst_control.errors import InputError
 from hyst_control.excitation import KINDS, build, multisine_lines
+from hyst_plant_sim.physics import PLANTS, load_plant
 
 STEP = 1e-4
 
@@ -89,6 +93,49 @@ def test_the_diagnostic_record_repeats_its_multisines():
     equal = np.array([np.array_equal(rows[k:k + period], rows[k + period:k + 2 * period]) and np.ptp(rows[k:k + period]) > 1.0
                       for k in range(len(rows) - 2 * period)])
     assert equal.sum() == 2
+
+
+@pytest.mark.parametrize("signal", [
+    {"signal": "step", "height": 60.0, "offset": 20.0}, {"signal": "steps", "lowest": 0.0, "highest": 80.0, "hold": 0.01, "count": 9},
+    {"signal": "staircase", "levels": [0.0, 70.0, 10.0], "hold": 0.02}, {"signal": "diagnostic", "lowest": 0.0, "highest": 80.0}])
+def test_jumps_are_spread_so_that_the_rate_is_kept(signal):
+    """The rest of the signal is as without the bound; a jump goes straight, at the bound or a little under it."""
+    free, bounded = build(signal, STEP, 2), build({**signal, "slew_limit": 6e4}, STEP, 2)
+    rate = np.abs(np.diff(bounded, axis=0)) / STEP
+    assert np.abs(np.diff(free, axis=0)).max() / STEP > 6e4 >= rate.max() * (1 - 1e-9)
+    for axis in range(2):
+        jumps = np.flatnonzero(np.abs(np.diff(free[:, axis])) > 6e4 * STEP * (1 + 1e-9))
+        near = (jumps[:, None] + np.arange(1, 15)).ravel()  # 80 V take 14 samples
+        others = np.setdiff1d(np.arange(len(free)), near)
+        np.testing.assert_array_equal(bounded[others, axis], free[others, axis])
+
+
+@settings(max_examples=40, deadline=None)
+@given(levels=st.lists(st.floats(-50.0, 50.0), min_size=2, max_size=6), most=st.floats(0.5, 200.0))
+def test_a_staircase_with_long_holds_keeps_any_rate(levels, most):
+    rows = build({"signal": "staircase", "levels": levels, "hold": 0.03, "slew_limit": most / STEP}, STEP)[:, 0]
+    assert np.abs(np.diff(rows)).max() <= most * (1 + 1e-6) and rows[-1] == levels[-1]
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_the_diagnostic_record_is_bounded_for_the_plant_at_hand(name, tmp_path):
+    """`hyst excite --plant`: within rating and slew limit, on the plant's axes; what is beyond the rating is refused."""
+    plant = load_plant(name)
+    low, high = plant.rating
+    words = ["excite", "diagnostic", f"lowest={low}", "duration=0.5", f"highest={high}", "--plant", name]
+    assert main([*words, "--output", str(tmp_path / "record.npy")]) == 0
+    rows = np.load(tmp_path / "record.npy")
+    assert rows.shape[1] == len(plant.axes) and rows.min() == low and rows.max() == pytest.approx(high)
+    assert np.abs(np.diff(rows, axis=0)).max() * 20000 <= plant.slew_limit * (1 + 1e-9)
+    for more in ([f"highest={2 * high}"], ["highest=1", "--unit", "um"], ["highest=1", "--axes", "3"]):
+        assert main([*words[:4], *more, "--plant", name, "--output", str(tmp_path / "other.npy")]) == 2
+    assert not (tmp_path / "other.npy").exists()
+
+
+def test_a_sine_grows():
+    rows = build({"signal": "decaying_sine", "frequency": 25.0, "amplitude": 0.0, "final": 4.0, "duration": 0.4}, STEP)[:, 0]
+    peaks = [np.abs(piece).max() for piece in np.split(rows, 20)]
+    assert np.all(np.diff(peaks) > 0) and peaks[-1] == pytest.approx(4.0, rel=0.05)
 
 
 @pytest.mark.parametrize("spec, words", [

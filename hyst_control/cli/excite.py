@@ -6,6 +6,7 @@ examples:
   hyst excite --list
   hyst excite hampi_identification peak=80 --rate 20000 --output excitation.yaml
   hyst excite sine frequency=10 amplitude=20 offset=25 duration=2 --rate 5000 --output drive.csv
+  hyst excite diagnostic lowest=0 highest=100 --plant pea --output diagnostic.bag
   hyst excite raster width=1 height=1 lines=20 line_time=0.05 --axes 2 --unit mrad --rate 5000 --output scan.bag
 """
 
@@ -22,7 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--list", action="store_true", help="print every kind with its parameters")
     parser.add_argument("--output", metavar="FILE", help="to write: .csv, .npy, .yaml, else a bag; it must not exist")
     parser.add_argument("--rate", type=float, default=20000.0, help="sample rate in Hz (default 20000)")
-    parser.add_argument("--axes", type=int, default=1, help="number of axes (default 1)")
+    parser.add_argument("--plant", metavar="PLANT", help="truth plant (a name in config/plants or a file): its axes, and its rating "
+                        "and slew limit as bounds of an excitation in V")
+    parser.add_argument("--axes", type=int, help="number of axes (default 1, or the plant's)")
     parser.add_argument("--unit", default="V", help="V for an excitation (default), um or mrad for a reference")
 
 
@@ -42,15 +45,35 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("--output: give the file to write")
     if not np.isfinite(arguments.rate) or arguments.rate <= 0:
         raise InputError(f"rate: {arguments.rate!r} Hz, a positive rate is due")
-    if not 1 <= arguments.axes <= 100:
+    if arguments.axes is not None and not 1 <= arguments.axes <= 100:
         raise InputError(f"axes: {arguments.axes}, 1 to 100 is due")
-    spec = read_description(arguments.signal)
-    rows = build(spec, 1.0 / arguments.rate, arguments.axes)
+    spec, axes = read_description(arguments.signal), arguments.axes or 1
+    if arguments.plant:
+        limits, axes = plant_limits(arguments.plant, arguments.unit)
+        if arguments.axes not in (None, axes):
+            raise InputError(f"axes: {arguments.axes}, the plant {arguments.plant} has {axes}: leave --axes out")
+        spec = {**limits, **spec}
+    rows = build(spec, 1.0 / arguments.rate, axes)
     write_excitation(arguments.output, spec, rows, 1.0 / arguments.rate, arguments.unit)
     print(f"{len(rows)} samples, {len(rows) / arguments.rate:g} s, {rows.min():.6g} to {rows.max():.6g} {arguments.unit}, at most "
           f"{np.abs(np.diff(rows, axis=0)).max(initial=0.0) * arguments.rate:.4g} {arguments.unit}/s")
     print(f"written: {arguments.output}")
     return 0
+
+
+def plant_limits(name: str, unit: str) -> tuple[dict[str, float], int]:
+    """lower, upper (V), slew_limit (V/s, where the plant has one) of a truth plant, and how many axes it has."""
+    from hyst_control.errors import InputError
+    from hyst_plant_sim.physics import PlantError, load_plant
+
+    if unit != "V":
+        raise InputError(f"--plant: bounds an excitation in V, not one in {unit}: leave it out, or --unit")
+    try:
+        plant = load_plant(name)
+    except PlantError as error:
+        raise InputError(f"--plant: {error}") from None
+    limits = {"lower": plant.rating[0], "upper": plant.rating[1]}
+    return ({**limits, "slew_limit": plant.slew_limit} if plant.slew_limit > 0 else limits), len(plant.axes)
 
 
 def listing() -> str:

@@ -29,12 +29,12 @@ KEYS = ("plant", "name", "rating", "slew_limit", "sample_time", "stroke", "param
 
 
 def load_plant(source: str | Path | Mapping[str, Any], seed: int | None = None, sample_time: float | None = None, refinement: int = 1,
-               **changes: Any) -> Plant:
+               effects: Any = None, parameters: Mapping[str, Any] | None = None, **changes: Any) -> Plant:
     """A running plant from a YAML file, the name of a shipped one, or a mapping of the same form.
 
     A mapping without `parameters` is a case: {plant: NAME, effects: [{name: delay, tau: 1e-4, axis: x, from: 0.5}, …], seed: 7}
-    on top of the shipped file of that name (see `effects` for what they mean). seed, sample_time and `changes` of single
-    parameters come before what the file says; refinement divides the internal step further.
+    on top of the shipped file of that name (see `effects` for what they mean). seed, sample_time, effects, and single parameters,
+    as a mapping or by name, come before what the file says; refinement divides the internal step further.
 
     Raises `PlantError` naming file, field and remedy.
     """
@@ -43,7 +43,9 @@ def load_plant(source: str | Path | Mapping[str, Any], seed: int | None = None, 
         document = source if isinstance(source, Mapping) else _read(Path(source))
         if isinstance(document, Mapping) and "parameters" not in document and document.get("plant") in PLANTS:
             document = {**_read(Path(document["plant"])), **document}
-        return _built(document, seed, sample_time, refinement, changes)
+        if effects is not None and isinstance(document, Mapping):
+            document = {**document, "effects": effects}
+        return _built(document, seed, sample_time, refinement, {**(parameters or {}), **changes})
     except PlantError as error:
         raise PlantError(f"{where}: {error}") from None
 

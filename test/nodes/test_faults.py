@@ -20,6 +20,7 @@ from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_plant_sim.node import PlantNode
+from hyst_plant_sim.physics import load_plant
 
 PERIOD = 1e-3
 
@@ -141,6 +142,10 @@ def ReferenceGenerator_of(signal):
 
 @pytest.mark.parametrize("kind, settings, words", [
     (PlantNode, {}, "plant"), (PlantNode, {"model": "nowhere.yaml"}, "nowhere.yaml"),
+    (PlantNode, {"plant": "pea", "effects": "delay"}, "plant: effects: 'delay', a list"),
+    (PlantNode, {"plant": "pea", "effects": "[{name: dealy}]"}, "'dealy' is not known"),
+    (PlantNode, {"plant": "pea", "parameters": "{colour: 1}"}, "parameters.colour"),
+    (PlantNode, {"model": MODEL, "parameters": "{noise: 0.0}"}, "put them into the model file"),
     (PlantNode, {"model": MODEL, "axes": ["x", "y"]}, "axes"), (PiFeedback, {"upper": -1.0}, "upper"),
     (PiFeedback, {"kp": "fast"}, "kp"), (PiFeedback, {"kp": -1}, "kp"), (Recorder, {}, "output"),
     (PiFeedback, {"schedule": "sometimes"}, "lockstep"), (ReferenceGenerator, {"signal": "nowhere.npy"}, "nowhere.npy"),
@@ -150,6 +155,22 @@ def test_bad_parameters_are_refused_in_one_line(ros_context, kind, settings, wor
     with pytest.raises(InputError, match=words) as caught:
         kind(context=ros_context, parameter_overrides=[Parameter(key, value=value) for key, value in settings.items()])
     assert "\n" not in str(caught.value)
+
+
+def test_the_truth_plant_is_parametrised_by_ros_parameters(bench):
+    """Effects and single physical parameters; without them it is the one of the file."""
+    own = {"parameters": "{noise: 0.0, amplifier_cutoff: 500.0}", "effects": "[{name: offset, offset: 3.0, from: 0.01}]"}
+    rows = np.full((400, 1), 20.0)
+    expected = load_plant({"plant": "pea", "effects": [{"name": "offset", "offset": 3.0, "from": 0.01}]}, seed=4, sample_time=5e-5,
+                          noise=0.0, amplifier_cutoff=500.0)
+    bench.listen("measurement")
+    node = bench.add(PlantNode, plant="pea", seed=4, rate_hz=20000.0, start="first_command", **own)
+    sender = bench.sender("command", "t[s],x[V]")
+    bench.until(lambda: node.measurement.publisher.get_subscription_count() > 0)
+    sender.send(np.column_stack([np.arange(400) * 5e-5, rows]))
+    bench.until(lambda: len(bench.rows("measurement")) >= 401)
+    first = expected.reset(rows[0])
+    np.testing.assert_array_equal(bench.rows("measurement")[:401, 1:], np.concatenate([first[None], expected.step(rows)]))
 
 
 def test_live_change_is_checked_and_applied_and_the_rest_is_read_only(bench):
