@@ -129,8 +129,8 @@ def page() -> str:
     lines = ["# Effects", "", f"Written by `{COMMAND}`.", "",
              f"What can be wrong with a truth plant, each at its physical place: {len(known)} effects that the diagnosis knows and "
              f"{len(EFFECTS) - len(known)} that it does not (marked *outside the catalogue*), with which it is tested for saying so.", "",
-             "A plant file or a case names them: `effects: [{name: delay, tau: 4.0e-4, axis: x, from: 0.5}]`; or the plant node's parameter "
-             "`effects`, a text of that form. Without `axis` an effect "
+             "A plant file or a case names them: `effects: [{name: delay, tau: 4.0e-4, axis: x, from: 0.5}]`; or the plant node's "
+             "parameter `effects`, a text of that form. Without `axis` an effect "
              "acts on every axis, without `from` (s) at all times. `unit` is the plant's measurement unit, um or mrad.", "",
              "Each figure shows the truth PEA (for the cross coupling, the truth mirror) without its own noise, grey as it is and blue "
              "with the effect; orange is the difference, the gap. From left to right: jumps and the gap below them, the spectrum of the "
