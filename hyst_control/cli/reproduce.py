@@ -1,8 +1,8 @@
 """Run the experiments of the papers and of public measurements, and print their tables beside the published figures.
 
 examples:
-  hyst reproduce hampi
-  hyst reproduce fsm-cubespec --json fsm.json --figures figures
+  hyst reproduce hampi --json hampi.json --figures figures
+  hyst reproduce page --results hampi.json mhl.json --page docs/reproduction.md
 Measurements are looked for in ../shared/data beside the repository, or in the folder that HYST_DATA names.
 """
 
@@ -10,20 +10,33 @@ from __future__ import annotations
 
 import argparse
 
+from hyst_control.errors import InputError
+
 NAME = "reproduce"
 HELP = "run a published experiment and print its table"
 EXPERIMENTS = ("hampi", "mhl", "pea-p885", "fsm-cubespec")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("experiment", choices=EXPERIMENTS, metavar="NAME", help=", ".join(EXPERIMENTS))
+    parser.add_argument("experiment", choices=(*EXPERIMENTS, "page"), metavar="NAME",
+                        help=f"{', '.join(EXPERIMENTS)}; page: the papers' targets met and missed, from results")
     parser.add_argument("--json", metavar="OUT", help="result table to write")
     parser.add_argument("--figures", metavar="FOLDER", help="folder for the figures")
+    parser.add_argument("--results", nargs="+", metavar="JSON", help="page: results of hampi and mhl")
+    parser.add_argument("--page", metavar="OUT.md", help="page: Markdown to write")
 
 
 def run(arguments: argparse.Namespace) -> int:
     from importlib import import_module
 
+    given = [arguments.results is not None, arguments.page is not None]
+    if not all(given) if arguments.experiment == "page" else any(given):
+        raise InputError("--results, --page: both belong to `hyst reproduce page`, and only there")
+    if arguments.experiment == "page":
+        from hyst_control.experiments.reproduction_page import write_page
+
+        write_page(arguments.results, arguments.page)
+        return 0
     experiment = import_module(f"hyst_control.experiments.{arguments.experiment.replace('-', '_')}")
     print(experiment.run(arguments.json, arguments.figures).text())
     return 0
