@@ -48,7 +48,7 @@ bench: env
 
 env: $(READY) $(INSTALLED)
 
-$(READY): requirements.txt
+$(READY):
 	@$(PYTHON) -c 'import sys; sys.exit(None if (3, 10) <= sys.version_info[:2] <= (3, 13) else \
 	"Python %d.%d: CPython 3.10 to 3.13 is needed: make PYTHON=python3.12, say" % sys.version_info[:2])'
 	rm -rf $(VENV)
@@ -56,7 +56,7 @@ $(READY): requirements.txt
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -r requirements.txt
 	touch $(VENV)/COLCON_IGNORE $@
 
-$(CHECKS_READY): $(READY) requirements-checks.txt
+$(CHECKS_READY): $(READY)
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements-checks.txt
 	touch $@
 
