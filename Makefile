@@ -17,7 +17,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONPATH
 
-.PHONY: demo test fuzz lint docs check-wheel check-colcon check-readme bench env clean
+.PHONY: demo test fuzz lint docs figures check-wheel check-colcon check-readme bench env clean
 demo: env
 	$(VENV)/bin/hyst demo $(ARGS)
 
@@ -29,6 +29,9 @@ fuzz: env
 
 docs: $(CHECKS_READY)
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --quiet --strict $(ARGS)
+
+figures: env
+	$(VENV)/bin/python docs/make_figures.py $(FOLDER)
 
 check-wheel: $(CHECKS_READY)
 	$(VENV)/bin/python .ci/wheel.py

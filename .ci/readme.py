@@ -1,6 +1,7 @@
 """Run what the README shows: every line of its `console` blocks that begins with `$ `, in order, in one empty folder.
 
-Lines that start with `$ hyst` alone are run; `make`, `colcon` and `ros2` have checks of their own.
+Lines that start with `$ hyst` and `$ pipeline` are run; `make`, `colcon` and `ros2` have checks of their own. The folder is one
+within the tree, as far as they can see: `../config` leads to the tree's.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from pathlib import Path
 
 from sources import ROOT
 
@@ -18,7 +20,7 @@ from sources import ROOT
 def commands(text: str) -> list[str]:
     """The command lines, without their comments."""
     blocks = re.findall(r"^```console\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    return [line[2:].partition(" #")[0].strip() for block in blocks for line in block.splitlines() if line.startswith("$ hyst ")]
+    return [line[2:].partition(" #")[0].strip() for block in blocks for line in block.splitlines() if line.startswith(("$ hyst ", "$ pipeline "))]
 
 
 def main() -> None:
@@ -26,7 +28,10 @@ def main() -> None:
     if not lines:
         sys.exit("README.md: no `$ hyst` line in a console block")
     environment = {**os.environ, "PATH": f"{ROOT / '.venv/bin'}:{os.environ['PATH']}"}
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as name:
+        (Path(name) / "config").symlink_to(ROOT / "config")
+        folder = Path(name) / "tour"
+        folder.mkdir()
         for line in lines:
             begin = time.monotonic()
             ended = subprocess.run(["bash", "-c", line], cwd=folder, env=environment, stdin=subprocess.DEVNULL,

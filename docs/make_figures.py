@@ -7,7 +7,7 @@ from pathlib import Path
 
 import matplotlib
 
-matplotlib.use("svg")
+matplotlib.use("agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -20,8 +20,9 @@ plt.rcParams |= {"svg.hashsalt": "hyst_control", "svg.fonttype": "path", "font.s
 
 
 def save(figure: plt.Figure, name: str) -> None:
-    """Write an SVG that is the same every time."""
-    figure.savefig(FIGURES / f"{name}.svg", metadata={"Date": None}, bbox_inches="tight", facecolor="white")
+    """Write a figure, the same file every time."""
+    stamp = {"Date": None} if name.endswith(".svg") else {"Software": None}
+    figure.savefig(FIGURES / name, metadata=stamp, bbox_inches="tight", facecolor="white", dpi=110)
     plt.close(figure)
 
 
@@ -45,7 +46,7 @@ def signal_chain() -> None:
               fontsize=8.5)
     axes.set(xlim=(-0.2, 11.6), ylim=(-2.2, 2.0))
     axes.axis("off")
-    save(figure, "signal_chain")
+    save(figure, "signal_chain.svg")
 
 
 def tour(folder: Path) -> None:
@@ -57,12 +58,13 @@ def tour(folder: Path) -> None:
     [tracked] = read_bag(folder / "tracking").aligned(["reference", "measurement"])
     reference, measurement = (tracked.values[topic][-800:, 0] for topic in ("reference", "measurement"))
     time = np.arange(800) * tracked.sample_time * 1e3
+    print(f"tracking: NRMSE {100 * np.sqrt(np.mean((measurement - reference) ** 2)) / np.ptp(reference):.2f} % over the last two periods")
     tracking.plot(time, reference, lw=2, label="reference")
     tracking.plot(time, measurement, "--", lw=1, label="measurement")
     tracking.plot(time, 10 * (reference - measurement), lw=0.8, label="10 × error")
     tracking.set(xlabel="time (ms)", ylabel="um", title="tracking, 50 Hz")
     tracking.legend(loc="center right", fontsize=7)
-    save(figure, "tour")
+    save(figure, "tour.png")
 
 
 if __name__ == "__main__":

@@ -44,7 +44,7 @@ def shown_commands() -> list[str]:
     """Every line of a code block of the README that calls `hyst`, with a prompt or without, and without its comment."""
     blocks = re.findall(r"^```\w*\n(.*?)^```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
     lines = [line.removeprefix("$ ") for block in blocks for line in block.splitlines()]
-    return [line.partition(" #")[0].strip() for line in lines if line.startswith("hyst ")]
+    return [re.split(r" [#|]", line)[0].strip() for line in lines if line.startswith("hyst ")]
 
 
 def test_the_readme_shows_commands():

@@ -7,6 +7,7 @@ imports what it needs within `run`, so that `hyst --help` is quick.
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -35,7 +36,12 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a subcommand. Exit status 0 when it finished, 2 on unusable input (one line says what, where and what to do)."""
-    arguments = parser().parse_args(argv)
+    top = parser()
+    if "_ARGCOMPLETE" in os.environ:  # the shell asks for completions
+        import argcomplete
+
+        argcomplete.autocomplete(top)
+    arguments = top.parse_args(argv)
     if argv is None:
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # whatever was started is ended, as on Ctrl-C
     try:
@@ -49,6 +55,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"hyst {arguments.command}: {error.name} is not installed: source a ROS 2 Jazzy installation, or use make's "
               "environment (make env, then .venv/bin/hyst)", file=sys.stderr)
         return 2
+    except BrokenPipeError:  # `hyst … | head` has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the end's flush finds a place
+        return 0
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         print(f"hyst {arguments.command}: {where}{error.strerror or error}: check the path and its permissions", file=sys.stderr)
