@@ -20,7 +20,8 @@ from sources import ROOT
 def commands(text: str) -> list[str]:
     """The command lines, without their comments."""
     blocks = re.findall(r"^```console\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    return [line[2:].partition(" #")[0].strip() for block in blocks for line in block.splitlines() if line.startswith(("$ hyst ", "$ pipeline "))]
+    lines = [line for block in blocks for line in block.splitlines()]
+    return [line[2:].partition(" #")[0].strip() for line in lines if line.startswith(("$ hyst ", "$ pipeline "))]
 
 
 def main() -> None:
