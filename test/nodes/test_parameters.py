@@ -1,0 +1,72 @@
+"""Parameters: every one is described, and the shipped files hold only such as their nodes declare, within their ranges."""
+
+from __future__ import annotations
+
+import pytest
+import yaml
+from rclpy.parameter import Parameter
+
+from hyst_control.excitation import KINDS
+from hyst_control.nodes.base import COMMON
+from hyst_control.nodes.diagnosis import DiagnosisNode
+from hyst_control.nodes.hampi_feedforward import HampiFeedforward
+from hyst_control.nodes.identification import Identification
+from hyst_control.nodes.mhl_feedforward import MhlFeedforward
+from hyst_control.nodes.pi_feedback import PiFeedback
+from hyst_control.nodes.recorder import Recorder
+from hyst_control.nodes.reference_generator import ReferenceGenerator
+from hyst_control.share import config_folders, config_path
+from hyst_plant_sim.node import PlantNode
+
+NODES = {"reference_generator": ReferenceGenerator, "hampi_feedforward": HampiFeedforward, "mhl_feedforward": MhlFeedforward,
+         "pi_feedback": PiFeedback, "plant": PlantNode, "recorder": Recorder, "identification": Identification,
+         "diagnosis": DiagnosisNode}
+NEEDED = {"reference_generator": {"signal": "rest", "duration": 1.0}, "hampi_feedforward": {"kind": "proportional", "gain": [1.0]},
+          "mhl_feedforward": {"kind": "proportional", "gain": [1.0]}, "plant": {"plant": "pea"},
+          "diagnosis": {"model": str(config_path("models/pea_hampi.yaml"))}}
+"""What a node does not start without."""
+FILES = sorted((config_folders()[0] / "nodes").glob("*.yaml"))
+
+
+def started(name, context, folder):
+    """The node of that name, with no more than it needs."""
+    given = {"output": str(folder / "output"), **NEEDED.get(name, {})} if name in ("recorder", "diagnosis") else NEEDED.get(name, {})
+    return NODES[name](context=context, parameter_overrides=[Parameter(key, value=value) for key, value in given.items()])
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_every_parameter_of_a_node_is_described(name, ros_context, tmp_path):
+    node = started(name, ros_context, tmp_path)
+    try:
+        settings = {setting.name: setting for setting in (*COMMON, *node.SETTINGS)}
+        declared = [parameter for parameter in node._parameters if parameter in settings]
+        assert {setting.name for setting in node.SETTINGS} <= set(declared)
+        for parameter in declared:
+            described = node.describe_parameter(parameter).description
+            assert settings[parameter].text in described
+            assert not settings[parameter].unit or f"[{settings[parameter].unit}]" in described
+    finally:
+        node.destroy_node()
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)
+def test_a_shipped_file_holds_what_its_nodes_declare(file, ros_context, tmp_path):
+    document = yaml.safe_load(file.read_text(encoding="utf-8"))
+    for name, entry in document.items():
+        given = entry["ros__parameters"]
+        settings = {setting.name: setting for setting in COMMON}
+        if name in NODES:
+            node = started(name, ros_context, tmp_path)
+            settings |= {setting.name: setting for setting in node.SETTINGS}
+            node.destroy_node()
+        signal = set()
+        if name == "reference_generator" and given["signal"] in KINDS:
+            signal = set(KINDS[given["signal"]].__code__.co_varnames)
+        assert set(given) <= set(settings) | signal, f"{file.name}: {name}"
+        for parameter in set(given) & set(settings):
+            settings[parameter].convert(given[parameter])
+
+
+def test_every_node_has_a_parameter_file():
+    named = {name for file in FILES for name in yaml.safe_load(file.read_text(encoding="utf-8"))}
+    assert set(NODES) - {"mhl_feedforward"} <= named  # which takes the parameters of hampi_feedforward
