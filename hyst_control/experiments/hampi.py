@@ -65,7 +65,8 @@ def run(json_path: str | None = None, figures: str | None = None, plant: str = "
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         training = record(folder / "training", identification(extent.peaks[-1], extent), SEED, plant)
-        low = record(folder / "low", identification(LOW, extent), SEED + 1, plant)
+        same = extent.peaks[-1] == LOW
+        low = training if same else record(folder / "low", identification(LOW, extent), SEED + 1, plant)
         loops, places = held_out_loops(extent)
         held_out = record(folder / "held_out", loops, SEED + 2, plant)
         harmonics, beats = harmonic_drive(extent)
@@ -73,7 +74,8 @@ def run(json_path: str | None = None, figures: str | None = None, plant: str = "
 
         models = {family.upper(): identify([training], family).model for family in ("hapi", "rdpi", "hampi")}
         sequences = {family.upper(): identify([training], family, "paper").model for family in ("hapi", "hampi")}
-        compensated = {f"{family.upper()}, {method}": identify([low], family, method).model
+        known = {"joint": models, "paper": sequences} if same else {"joint": {}, "paper": {}}
+        compensated = {f"{family.upper()}, {method}": known[method].get(family.upper()) or identify([low], family, method).model
                        for family in ("hapi", "hampi") for method in extent.methods}
         reference, parts = tracking_reference(extent)
         tracked = {name: track(folder / name.replace(", ", "_"), name.split(",")[0].lower(), model, reference, plant)

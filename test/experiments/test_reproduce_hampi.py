@@ -7,7 +7,7 @@ import pytest
 from hyst_control.experiments import hampi
 from hyst_control.experiments.hampi_published import TABLE_5
 
-SMALL = hampi.Extent(frequencies=(100.0, 300.0), peaks=(140.0,), lags=(50.0, 500.0), tracked=(50.0, 150.0),
+SMALL = hampi.Extent(frequencies=(100.0, 300.0), peaks=(50.0,), lags=(50.0, 500.0), tracked=(50.0, 150.0),
                      excitation=(("quasi_static", 4.0), ("time", 0.03)), methods=("joint",), margins=False)
 
 
@@ -25,7 +25,7 @@ def rows(folder):
 
 def value(rows, case, subject, quantity="nrmse"):
     found = [row["value"] for row in rows if (row["case"], row["subject"], row["quantity"]) == (case, subject, quantity)
-             and row["table"] in ("HAMPI Table 1", "HAMPI Table 4", "HAMPI Table 5", "HAMPI Fig. 8")]
+             and row["table"] in ("HAMPI Table 1", "HAMPI Fig. 11", "HAMPI Table 5", "HAMPI Fig. 8")]
     assert len(found) == 1
     return found[0]
 
@@ -39,7 +39,7 @@ def test_hampi_tracks_within_the_published_error_and_hapi_does_worse(rows, frequ
 
 @pytest.mark.parametrize("frequency", [100.0, 300.0])
 def test_hampi_predicts_held_out_loops_best(rows, frequency):
-    case = f"140 V, {frequency:g} Hz"
+    case = f"50 V, {frequency:g} Hz"
     ours = value(rows, case, "HAMPI")
     assert ours <= 3.0 and ours < min(value(rows, case, "HAPI"), value(rows, case, "RDPI"))
 
