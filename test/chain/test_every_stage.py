@@ -86,6 +86,7 @@ EXAMPLES = {
     "sensor_lowpass": lambda n: {"cutoff": spread(n, 1e3, np.inf, 5e3), "order": 2},
     "slew_limit": lambda n: {"rate": spread(n, 2e4, np.inf)},
     "dac_hold": lambda n: {"samples": spread(n, 3, 1), "step": spread(n, 0.5, 0.0)},
+    "softening_modes": lambda n: {"softening": spread(n, 0.02, 0.01), "damping": spread(n, 0.3, 0.1), "amplitude": 2.0},
     "resonance": lambda n: {"frequency": spread(n, 900.0, 300.0), "damping": 0.1, "gain": spread(n, 0.05, -0.1)},
     "added_mass": lambda n: {"mass_ratio": spread(n, 0.3, -0.2)},
     "backlash": lambda n: {"half_width": spread(n, 2.0, 0.0)},
@@ -112,7 +113,7 @@ PLANT = (
     PrandtlIshlinskii([1.0, 9.0], [0.5, 0.4]),
     TransferFunction([4e7], [1.0, 900.0, 4e7]),
 )
-BEFORE = dict.fromkeys(("hysteresis_width", "hysteresis_shape", "hysteresis_rate", "resonance", "added_mass"), PLANT)
+BEFORE = dict.fromkeys(("hysteresis_width", "hysteresis_shape", "hysteresis_rate", "resonance", "added_mass", "softening_modes"), PLANT)
 """What stands before a stage that changes others."""
 
 RESTLESS = ("creep", "vibration", "gain_drift", "offset_drift", "mains_hum", "sensor_noise", "flicker_noise")
