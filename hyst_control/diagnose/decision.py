@@ -125,6 +125,7 @@ def _without_idle_members(claims: list[Scored], gain: float, temper: float, befo
         names = set(scored.names)
         parts = [other for other in claims if set(other.names) < names]
         better = min((other.solution.misfit for other in parts), default=np.inf) - scored.solution.misfit
-        if not parts or temper * better > gain and better > further * (before - scored.solution.misfit):
+        idle = temper * better <= gain or better <= further * (before - scored.solution.misfit)
+        if len(scored.names) <= 1 or not parts or not idle:
             kept.append(scored)
     return kept
