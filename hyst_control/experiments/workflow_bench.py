@@ -1,4 +1,4 @@
-"""Time and memory of an identification and of a diagnosis, each in a process of its own, with compiled kernels."""
+"""Time and memory of an identification and of a diagnosis, each in a process of its own, and the speed of the truth plants."""
 
 from __future__ import annotations
 
@@ -29,10 +29,14 @@ IDENTIFIED = {
 }
 """Family: truth plant, axes, unit, noise, and the records of the family's paper."""
 PLANTS = ("pea_published", "fsm_published", "third")
+TRUTH = ("pea", "pea_published", "fsm", "fsm_published", "third")
+REPEATS = 5
 
 
 def run(table: Table, seconds: float = SECONDS, plants: Sequence[str] = PLANTS) -> None:
-    """Identification from a record of `seconds` at 20 kHz; diagnosis of a diagnostic record with and without a cached threshold."""
+    """Truth plants at 20 kHz; identification from a record of `seconds`; diagnosis of a diagnostic record, its threshold cached or not."""
+    for name in TRUTH:
+        table.add("truth plants", f"{RATE / 1e3:g} kHz, one core", name, "speed", "x real time", _alone(speed, name), n=REPEATS)
     for family in IDENTIFIED:
         elapsed, memory, rows = _alone(identification, family, seconds)
         case = f"{seconds:g} s at {RATE / 1e3:g} kHz"
@@ -43,6 +47,23 @@ def run(table: Table, seconds: float = SECONDS, plants: Sequence[str] = PLANTS) 
         case = f"{seconds_of_record:.2g} s at {rows / seconds_of_record / 1e3:.3g} kHz"
         table.add("diagnosis", f"{case}, threshold calibrated", plant, "diagnose_time", "s", fresh, n=rows)
         table.add("diagnosis", f"{case}, threshold cached", plant, "diagnose_time", "s", cached, n=rows)
+
+
+def speed(name: str) -> float:
+    """Simulated seconds per second of processor time of a truth plant under a 50 Hz sine: the median of `REPEATS`."""
+    truth = load_plant({"plant": name}, seed=1, sample_time=1.0 / RATE)
+    lower, upper = np.broadcast_to(np.array(truth.rating, dtype=float), (2,))
+    time_axis = np.arange(round(RATE)) / RATE
+    column = lower + (upper - lower) * (0.5 - 0.45 * np.cos(2 * np.pi * 50.0 * time_axis))
+    rows = np.repeat(column[:, None], len(truth.axes), axis=1)
+    truth.reset(rows[0])
+    truth.step(rows[:100])  # compiles the kernels
+    spent = []
+    for _ in range(REPEATS):
+        begin = time.process_time()
+        truth.step(rows)
+        spent.append(time.process_time() - begin)
+    return len(rows) / RATE / float(np.median(spent))
 
 
 def identification(family: str, seconds: float) -> tuple[float, float, int]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from time import process_time
 
 import numpy as np
 import pytest
@@ -154,22 +153,6 @@ def test_the_published_plants_and_the_chain_agree(name, model, excitation):
     truth, command = plant(name, **first), record(name, excitation)
     found, simulated = run(truth, command), simulate(load_model(config_path(f"models/{model}.yaml")), command, file["sample_time"], "zoh")
     assert np.all(np.max(np.abs(found - simulated), axis=0) < 2e-4 * np.ptp(found, axis=0))
-
-
-@pytest.mark.parametrize("name", PLANTS)
-def test_a_second_takes_a_twentieth_of_a_second(name):
-    """Sampled at 20 kHz, on one core, in processor time; the best of five, for others use the machine too."""
-    truth = plant(name, sample_time=5e-5)
-    time = np.arange(10000) * 5e-5
-    rows = np.repeat(RECORDS[name] * (0.5 - 0.45 * np.cos(2 * np.pi * 50.0 * time))[:, None], len(truth.axes), axis=1)
-
-    def spent() -> float:
-        begin = process_time()
-        run(truth, rows)
-        return process_time() - begin
-
-    run(truth, rows[:100])
-    assert min(spent() for _ in range(5)) < 0.5 / 20.0
 
 
 @pytest.mark.parametrize("name, change, words", [
