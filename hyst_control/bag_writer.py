@@ -1,11 +1,13 @@
 """Writing rosbag2 MCAP bags of signal messages, so that what is on disk is readable at any moment.
 
-The bag is a directory with one MCAP file and, once closed, metadata.yaml. Chunks are small and each goes straight to the
-file: when the writer is killed, all but the last chunk can be read back with the file's definitions, which stand first.
+The bag is a directory with one MCAP file and, once closed, metadata.yaml. Chunks are small beside the file and each goes straight
+to it: when the writer is killed, all but the last chunk can be read back with the file's definitions, which stand first. Whoever calls
+`flush` in time has no more to lose than what came since.
 """
 
 from __future__ import annotations
 
+import sys
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -17,7 +19,10 @@ from mcap.writer import CompressionType, Writer
 from hyst_control.errors import InputError
 from hyst_control.signal_message import MESSAGE_TYPE
 
-CHUNK_SIZE = 16 * 1024  # bytes
+CHUNK_SIZE = 16 * 1024  # bytes, at least
+MOST_CHUNKS = 4096
+"""Chunks of CHUNK_SIZE; behind them each is a share of 1 / MOST_CHUNKS of the file, since the writer keeps an index entry of every chunk
+in memory until the bag is closed."""
 TYPE_HASH = "RIHS01_1025ddc6b9552d191f89ef1a8d2f60f3d373e28b283d8891ddcc974e8c55397f"
 DEFINITION = f"""std_msgs/MultiArrayLayout layout
 float64[] data
@@ -55,14 +60,14 @@ class BagWriter:
             raise InputError(f"{path}: exists already: choose another name or remove it") from None
         except OSError as error:
             raise InputError(f"{path}: {error.strerror}: choose a folder that can be written") from None
-        self._writer = Writer(self._file, chunk_size=2 * CHUNK_SIZE, compression=CompressionType.NONE)
+        self._writer = Writer(self._file, chunk_size=sys.maxsize, compression=CompressionType.NONE)
         self._writer.start(profile="ros2", library="hyst_control")
         self._schema = self._writer.register_schema(MESSAGE_TYPE, "ros2msg", DEFINITION.encode())
         self._channels: dict[str, int] = {}
         self._counts: dict[str, int] = {}
         self._first: int | None = None
         self._last = 0
-        self._unwritten = 0
+        self._unwritten = self._written = 0  # bytes
         self._closed = False
 
     def add_topic(self, topic: str) -> None:
@@ -83,11 +88,12 @@ class BagWriter:
         if time > self._last:
             self._last = time
         self._unwritten += len(message)
-        if self._unwritten >= CHUNK_SIZE:
+        if self._unwritten >= max(CHUNK_SIZE, self._written // MOST_CHUNKS):
             self.flush()
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system, as a whole chunk."""
+        self._written += self._unwritten
         self._unwritten = 0
         self._writer.flush()
 

@@ -44,6 +44,8 @@ COMMON = (
     Setting("timeout", 0.1, "s", "age from which an input is stale, under the timer", 1e-4, 1e3, live=True),
     Setting("backwards", 1.0, "s", "an input that goes back by so much has another time: dropped, under the timer", 1e-3, 1e9, live=True),
     Setting("most_sources", 1, "", "publishers of one input from which on the diagnostics warn, less one", 1, 1000, live=True),
+    Setting("most_waiting", 65536, "rows", "rows of an input that wait to be used; while there are so many, new ones are refused",
+            1, 100_000_000),
     Setting("realtime_priority", 0, "", "SCHED_FIFO priority of the process, 0 for the ordinary scheduler", 0, 99),
     Setting("cpu", -1, "", "core that the process is pinned to, -1 for any", -1, 1023),
     Setting("message_objects", False, "", "exchange message objects in place of serialized bytes"),

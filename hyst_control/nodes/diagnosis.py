@@ -155,9 +155,8 @@ class DiagnosisNode(SignalNode):
         self._measurement.drain()
         if None not in (self._command.end, self._measurement.end):
             end = min(self._command.end, self._measurement.end)
-            ticks, commands = self._command.take(end)
+            (ticks, commands), (measured_ticks, measured) = self._command.take(end), self._measurement.take(end)
             if len(ticks) and self.enabled:
-                measured_ticks, measured = self._measurement.take(end)
                 breaks = np.flatnonzero(np.diff(ticks) > 1) + 1
                 for some, rows in zip(np.split(ticks, breaks), np.split(commands, breaks), strict=True):
                     begin, stop = np.searchsorted(measured_ticks, (some[0], some[-1] + 1))

@@ -79,12 +79,13 @@ class Intake:
     def take(self, refused: Callable[[str], None], merge: bool = False) -> list[tuple[str, Array, int]]:
         """(label, block (N, C), time of reception in ns) of every message that has arrived; `refused(reason)` for what is none.
 
+        At most as many messages as the queue holds: a source that sends faster than this takes must not keep the owner here.
         merge: successive messages of one form become one block, received when the last of them was.
         """
         handle, raw = self.subscription.handle, not self._objects
         found: list[tuple[Any, int]] = []
         with handle:
-            while (message := handle.take_message(Float64MultiArray, raw)) is not None:
+            while len(found) < QUEUE.depth and (message := handle.take_message(Float64MultiArray, raw)) is not None:
                 found.append((message[0], message[1]["received_timestamp"] or time.time_ns()))
         taken: list[tuple[str, Array, int]] = []
         begin = 0

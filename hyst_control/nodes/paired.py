@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -17,12 +18,12 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Ticks = NDArray[np.int64]
 
-MOST_WAITING = 65536
-"""Rows of one signal that wait for the other; the oldest are dropped beyond."""
-
 
 class Watched:
-    """One signal: rows with their ticks, in order and each once. `restarted` is called when its time begins anew."""
+    """One signal: rows with their ticks, in order and each once. `restarted` is called when its time begins anew.
+
+    While more than `most_waiting` rows wait for the other signal, the oldest of them are dropped.
+    """
 
     def __init__(self, node: SignalNode, topic: str, unit: str, restarted: Callable[[], None]) -> None:
         self._node, self._topic, self._restarted = node, topic, restarted
@@ -34,8 +35,8 @@ class Watched:
         """The next rows may have any tick."""
         self.end: int | None = None
         self.arrived = 0
-        self._ticks: list[Ticks] = []
-        self._rows: list[Array] = []
+        self._blocks: deque[tuple[Ticks, Array]] = deque()
+        self.waiting = 0
 
     def drain(self) -> None:
         """Take everything that has arrived."""
@@ -49,11 +50,11 @@ class Watched:
 
     def take(self, end: int) -> tuple[Ticks, Array]:
         """Ticks (N,) and rows (N, A) before this tick; they are used up."""
-        if not self._ticks:
+        if not self._blocks:
             return np.zeros(0, np.int64), np.zeros((0, len(self._node.axes)))
-        ticks, rows = np.concatenate(self._ticks), np.concatenate(self._rows)
+        ticks, rows = (np.concatenate(parts) for parts in zip(*self._blocks, strict=True))
         cut = int(np.searchsorted(ticks, end))
-        self._ticks, self._rows = [ticks[cut:][-MOST_WAITING:]], [rows[cut:][-MOST_WAITING:]]
+        self._blocks, self.waiting = deque([(ticks[cut:], rows[cut:])]), len(ticks) - cut
         return ticks[:cut], rows[:cut]
 
     def _refused(self, reason: str) -> None:
@@ -88,5 +89,8 @@ class Watched:
                 tick, block = max(tick, self.end), block[max(self.end - tick, 0):]
         self.end = end
         self.arrived += len(block)
-        self._ticks.append(np.arange(tick, end))
-        self._rows.append(block[:, 1:].copy())  # the message is read-only
+        self._blocks.append((np.arange(tick, end), block[:, 1:].copy()))  # the message is read-only
+        self.waiting += len(block)
+        while self.waiting - len(self._blocks[0][0]) >= node.settings.most_waiting:
+            node.drop(self._topic, "too many waiting", f"{self.waiting} rows wait for their pair: does the other signal stand still?")
+            self.waiting -= len(self._blocks.popleft()[0])

@@ -31,6 +31,7 @@ from hyst_control.model_file import Simulator, load_model
 from hyst_control.nodes.timing import Durations
 
 LIMITS = (0.0, 100.0)
+MOST_WAITING = 5000  # rows of a signal
 
 
 class PlainNode(Node):
@@ -113,6 +114,8 @@ class PlainFeedback(PlainNode):
         self.newest[topic] = tick, values
         if not self.timed:
             self.rows[topic][tick] = values
+            if len(self.rows[topic]) > MOST_WAITING:
+                del self.rows[topic][next(iter(self.rows[topic]))]
             if all(tick in rows for rows in self.rows.values()):
                 self.control(tick, {name: rows.pop(tick) for name, rows in self.rows.items()})
 

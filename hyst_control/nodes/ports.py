@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.nodes.messages import Sender, receive
-from hyst_control.nodes.rows import DUPLICATE, GAP, Rows
+from hyst_control.nodes.rows import DUPLICATE, FULL, GAP, Rows
 from hyst_control.signal_message import label_for
 
 if TYPE_CHECKING:
@@ -21,7 +21,9 @@ Array = NDArray[np.float64]
 
 KEPT_ROWS, KEPT_BLOCKS = 4096, 8
 MOST_LOST = 1024  # lost ticks that are remembered, to know them when they come late
-REPEAT_INTERVAL = 0.02  # s, between two repetitions, so that duplicates do not multiply
+REPEAT_INTERVAL = 0.02
+"""s, between two repetitions, and for which nothing new must have come: what goes on lacks nothing, and of two sources of one signal,
+which bring every tick twice, each repetition would cause others."""
 
 
 class Input:
@@ -30,7 +32,7 @@ class Input:
     def __init__(self, node: SignalNode, topic: str, unit: str, contiguous: bool) -> None:
         self.node, self.topic = node, topic
         self.label = label_for(node.axes, unit)
-        self.rows = Rows(contiguous)
+        self.rows = Rows(contiguous, node.settings.most_waiting)
         self.arrived, self._repeated = time.monotonic(), -math.inf  # s, monotonic clock
         self.conflicted = -math.inf  # s, monotonic clock: when two sources disagreed last
         self._seen_label: str | None = None
@@ -76,6 +78,10 @@ class Input:
             node.drop(self.topic, "out of order", f"tick {self.rows.end} is due, {tick} came")
             node.out_of_order(self, tick)
             return
+        if outcome is FULL:
+            node.drop(self.topic, "too many waiting", f"{self.rows.available} rows wait to be used: does another input stand still, or is "
+                                                      "the time of this one ahead? A lead may be longer with a greater most_waiting")
+            return
         self.arrived = time.monotonic()
         self._newest = tick, rows
         if node.lockstep:
@@ -106,8 +112,9 @@ class Input:
         if self._contradicts(tick, rows):
             self.conflicted = time.monotonic()
             node.drop(self.topic, "conflict", f"tick {tick} came twice, with other values: do two nodes publish it?")
-        if node.lockstep and time.monotonic() - self._repeated > REPEAT_INTERVAL:
-            self._repeated = time.monotonic()
+        now = time.monotonic()
+        if node.lockstep and now - max(self._repeated, self.arrived) > REPEAT_INTERVAL:
+            self._repeated = now
             node.repeat(self)
 
     def _contradicts(self, tick: int, rows: Array) -> bool:

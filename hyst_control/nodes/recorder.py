@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from hyst_control.bag_writer import BagWriter
 from hyst_control.errors import InputError
 from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.messages import QUEUE
-from hyst_control.nodes.ports import tick_of
+from hyst_control.nodes.ports import REPEAT_INTERVAL, tick_of
 from hyst_control.nodes.rows import DUPLICATE
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.settings import Setting
@@ -53,6 +54,7 @@ class Recorder(SignalNode):
         self._writer = BagWriter(self.settings.output)
         self._progress = self.create_publisher(Int64, "recorded", QUEUE)
         self.told = -1
+        self._repeated = 0.0  # s, monotonic clock: when it was told again last
         self._topics = [_Topic(self, topic) for topic in self.settings.topics]
         self.every(DRAIN_INTERVAL[self.settings.schedule], self._drain)
         self.every(0.5, self._flush)
@@ -68,15 +70,17 @@ class Recorder(SignalNode):
                 self._failed(error)
 
     def progress(self, repeat: bool = False) -> None:
-        """Tell how far every topic is complete, unless that is little more than what was told last."""
+        """Tell how far every topic is complete, unless that is little more than what was told last; `repeat`: tell it again."""
         ends = [topic.end for topic in self._topics]
         if None in ends:
             return
         last = min(ends) - 1
         wanted = self.settings.ticks
         done = wanted and (last >= wanted - 1 if self.lockstep else all(topic.arrived >= wanted for topic in self._topics))
+        now = time.monotonic()
+        repeat = repeat and now - self._repeated > REPEAT_INTERVAL
         if repeat or done or last - self.told >= (PROGRESS_INTERVAL if self.told >= 0 else 1):
-            self.told = last
+            self.told, self._repeated = last, now
             self._progress.publish(Int64(data=last))
         if done and not self.finished.done():
             self.close()

@@ -9,18 +9,19 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-NEW, DUPLICATE, GAP = "new", "duplicate", "gap"
+NEW, DUPLICATE, GAP, FULL = "new", "duplicate", "gap", "full"
 
 
 class Rows:
     """Rows that have arrived and have not been used yet.
 
     contiguous: a block that would leave a gap is refused (lockstep: it will be sent again); otherwise the gap is kept
-    (timer: a tick was missed). `end` is the tick after the newest row, or None before the first one.
+    (timer: a tick was missed). most: while so many rows wait, new ones are refused: a signal that nobody uses, because
+    another one stands still, must not fill the memory. `end` is the tick after the newest row, or None before the first one.
     """
 
-    def __init__(self, contiguous: bool) -> None:
-        self.contiguous = contiguous
+    def __init__(self, contiguous: bool, most: int) -> None:
+        self.contiguous, self.most = contiguous, most
         self.clear()
 
     def clear(self) -> None:
@@ -35,7 +36,7 @@ class Rows:
         return self._blocks[0][0] if self._blocks else self.end
 
     def append(self, tick: int, block: Array) -> str:
-        """Take in rows (N, A) of ticks tick, tick + 1, …; what was there already is dropped. NEW, DUPLICATE or GAP."""
+        """Take in rows (N, A) of ticks tick, tick + 1, …; what was there already is dropped. NEW, DUPLICATE, GAP or FULL."""
         rows = len(block)
         if self.end is not None and tick != self.end:
             if tick + rows <= self.end:
@@ -46,6 +47,8 @@ class Rows:
             else:
                 block = block[self.end - tick:]
                 tick, rows = self.end, len(block)
+        if self.available >= self.most:
+            return FULL
         if rows:
             self._blocks.append((tick, block))
             self.end = tick + rows
@@ -74,9 +77,9 @@ class Rows:
         """Drop the rows before this tick."""
         while self._blocks and self._blocks[0][0] < tick:
             first, block = self._blocks.popleft()
+            self.available -= min(len(block), tick - first)
             if first + len(block) > tick:
                 self._blocks.appendleft((tick, block[tick - first:]))
-        self.available = sum(len(block) for _, block in self._blocks)
 
     def newest(self, tick: int) -> Array | None:
         """The newest row (A,) not later than this tick, or None; older ones are dropped, it stays."""

@@ -17,6 +17,7 @@ from hyst_control.errors import InputError
 from hyst_control.launch.processes import Processes
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
+from hyst_control.nodes.ports import REPEAT_INTERVAL
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_plant_sim.node import PlantNode
@@ -42,6 +43,7 @@ def test_bad_messages_are_dropped_counted_and_leave_no_trace(bench):
     wide.send(row(1, 1.0, 2.0))
     good.send(row(1.4, 1.0))
     good.send(row(5, 1.0))
+    bench.until(lambda: node.counts["reference: out of order"] == 1 and node.reference.age > REPEAT_INTERVAL)
     good.send(row(0, 7.0))
     good.send(row(1, 3.0))
     bench.until(lambda: node.counts["reference: duplicate"] == 1 and len(bench.rows("feedforward")) >= 3)
