@@ -33,11 +33,13 @@ def filtered_regressors(command, shift, rate_factor, center, thresholds, release
 
     command (N,) V; `shift` 1 when the sample sees the command of the interval before (zoh), else 0; rate_factor 1 / sample_time;
     thresholds, release (n,), each widened by rate_gain · |rate| (rate-dependent thresholds); `dynamic` adds the columns of m1, m2
-    and k, the last around `center`. a (n, n), b (3, n), c (n,), d (2,) and `whole` samples of delay are G; pa … pwhole the same
-    with a leading axis P. The remaining arrays are states. Returns the ring's position.
+    and k, the last around `center`. a (n, n), b (3, n), c (n,), d (2,) and `whole` samples of delay are G; pa (n, n, P), pb
+    (3, n, P), pc (n, P), pd (2, P), pwhole (P,) the neighbours', last axis innermost. The remaining arrays are states: state
+    (n, J), tangent (n, P), scratch (n, J + P). Returns the ring's position.
     """
-    count, columns, order = thresholds.size, ring.shape[1], a.shape[0]
+    count, columns, order, neighbours = thresholds.size, ring.shape[1], a.shape[0], pwhole.size
     length = ring.shape[0]
+    newest, middle, oldest = np.empty(neighbours), np.empty(neighbours), np.empty(neighbours)
     for row in range(command.size):
         u = command[row]
         rate = (u - previous[0]) * rate_factor
@@ -61,8 +63,10 @@ def filtered_regressors(command, shift, rate_factor, center, thresholds, release
         for j in range(columns):
             weighted += theta[j] * ring[position, j]
         combined[position] = weighted
-        first = (position - shift - whole) % length
-        second, third = (first - 1) % length, (first - 2) % length
+        first = position - shift - whole
+        first = first + length if first < 0 else first
+        second = first - 1 if first > 0 else length - 1
+        third = second - 1 if second > 0 else length - 1
         for i in range(order):
             for j in range(columns):
                 scratch[i, j] = b[0, i] * ring[first, j] + b[1, i] * ring[second, j] + b[2, i] * ring[third, j]
@@ -77,20 +81,26 @@ def filtered_regressors(command, shift, rate_factor, center, thresholds, release
         for i in range(order):
             for j in range(columns):
                 output[row, j] += c[i] * state[i, j]
-        for p in range(pa.shape[0]):
-            first = (position - shift - pwhole[p]) % length
-            second, third = (first - 1) % length, (first - 2) % length
-            value = pd[p, 0] * combined[first] + pd[p, 1] * combined[second]
-            for i in range(order):
-                step = pb[p, 0, i] * combined[first] + pb[p, 1, i] * combined[second] + pb[p, 2, i] * combined[third]
-                for m in range(order):
-                    step += pa[p, i, m] * tangent[p, m]
-                scratch[i, 0] = step
-            for i in range(order):
-                tangent[p, i] = scratch[i, 0] if abs(scratch[i, 0]) > TINY else 0.0
-                value += pc[p, i] * tangent[p, i]
-            output[row, columns + p] = value
-        position = (position + 1) % length
+        for p in range(neighbours):
+            first = position - shift - pwhole[p]
+            first = first + length if first < 0 else first
+            second = first - 1 if first > 0 else length - 1
+            third = second - 1 if second > 0 else length - 1
+            newest[p], middle[p], oldest[p] = combined[first], combined[second], combined[third]
+        for i in range(order):
+            for p in range(neighbours):
+                scratch[i, columns + p] = pb[0, i, p] * newest[p] + pb[1, i, p] * middle[p] + pb[2, i, p] * oldest[p]
+            for m in range(order):
+                for p in range(neighbours):
+                    scratch[i, columns + p] += pa[i, m, p] * tangent[m, p]
+        for p in range(neighbours):
+            output[row, columns + p] = pd[0, p] * newest[p] + pd[1, p] * middle[p]
+        for i in range(order):
+            for p in range(neighbours):
+                value = scratch[i, columns + p]
+                tangent[i, p] = value if abs(value) > TINY else 0.0
+                output[row, columns + p] += pc[i, p] * tangent[i, p]
+        position = position + 1 if position + 1 < length else 0
     return position
 
 
@@ -99,7 +109,12 @@ def gram_product(block):
     """block' block of a tall block (N, K): without BLAS, whose threads spin for longer than such a product takes."""
     rows, columns = block.shape
     product = np.zeros((columns, columns))
-    for row in range(rows):
+    for row in range(0, rows - 3, 4):
+        for i in range(columns):
+            v0, v1, v2, v3 = block[row, i], block[row + 1, i], block[row + 2, i], block[row + 3, i]
+            for j in range(i, columns):
+                product[i, j] += v0 * block[row, j] + v1 * block[row + 1, j] + (v2 * block[row + 2, j] + v3 * block[row + 3, j])
+    for row in range(rows - rows % 4, rows):
         for i in range(columns):
             value = block[row, i]
             for j in range(i, columns):
@@ -108,6 +123,30 @@ def gram_product(block):
         for j in range(i):
             product[i, j] = product[j, i]
     return product
+
+
+@njit(cache=True, error_model="numpy")
+def weighed_columns(raw, theta, step, first, share, extra, measurement, weight, block):
+    """Rows of [θ columns, derivatives, nuisances, y] (N, K) from those of `filtered_regressors`, times the roots of their weights.
+
+    share (N,): where a row lies within its record, from 0 to 1, less a half; weight (N,), or (0,) where all rows weigh 1.
+    """
+    columns = theta.size
+    size = raw.shape[1] - columns
+    last = columns + size + extra
+    for row in range(len(block)):
+        scale = np.sqrt(weight[row]) if weight.size else 1.0
+        predicted = 0.0
+        for j in range(columns):
+            block[row, j] = raw[first + row, j] * scale
+            predicted += raw[first + row, j] * theta[j]
+        for p in range(columns, columns + size):
+            block[row, p] = (raw[first + row, p] - predicted) / step * scale
+        if extra > 0:
+            block[row, columns + size] = scale
+        if extra > 1:
+            block[row, columns + size + 1] = share[row] * scale
+        block[row, last] = measurement[row] * scale
 
 
 @dataclass(frozen=True)
@@ -170,58 +209,56 @@ def gram_matrices(windows: Sequence[Window], operators: Operators, structure: St
     grams = np.zeros((2, total, total))
     rows = [0, 0]
     blocks = []
+    samplings = {Sampling(window.sample_time, 1, window.hold) for window in windows}
+    systems = {sampling: [structure.discretised(vector, sampling) for vector in (parameters, *(parameters + step * np.eye(size)))]
+               for sampling in samplings}
     for window in windows:
-        passing = _Pass(window, operators, structure, parameters, theta, step)
+        passing = _Pass(window, operators, systems[Sampling(window.sample_time, 1, window.hold)], theta)
         n = len(window.command)
         place = np.r_[0:columns + size, columns + size + window.group * extra + np.arange(extra), total - 1]
         length = max(min(BLOCK, n // HELD_OUT_BLOCKS), 1)
+        buffer = np.empty((length, len(place)))
+        weight = np.zeros(0) if window.weight is None else window.weight
         for begin in range(0, n, length):
             end = min(begin + length, n)
             raw = passing.block(begin, end)
-            used = slice(max(window.skip - begin, 0), end - begin)
-            if used.start >= used.stop:
+            first = max(window.skip - begin, 0)
+            if first >= end - begin:
                 continue
-            block = np.empty((used.stop - used.start, columns + size + extra + 1))
-            block[:, :columns] = raw[used, :columns]
-            block[:, columns:columns + size] = (raw[used, columns:] - (raw[used, :columns] @ theta)[:, None]) / step
-            share = window.begin + window.share * np.arange(begin + used.start, end) / n
-            for power in range(extra):
-                block[:, columns + size + power] = (share - 0.5) ** power
-            block[:, -1] = window.measurement[begin + used.start:end]
+            used = slice(begin + first, end)
+            block = buffer[:end - begin - first]
+            share = window.begin - 0.5 + window.share * np.arange(begin + first, end) / n
+            weighed_columns(raw, theta, step, first, share, extra, window.measurement[used], weight[used], block)
             # Every third block is held out of the choice between structures: little of every experiment in the record.
             part = 1 if begin // length % 3 == 2 else 0
-            if window.weight is not None:
-                block *= np.sqrt(window.weight[begin + used.start:end, None])
-            product = gram_product(block)
-            grams[part][np.ix_(place, place)] += product
+            product = np.zeros((total, total))
+            product[np.ix_(place, place)] = gram_product(block)
+            grams[part] += product
             rows[part] += len(block)
-            blocks.append(np.zeros((total, total)))
-            blocks[-1][np.ix_(place, place)] = product
+            blocks.append(product)
     return Grams(grams[0], grams[1], (rows[0], rows[1]), np.array(blocks))
 
 
 class _Pass:
     """Streaming state of `filtered_regressors` over one window."""
 
-    def __init__(self, window: Window, operators: Operators, structure: Structure, parameters: Array, theta: Array,
-                 step: float) -> None:
-        sampling = Sampling(window.sample_time, 1, window.hold)
-        nominal = structure.discretised(parameters, sampling)
-        neighbours = [structure.discretised(parameters + step * unit, sampling) for unit in np.eye(structure.size)]
+    def __init__(self, window: Window, operators: Operators, systems: Sequence[tuple[Discretised, int]], theta: Array) -> None:
         self.window, self.operators, self.theta = window, operators, theta
         self.shift = 1 if window.hold == "zoh" else 0
-        order, columns = len(nominal[0].A), operators.columns
-        wholes = [whole for _, whole in (nominal, *neighbours)]
-        self.nominal = _arrays([nominal[0]])
-        self.neighbours = _arrays([system for system, _ in neighbours]) if neighbours else tuple(
-            np.zeros((0, *part.shape[1:])) for part in self.nominal)
-        self.whole, self.pwhole = wholes[0], np.array(wholes[1:], dtype=np.int64)
+        nominal, whole = systems[0]
+        order, columns, size = len(nominal.A), operators.columns, len(systems) - 1
+        self.nominal = nominal.A, nominal.B[:, :, 0], nominal.C[0], nominal.D[:, 0, 0]
+        self.neighbours = (np.empty((order, order, size)), np.empty((3, order, size)), np.empty((order, size)), np.empty((2, size)))
+        for p, (system, _) in enumerate(systems[1:]):
+            for part, values in zip(self.neighbours, (system.A, system.B[:, :, 0], system.C[0], system.D[:, 0, 0]), strict=True):
+                part[..., p] = values
+        self.whole, self.pwhole = whole, np.array([each for _, each in systems[1:]], dtype=np.int64)
         self.h = np.zeros(len(operators.thresholds))
         self.previous = np.array([window.command[0]])
-        length = max(wholes) + 5
+        length = max(each for _, each in systems) + 5
         self.ring, self.combined = np.zeros((length, columns)), np.zeros(length)
-        self.state, self.scratch = np.zeros((order, columns)), np.zeros((max(order, 1), columns))
-        self.tangent = np.zeros((structure.size, order))
+        self.state, self.scratch = np.zeros((order, columns)), np.zeros((order, columns + size))
+        self.tangent = np.zeros((order, size))
         self.position = 0
         self._settle()
 
@@ -233,30 +270,24 @@ class _Pass:
         self.block_of(self.window.command[:1])
         first = self.ring[(self.position - 1) % len(self.ring)].copy()
         self.ring[:], self.combined[:] = first, first @ self.theta
-        a, b = self.nominal[0][0], self.nominal[1][0]
+        a, b = self.nominal[:2]
         order = len(a)
         if order:
             gain = np.linalg.solve(np.eye(order) - a, b.sum(axis=0))
             self.state[:] = gain[:, None] * first
-            for p in range(len(self.tangent)):
-                self.tangent[p] = np.linalg.solve(np.eye(order) - self.neighbours[0][p], self.neighbours[1][p].sum(axis=0))
-                self.tangent[p] *= first @ self.theta
+            for p in range(len(self.pwhole)):
+                gain = np.linalg.solve(np.eye(order) - self.neighbours[0][..., p], self.neighbours[1][..., p].sum(axis=0))
+                self.tangent[:, p] = gain * (first @ self.theta)
 
     def block(self, begin: int, end: int) -> Array:
         return self.block_of(self.window.command[begin:end])
 
     def block_of(self, command: Array) -> Array:
-        output = np.empty((len(command), self.ring.shape[1] + len(self.tangent)))
+        output = np.empty((len(command), self.ring.shape[1] + len(self.pwhole)))
         ops = self.operators
-        a, b, c, d = (part[0] for part in self.nominal)
         self.position = filtered_regressors(
             command, self.shift, 1.0 / self.window.sample_time, ops.center, ops.thresholds, ops.release, ops.rate_gain,
-            ops.dynamic, a, b, c, d, self.whole, self.theta, *self.neighbours, self.pwhole, self.h, self.previous, self.ring,
+            ops.dynamic, *self.nominal, self.whole, self.theta, *self.neighbours, self.pwhole, self.h, self.previous, self.ring,
             self.combined, self.position, self.state, self.scratch, self.tangent, output)
         return output
 
-
-def _arrays(systems: list[Discretised]) -> tuple[Array, Array, Array, Array]:
-    """Single-input systems as stacked arrays a (S, n, n), b (S, 3, n), c (S, n), d (S, 2)."""
-    return (np.array([s.A for s in systems]), np.array([s.B[:, :, 0] for s in systems]),
-            np.array([s.C[0] for s in systems]), np.array([s.D[:, 0, 0] for s in systems]))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hyst_control.diagnose.forked import forked
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset, Fit
 from hyst_control.identify.dynamics import Structure
@@ -117,10 +118,7 @@ def choose_structure(problem: Problem, given: Structure | None) -> Solution:
         return solve(problem, given, given.start(frequency))
     best = solve(problem, Structure(), np.zeros(0))
     while True:
-        trials = []
-        for structure in best.structure.extensions():
-            start = structure.grow(best.structure, best.parameters, frequency)
-            trials.append(solve(problem, structure, start, best.theta if np.any(best.theta) else None, passes=8))
+        trials = _grown(problem, best, frequency)
         if not trials:
             return best
         lowest = min(trial.held_out for trial in trials)
@@ -130,13 +128,25 @@ def choose_structure(problem: Problem, given: Structure | None) -> Solution:
         best = next(trial for trial in trials if trial.held_out <= lowest * (1.0 + WORTHWHILE))
 
 
+def _grown(problem: Problem, best: Solution, frequency: float) -> list[Solution]:
+    """The solutions of every structure with one factor more, on all cores."""
+    structures = best.structure.extensions()
+    theta = best.theta if np.any(best.theta) else None
+
+    def grown(index: int) -> Solution:
+        start = structures[index].grow(best.structure, best.parameters, frequency)
+        return solve(problem, structures[index], start, theta, passes=8)
+
+    return list(forked(grown, len(structures)))
+
+
 def _start_frequency(problem: Problem) -> float:
     """The resonance (Hz) on a coarse grid at which a plain mode does best: where Gauss-Newton begins."""
     sample_time = min(window.sample_time for window in problem.windows)
     grid = [f for f in (30.0, 100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0) if f < 0.4 / sample_time] or [0.2 / sample_time]
     structure = Structure(modes=1)
-    trials = [solve(problem, structure, structure.start(frequency), passes=2) for frequency in grid]
-    return grid[int(np.argmin([trial.fitted for trial in trials]))]
+    trials = forked(lambda i: solve(problem, structure, structure.start(grid[i]), passes=2).fitted, len(grid))
+    return grid[int(np.argmin(list(trials)))]
 
 
 def rate_dependent(problem: Problem) -> tuple[Solution, Operators, float]:
@@ -150,8 +160,7 @@ def rate_dependent(problem: Problem) -> tuple[Solution, Operators, float]:
         return solve(widened, structure, np.zeros(0))
 
     grid = largest * np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 13)])
-    costs = [trial(beta).fitted for beta in grid]
-    at = int(np.argmin(costs))
+    at = int(np.argmin(list(forked(lambda i: trial(grid[i]).fitted, len(grid)))))
     low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
     golden = (np.sqrt(5.0) - 1.0) / 2.0
     for _ in range(12):

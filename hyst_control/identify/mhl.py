@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from hyst_control.chain import Chain, Parallel, Stage
 from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.stage import Array
 from hyst_control.chain.static import Gain
+from hyst_control.diagnose.forked import forked
 from hyst_control.errors import InputError
 from hyst_control.identify.coupling import Coupling, fit_coupling, without_coupling
 from hyst_control.identify.dataset import Dataset, Fit
@@ -101,10 +103,9 @@ class Axis:
         """The chain: delay, hysteresis and rate correction in parallel, G(s), and the response's sign."""
         curves, _, dynamics = self.split(vector)
         k1, k2 = self.rate(vector)
-        linear = self.structure.stages(dynamics)
-        hysteresis = Parallel(
-            ((self.curves.stage(curves, self.input_scale, self.output_scale),), (RateCorrection(k1=k1, k2=k2, b1=b1),))
-        )
+        linear = _dynamics_stages(self.structure, dynamics.tobytes())
+        core = _curve_stage(self.curves, curves.tobytes(), self.input_scale, self.output_scale)
+        hysteresis = Parallel(((core,), (RateCorrection(k1=k1, k2=k2, b1=b1),)))
         delays = [stage for stage in linear if isinstance(stage, Delay)]
         return [*delays, hysteresis, *(stage for stage in linear if not isinstance(stage, Delay))]
 
@@ -119,6 +120,17 @@ class Axis:
         lhs = np.zeros((len(self.curves.constraints()), self.size))
         lhs[:, : self.curves.size] = self.curves.constraints()
         return Parametrisation(self.stages, lhs, np.zeros(len(lhs)), self.limit)
+
+
+# A neighbouring vector differs in one parameter: most stages of its chain have been made, and checked, before.
+@lru_cache(256)
+def _curve_stage(curves: Curves, vector: bytes, input_scale: float, output_scale: float) -> Stage:
+    return curves.stage(np.frombuffer(vector), input_scale, output_scale)
+
+
+@lru_cache(256)
+def _dynamics_stages(structure: Structure, vector: bytes) -> tuple[Stage, ...]:
+    return tuple(structure.stages(np.frombuffer(vector)))
 
 
 @dataclass(frozen=True)
@@ -161,8 +173,8 @@ def fit(datasets: Sequence[Dataset], method: str = "joint", **options: Any) -> F
     cleaned = datasets
     if coupling is not None:
         cleaned = without_coupling(chain_model(datasets, axes, "plain"), coupling, datasets)
-    axes = [refit(whole_records(cleaned, index), axis, chosen.nuisance) for index, axis in enumerate(axes)]
-    return assemble(datasets, "joint", axes, coupling)
+    final = forked(lambda index: refit(whole_records(cleaned, index), axes[index], chosen.nuisance), len(axes))
+    return assemble(datasets, "joint", list(final), coupling)
 
 
 def with_coupling(
@@ -176,8 +188,13 @@ def with_coupling(
         if coupling is None:
             break
         cleaned = without_coupling(plain, coupling, datasets)
-        axes = [refined(whole_records(cleaned, index), axis, nuisance, passes=3) for index, axis in enumerate(axes)]
+        axes = refined_axes(cleaned, axes, nuisance)
     return coupling, axes
+
+
+def refined_axes(datasets: Sequence[Dataset], axes: Sequence[AxisFit], nuisance: str) -> list[AxisFit]:
+    """A few passes for every axis, on all cores."""
+    return list(forked(lambda index: refined(whole_records(datasets, index), axes[index], nuisance, passes=3), len(axes)))
 
 
 def fit_joint(windows: Sequence[Window], options: Options, like: AxisFit | None) -> AxisFit:
@@ -240,7 +257,7 @@ def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, opti
     if given is not None:
         axis, best = searched(windows, replace(blank, structure=replace(given, zeros=min(given.zeros, 1))), curves, options)
         while axis.structure.zeros < given.zeros:
-            axis, best = extended(windows, axis, best, replace(axis.structure, zeros=axis.structure.zeros + 1), options)
+            axis, best = extended(windows, axis, best, [replace(axis.structure, zeros=axis.structure.zeros + 1)], options)[0]
         return axis, best
     plain = searched(windows, replace(blank, structure=Structure(modes=1, delay=True)), curves, options, thorough=False)
     rich = searched(windows, replace(blank, structure=Structure(modes=1, lags=1, zeros=1, delay=True)), curves, options)
@@ -249,8 +266,7 @@ def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, opti
         best = minimise(windows, axis.parametrisation(), best.parameters, nuisance=options.nuisance, passes=25)
     while True:
         # From the plainer to the richer: the first that is worth it.
-        for structure in extensions(axis.structure):
-            grown = extended(windows, axis, best, structure, options)
+        for grown in extended(windows, axis, best, extensions(axis.structure), options):
             if better((axis, best), grown) is grown:
                 axis, best = grown
                 break
@@ -277,21 +293,21 @@ def searched(
         begin = starts(axis)
     else:
         problem, begin = axis.parametrisation(), [np.concatenate([curves, start]) for start in starts(axis)]
-    trials = [minimise(windows, problem, start, nuisance=options.nuisance, passes=3) for start in begin]
+    trials = list(forked(lambda i: minimise(windows, problem, begin[i], nuisance=options.nuisance, passes=3), len(begin)))
     whole = replace(axis, curves=options.curves)
-    chosen: Solution | None = None
-    for solution in candidates(trials, -2 - axis.structure.size)[: 2 if thorough else 1]:
+    followed = candidates(trials, -2 - axis.structure.size)[: 2 if thorough else 1]
+
+    def pursued(index: int) -> Solution:
+        solution = followed[index]
         further = minimise(windows, problem, solution.parameters, nuisance=options.nuisance, passes=15)
         vector = further.parameters if not held else np.concatenate([curves, further.parameters])
         n = axis.curves.size
         full = vector[:n] if held else options.curves.like(axis.curves, vector[:n])
         start = np.concatenate([full, vector[n:]])
         passes = 25 if thorough else 6
-        final = minimise(windows, whole.parametrisation(), start, nuisance=options.nuisance, passes=passes)
-        if chosen is None or final.fitted < chosen.fitted:
-            chosen = final
-    assert chosen is not None
-    return whole, chosen
+        return minimise(windows, whole.parametrisation(), start, nuisance=options.nuisance, passes=passes)
+
+    return whole, min(forked(pursued, len(followed)), key=lambda solution: solution.fitted)
 
 
 def candidates(trials: Sequence[Solution], share: int) -> list[Solution]:
@@ -326,20 +342,28 @@ def starts(axis: Axis) -> list[Array]:
 
 
 def extended(
-    windows: Sequence[Window], axis: Axis, best: Solution, structure: Structure, options: Options
-) -> tuple[Axis, Solution]:
-    """A richer structure, from what the poorer one found."""
+    windows: Sequence[Window], axis: Axis, best: Solution, structures: Sequence[Structure], options: Options
+) -> list[tuple[Axis, Solution]]:
+    """Richer structures, each from what the poorer one found, on all cores."""
     dynamics = axis.split(best.parameters)[2]
-    candidates = [structure.grow(axis.structure, dynamics, 1000.0)]
-    if structure == replace(axis.structure, zeros=axis.structure.zeros + 1):
-        candidates.append(lead_and_delay(axis.structure, structure, dynamics))
-    grown = replace(axis, structure=structure)
     before = best.parameters[: axis.curves.size + 2]
-    trials = [
-        minimise(windows, grown.parametrisation(), np.concatenate([before, start]), nuisance=options.nuisance, passes=12)
-        for start in candidates
-    ]
-    return grown, min(trials, key=lambda solution: solution.fitted)
+    begin: list[tuple[Structure, Array]] = []
+    for structure in structures:
+        begin.append((structure, structure.grow(axis.structure, dynamics, 1000.0)))
+        if structure == replace(axis.structure, zeros=axis.structure.zeros + 1):
+            begin.append((structure, lead_and_delay(axis.structure, structure, dynamics)))
+
+    def grown(index: int) -> Solution:
+        structure, start = begin[index]
+        problem = replace(axis, structure=structure).parametrisation()
+        return minimise(windows, problem, np.concatenate([before, start]), nuisance=options.nuisance, passes=12)
+
+    solutions = list(forked(grown, len(begin)))
+    found = []
+    for structure in structures:
+        own = [solution for (of, _), solution in zip(begin, solutions, strict=True) if of == structure]
+        found.append((replace(axis, structure=structure), min(own, key=lambda solution: solution.fitted)))
+    return found
 
 
 def better(plain: tuple[Axis, Solution], rich: tuple[Axis, Solution]) -> tuple[Axis, Solution]:

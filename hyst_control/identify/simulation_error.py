@@ -14,8 +14,9 @@ from numba import njit
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
-from hyst_control.chain import Chain, Filter, Sampling, Stage
+from hyst_control.chain import Sampling, Stage
 from hyst_control.chain.stage import Array
+from hyst_control.identify.bundle import Bundle
 from hyst_control.identify.gram import HELD_OUT_BLOCKS, NUISANCES, Grams, Window, gram_product
 from hyst_control.identify.least_squares import covariance
 from hyst_control.identify.windows import turning_points
@@ -115,26 +116,27 @@ def gram_matrices(
     total = size + extra * groups + 1
     grams, rows, blocks = np.zeros((2, total, total)), [0, 0], []
     vectors = [parameters, *(parameters + STEP * unit for unit in np.eye(len(parameters))[:size])]
-    chains = [Chain(tuple(parametrisation.stages(vector))) for vector in vectors]
-    clocks: dict[Sampling, list[Filter]] = {}
+    chains = [tuple(parametrisation.stages(vector)) for vector in vectors]
+    clocks: dict[Sampling, Bundle] = {}
     length = int(np.clip(sum(len(window.command) for window in windows) // HELD_OUT_BLOCKS, 1, BLOCK))
     for window in windows:
         place = np.r_[0:size, size + window.group * extra + np.arange(extra), total - 1]
         sampling = Sampling(window.sample_time, 1, window.hold)
         if sampling not in clocks:
-            clocks[sampling] = [chain.filter(sampling) for chain in chains]
+            clocks[sampling] = Bundle(chains, sampling)
+        running = clocks[sampling]
         signal, first = driving_signal(window)
-        for running in clocks[sampling]:
-            running.settle(signal[0])
+        running.settle(float(signal[0, 0]))
+        if first:
             running.process(signal[:first])
         n = len(window.command)
         for chunk in range(0, n, CHUNK):
             stop = min(chunk + CHUNK, n)
             part = signal[first + chunk : first + stop]
             columns = np.empty((stop - chunk, size + extra + 1), order="F")
-            nominal = clocks[sampling][0].process(part)[:, 0]
-            for i, running in enumerate(clocks[sampling][1:]):
-                columns[:, i] = (running.process(part)[:, 0] - nominal) / STEP
+            nominal, *neighbours = running.process(part)
+            for i, neighbour in enumerate(neighbours):
+                columns[:, i] = (neighbour - nominal) / STEP
             share = window.begin + window.share * np.arange(chunk, stop) / n
             for power in range(extra):
                 columns[:, size + power] = (share - 0.5) ** power

@@ -97,8 +97,8 @@ def largest_drift(data: Dataset, axis: int) -> float:
     not be taken for one: records whose frequency rises with time would else teach the model the wrong mean.
     """
     command, measurement = data.command[:, axis], data.measurement[:, axis]
-    rests = [(begin, end) for begin, end in still(command, int(max(REST_TIME / data.sample_time, 2)))
-             if begin >= memory_filled(command)]
+    filled = memory_filled(command)
+    rests = [(begin, end) for begin, end in still(command, int(max(REST_TIME / data.sample_time, 2))) if begin >= filled]
     span, largest = float(np.ptp(command)), np.inf
     for level in {round(float(command[end - 1]) / span, 4) for _, end in rests} if span else ():
         equal = [(begin, end) for begin, end in rests if abs(command[end - 1] / span - level) < 2e-4]
