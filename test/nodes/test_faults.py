@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import subprocess
 import sys
 import time
@@ -11,11 +12,13 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from loop_case import MODEL, RATE, parameters, recorded
 from rclpy.parameter import Parameter
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from hyst_control.errors import InputError
 from hyst_control.launch.processes import Processes
 from hyst_control.nodes.feedforward import Feedforward
+from hyst_control.nodes.messages import QUEUE, to_message
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.ports import REPEAT_INTERVAL
 from hyst_control.nodes.recorder import Recorder
@@ -51,6 +54,24 @@ def test_bad_messages_are_dropped_counted_and_leave_no_trace(bench):
     assert {key: count for key, count in node.counts.items() if count} == {
         "reference: not finite": 2, "reference: wrong label": 2, "reference: off the clock": 1,
         "reference: out of order": 1, "reference: duplicate": 1, "reference: conflict": 1}
+
+
+@pytest.mark.parametrize("objects", [False, True])
+def test_messages_of_another_size_than_they_say_are_dropped_and_counted(bench, objects):
+    """Layouts that do not fit their data, rows cut short, no layout, no values: as bytes, and as message objects."""
+    node = bench.add(Feedforward_named, kind="proportional", gain=[10], message_objects=objects)
+    publisher = bench.probe.create_publisher(Float64MultiArray, "reference", QUEUE)
+    bench.until(lambda: publisher.get_subscription_count() > 0)
+    whole = to_message("t[s],x[um]", np.array([[0.0, 1.0], [PERIOD, 2.0]]))
+    short, third, bare, empty = (copy.deepcopy(whole) for _ in range(4))
+    short.data = short.data[:3]  # three values, 2 by 2 are announced
+    third.layout.dim = [*third.layout.dim, third.layout.dim[0]]
+    bare.layout.dim, bare.data = [], bare.data[:1]
+    empty.layout.dim, empty.data = [], []
+    for message in (short, third, bare, empty, whole):
+        publisher.publish(message)
+    bench.until(lambda: node.reference.rows.end == 2)
+    assert {key: count for key, count in node.counts.items() if count} == {"reference: unreadable": 2, "reference: wrong label": 2}
 
 
 def Feedforward_named(**options):

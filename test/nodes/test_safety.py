@@ -39,6 +39,7 @@ class Loop:
         self.measure = lambda honest: honest  # what the sensor makes of the position
         self.rival = None  # a second sensor's value
         self.shift = 0  # ticks by which the senders' clock is off
+        self.silent = ""  # the signal whose source says nothing any more
         self.last = 0
         self.feeding = bench.probe.create_timer(PERIOD, self.feed)
 
@@ -50,7 +51,8 @@ class Loop:
             wanted = 3.5 + 0.5 * np.sin(2 * np.pi * 2.0 * each * PERIOD)
             now = (each + self.shift) * PERIOD
             for topic, value in [("reference", wanted), ("measurement", self.measure(position)), ("feedforward", 8 * wanted)]:
-                self.senders[topic].send(np.array([[now, value]]))
+                if topic != self.silent:
+                    self.senders[topic].send(np.array([[now, value]]))
             if self.rival is not None:
                 self.senders["measurement"].send(np.array([[now, self.rival]]))
 
@@ -105,11 +107,21 @@ def clock_set_back(loop):
     return "no feedforward and no reference and no measurement for 0.25 s"
 
 
+def goes_silent(topic):
+    def stale(loop):
+        loop.silent = topic
+        return f"no {topic} for 0.25 s"
+
+    stale.__name__ = f"stale_{topic}"
+    return stale
+
+
 def well_again(loop):
-    loop.measure, loop.rival, loop.shift = lambda honest: honest, None, 0
+    loop.measure, loop.rival, loop.shift, loop.silent = lambda honest: honest, None, 0, ""
 
 
-@pytest.mark.parametrize("break_it", [frozen, out_of_range, below_range, second_plant, clock_set_back])
+@pytest.mark.parametrize("break_it", [frozen, out_of_range, below_range, second_plant, clock_set_back, goes_silent("reference"),
+                                      goes_silent("feedforward"), goes_silent("measurement")], ids=lambda break_it: break_it.__name__)
 def test_fault_goes_to_safety_and_back_by_itself(bench, break_it):
     loop = Loop(bench)
     bench.until(loop.tracks)
