@@ -11,6 +11,15 @@ from typing import Any
 from hyst_control.errors import InputError
 
 
+def check_writable(path: str | Path) -> None:
+    """Raise `InputError` unless a file of this name can be written, as far as that can be told beforehand."""
+    folder = Path(path).parent
+    if not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise InputError(f"{path}: its folder does not exist or cannot be written: create it first")
+    if Path(path).is_dir():
+        raise InputError(f"{path}: is a directory: give the name of a file")
+
+
 def write_text(path: str | Path, text: str) -> None:
     """To a temporary file beside it, then renamed. Raises `InputError` where the folder cannot be written."""
     path = Path(path)

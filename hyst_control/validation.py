@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hyst_control import progress
 from hyst_control.bag_reader import read_bag
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset
@@ -26,8 +27,10 @@ def validate_bags(models: Sequence[str | Path], bags: Sequence[str | Path], sour
     loaded = {_name(path, models): load_model(path) for path in models}
     table = Table(source)
     for bag in bags:
+        progress.step(f"read {bag}")
         for data in datasets_of(read_bag(bag, namespace, unit), hold, start, True):
             for name, model in loaded.items():
+                progress.step(f"{name} on {data.name}")
                 check_pair(name, model, data)
                 add_rows(table, name, model, data)
     return table

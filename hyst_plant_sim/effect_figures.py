@@ -1,6 +1,6 @@
 """The catalogue of effects as a page: what each is, where it sits, and how a record looks with it and without it.
 
-`hyst cases figures --out docs` writes docs/effects.md and one figure per effect. The records are of the truth PEA (for what needs
+`hyst cases figures --output docs` writes docs/effects.md and one figure per effect. The records are of the truth PEA (for what needs
 two axes, of the truth mirror) without its own noise, and the effects are stronger than in a blind case, so that one sees them.
 """
 
@@ -21,7 +21,7 @@ from hyst_plant_sim.physics.line import PLACES
 
 Array = NDArray[np.float64]
 
-COMMAND = "hyst cases figures --out docs"
+COMMAND = "hyst cases figures --output docs"
 SAMPLE_TIME = 5e-5
 UPPER_FREQUENCY = 4000.0
 """Hz, of the multisine whose answer is shown."""

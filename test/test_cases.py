@@ -89,7 +89,7 @@ def test_coefficients_that_are_off_count_by_their_gap(off, kind):
 
 def test_kinds_excitations_and_switches_are_chosen_on_the_command_line(tmp_path):
     folder = tmp_path / "out"
-    arguments = ["cases", "make", "--seed", "4", "--count", "4", "--out", str(folder), "--plants", "pea_published"]
+    arguments = ["cases", "make", "--seed", "4", "--count", "4", "--output", str(folder), "--plants", "pea_published"]
     chosen = ["--kinds", "open_set", "pair", "--excitations", "sine", "--switched", "1"]
     assert main([*arguments, *chosen]) == 0
     cases = json.loads((folder / "labels.json").read_text())["cases"]
@@ -100,7 +100,7 @@ def test_kinds_excitations_and_switches_are_chosen_on_the_command_line(tmp_path)
 
 
 def test_nothing_in_a_case_folder_tells_its_label(tmp_path, capsys):
-    assert main(["cases", "make", "--seed", "4", "--count", "3", "--out", str(tmp_path / "out"), "--plants", "pea_published"]) == 0
+    assert main(["cases", "make", "--seed", "4", "--count", "3", "--output", str(tmp_path / "out"), "--plants", "pea_published"]) == 0
     assert "SHA-256" in capsys.readouterr().out
     labels = json.loads((tmp_path / "out" / "labels.json").read_text())
     assert len(labels["cases"]) == 3
@@ -112,10 +112,10 @@ def test_nothing_in_a_case_folder_tells_its_label(tmp_path, capsys):
 
 
 def test_unusable_requests_are_refused(tmp_path, capsys):
-    assert main(["cases", "make", "--seed", "1", "--count", "0", "--out", str(tmp_path / "a")]) == 2
-    assert main(["cases", "make", "--seed", "1", "--count", "2", "--out", str(tmp_path / "b"), "--plants", "pear"]) == 2
+    assert main(["cases", "make", "--seed", "1", "--count", "0", "--output", str(tmp_path / "a")]) == 2
+    assert main(["cases", "make", "--seed", "1", "--count", "2", "--output", str(tmp_path / "b"), "--plants", "pear"]) == 2
     for option, value in (("--kinds", "triple"), ("--excitations", "step"), ("--switched", "2")):
-        assert main(["cases", "make", "--seed", "1", "--count", "2", "--out", str(tmp_path / "b"), option, value]) == 2
+        assert main(["cases", "make", "--seed", "1", "--count", "2", "--output", str(tmp_path / "b"), option, value]) == 2
     error = capsys.readouterr().err
     for words in ("--count 0", "--plants pear", "--kinds triple", "--excitations step", "--switched 2"):
         assert words in error

@@ -17,7 +17,7 @@ DOCS = Path(__file__).resolve().parent.parent / "docs"
 def test_the_page_is_what_the_command_writes():
     assert list(EXAMPLES) == list(EFFECTS)
     text = (DOCS / "effects.md").read_text(encoding="utf-8")
-    assert text == page(), "run: hyst cases figures --out docs"
+    assert text == page(), "run: hyst cases figures --output docs"
     for name in EFFECTS:
         assert f"(figures/effects/{name}.png)" in text
         assert 5_000 < (DOCS / "figures" / "effects" / f"{name}.png").stat().st_size < 40_000
@@ -45,5 +45,5 @@ def load_without(example):
 
 
 def test_a_seed_is_due(tmp_path, capsys):
-    assert main(["cases", "make", "--out", str(tmp_path / "cases")]) == 2
+    assert main(["cases", "make", "--output", str(tmp_path / "cases")]) == 2
     assert "--seed" in capsys.readouterr().err and not (tmp_path / "cases").exists()

@@ -1,7 +1,8 @@
 """`hyst`: one command, a subcommand per job. Every module of this package is a subcommand; each only parses and calls.
 
-A subcommand module has `NAME`, `HELP`, `add_arguments(parser)` and `run(arguments)`, which returns the exit status or None. It
-imports what it needs within `run`, so that `hyst --help` is quick.
+A subcommand module has `NAME`, `HELP`, `JSON` (what `--json` writes), `add_arguments(parser)` and `run(arguments)`. `run` returns its
+result, which has `text()` for people and `document()` for programs, or an exit status when it has told everything itself. It imports
+what it needs within `run`, so that `hyst --help` is quick. `--json` and `--quiet` are every subcommand's and added here.
 """
 
 from __future__ import annotations
@@ -10,11 +11,16 @@ import argparse
 import os
 import signal
 import sys
+import tempfile
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from importlib import import_module
+from pathlib import Path
 from pkgutil import iter_modules
 
+from hyst_control import progress
 from hyst_control.errors import InputError
+from hyst_control.files import check_writable, write_json
 
 ROS = ("rclpy", "std_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces")
 """Packages that nodes need and pip does not bring."""
@@ -30,6 +36,9 @@ def parser() -> argparse.ArgumentParser:
         sub = commands.add_parser(command.NAME, help=command.HELP, description=command.__doc__,
                                   formatter_class=argparse.RawDescriptionHelpFormatter)
         command.add_arguments(sub)
+        sub.add_argument("--json", metavar="OUT", help=f"{command.JSON} to write as JSON; -: to the standard output, and all else to the "
+                         "standard error")
+        sub.add_argument("--quiet", action="store_true", help="no progress, which is shown on a terminal only")
         sub.set_defaults(run=command.run)
     return top
 
@@ -45,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # whatever was started is ended, as on Ctrl-C
     try:
-        return arguments.run(arguments) or 0
+        return run(arguments)
     except InputError as error:
         print(f"hyst {arguments.command}: {error}", file=sys.stderr)
         return 2
@@ -65,3 +74,29 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"hyst {arguments.command}: interrupted", file=sys.stderr)
         return 130
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the subcommand, tell its result, write it as JSON where that is asked for; the exit status."""
+    if arguments.json != "-":
+        if arguments.json is not None:
+            check_writable(arguments.json)  # before what may take an hour
+        return _told(arguments)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "result.json"
+        with redirect_stdout(sys.stderr):
+            status = _told(argparse.Namespace(**{**vars(arguments), "json": str(path)}))
+        if path.exists():
+            sys.stdout.write(path.read_text(encoding="utf-8"))
+    return status
+
+
+def _told(arguments: argparse.Namespace) -> int:
+    with progress.shown(not arguments.quiet):
+        result = arguments.run(arguments)
+    if result is None or isinstance(result, int):
+        return result or 0
+    print(result.text())
+    if arguments.json is not None:
+        write_json(arguments.json, result.document())
+    return 0

@@ -12,9 +12,14 @@ examples:
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hyst_control.tables import Table
 
 NAME = "bench"
 HELP = "measure the speed of kernels, bags and the running loop on this machine"
+JSON = "result table"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,14 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=6.0, help="length of every run of the loop (default 6)")
     parser.add_argument("--soak", type=float, metavar="MINUTES", help="run the loop that long in lockstep instead, then a sixth of "
                         "it on the wall clock, and look at its memory")
-    parser.add_argument("--json", metavar="OUT", help="result table to write")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> Table:
     from hyst_control.experiments import bench
 
-    table = bench.run(arguments.only, arguments.seconds, arguments.soak)
-    if arguments.json:
-        table.write(arguments.json)
-    print(table.text())
-    return 0
+    return bench.run(arguments.only, arguments.seconds, arguments.soak)

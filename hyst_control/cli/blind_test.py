@@ -4,28 +4,32 @@ Seeds 0 to 999 are for tuning; scoring seeds begin at 100000 and are used once a
 it stopped when it is called again with the same folder.
 
 example:
-  hyst blind-test --seed 100000 --count 800 --out blind --page docs/blind-test.md
+  hyst blind-test --seed 100000 --count 800 --output blind --page docs/blind-test.md
 """
 
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hyst_control.tables import Table
 
 NAME = "blind-test"
 HELP = "check the diagnosis on cases whose effect is withheld"
+JSON = "result table"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, required=True, help="of the cases")
     parser.add_argument("--count", type=int, default=800, help="number of cases")
     parser.add_argument("--left-out", type=int, default=100, help="how many single effects to diagnose again without them in the catalogue")
-    parser.add_argument("--out", default="blind_out", metavar="FOLDER", help="folder for cases, labels and reports")
+    parser.add_argument("--output", default="blind_out", metavar="FOLDER", help="folder to write: cases, labels and reports "
+                        "(default blind_out)")
     parser.add_argument("--page", metavar="OUT.md", help="page to write, with its figure")
-    parser.add_argument("--json", metavar="OUT", help="result table to write")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> Table:
     from hyst_control.experiments.blind_test import run_all
 
-    print(run_all(arguments.out, arguments.seed, arguments.count, arguments.left_out, arguments.page, arguments.json).text())
-    return 0
+    return run_all(arguments.output, arguments.seed, arguments.count, arguments.left_out, arguments.page)

@@ -1,24 +1,29 @@
 """Draw cases from the truth plants: recorded bags with a model each, and what is in them in one file apart; or show what can be.
 
 examples:
-  hyst cases make --seed 7 --count 20 --out cases
-  hyst cases make --seed 7 --count 12 --out mirror --plants fsm --kinds single pair --excitations rich --switched 0.5
-  hyst cases figures --out docs                     # effects.md, with a figure for every effect
+  hyst cases make --seed 7 --count 20 --output cases
+  hyst cases make --seed 7 --count 12 --output mirror --plants fsm --kinds single pair --excitations rich --switched 0.5
+  hyst cases figures --output docs                  # effects.md, with a figure for every effect
 """
 
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hyst_control.made import Made
 
 NAME = "cases"
 HELP = "draw recorded cases with effects in them, labels apart"
+JSON = "what was made"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("action", choices=("make", "figures"), help="draw and record cases; or write the page of effects")
     parser.add_argument("--seed", type=int, help="of the cases (make)")
     parser.add_argument("--count", type=int, default=60, help="number of cases (make)")
-    parser.add_argument("--out", required=True, metavar="FOLDER",
+    parser.add_argument("--output", required=True, metavar="FOLDER",
                         help="folder to write: cases/ and labels.json (make), effects.md and figures/effects/ (figures)")
     parser.add_argument("--plants", nargs="+", metavar="PLANT",
                         help="truth plants (make): pea, pea_published, fsm, fsm_published, third; default: the blind test's, "
@@ -31,19 +36,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="share of the cases with effects in which they begin within the record (make; default 0)")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> Made:
+    from hyst_control.made import Made
+
     if arguments.action == "figures":
         from pathlib import Path
 
         from hyst_plant_sim.effect_figures import write
 
-        written = write(Path(arguments.out))
-        print(f"{written[-1]}, {len(written) - 1} figures")
-        return 0
+        return Made("cases figures", write(Path(arguments.output)))
     from hyst_control.errors import InputError
     from hyst_control.experiments.blind_test import make_cases
 
     if arguments.seed is None:
-        raise InputError("--seed: is missing: hyst cases make --seed 7 --out cases, say")
-    make_cases(arguments.out, arguments.seed, arguments.count, arguments.plants, arguments.kinds, arguments.excitations, arguments.switched)
-    return 0
+        raise InputError("--seed: is missing: hyst cases make --seed 7 --output cases, say")
+    labels = make_cases(arguments.output, arguments.seed, arguments.count, arguments.plants, arguments.kinds, arguments.excitations,
+                        arguments.switched)
+    made = Made("cases make", [labels.parent / "cases", labels])
+    made.add("", "cases", "", arguments.count)
+    return made

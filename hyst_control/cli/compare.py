@@ -7,11 +7,16 @@ example:
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from hyst_control.cli import validate
 
+if TYPE_CHECKING:
+    from hyst_control.tables import Table
+
 NAME = "compare"
 HELP = "score several models on the same bags"
+JSON = "result table"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     validate.add_options(parser)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> Table:
     from hyst_control.errors import InputError
 
     if not arguments.bags:

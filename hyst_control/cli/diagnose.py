@@ -13,12 +13,12 @@ import argparse
 
 NAME = "diagnose"
 HELP = "explain the gap between a model and recorded bags"
+JSON = "gap report"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bags", nargs="+", metavar="BAG", help="recorded bags of one plant")
     parser.add_argument("--model", required=True, metavar="MODEL.yaml", help="model file of the simulator")
-    parser.add_argument("--json", metavar="OUT", help="gap report to write")
     parser.add_argument("--report", metavar="OUT.html", help="page to write, for people")
     parser.add_argument("--augmented", metavar="OUT.yaml", help="model file to write: the model with the effects added")
     parser.add_argument("--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the catalogue")
@@ -28,13 +28,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-cache", action="store_true", help="calibrate the threshold anew")
     parser.add_argument("--namespace", help="namespace of the topics")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
-    parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
 def run(arguments: argparse.Namespace) -> int:
+    import sys
+
     from hyst_control.diagnose.workflow import diagnose_bags
 
     print(diagnose_bags(arguments.bags, arguments.model, json=arguments.json, report=arguments.report, augmented=arguments.augmented,
                         without=arguments.without, seed=arguments.seed, cache=not arguments.no_cache, namespace=arguments.namespace,
-                        unit=arguments.unit, progress=not arguments.quiet, warm_up=arguments.warm_up))
+                        unit=arguments.unit, progress=not arguments.quiet and sys.stderr.isatty(), warm_up=arguments.warm_up))
     return 0

@@ -13,9 +13,14 @@ examples:
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hyst_control.made import Made
 
 NAME = "excite"
 HELP = "build an excitation and write it as a table, array, bag or description"
+JSON = "what was made, or with --list the kinds,"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,16 +34,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--unit", default="V", help="V for an excitation (default), um or mrad for a reference")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> Made | Kinds:
     import numpy as np
 
     from hyst_control.errors import InputError
     from hyst_control.excitation import build
     from hyst_control.excitation_files import read_description, write_excitation
+    from hyst_control.made import Made
 
     if arguments.list:
-        print(listing())
-        return 0
+        return Kinds()
     if not arguments.signal:
         raise InputError("give a kind of signal: --list names them")
     if not arguments.output:
@@ -55,10 +60,15 @@ def run(arguments: argparse.Namespace) -> int:
         spec = {**limits, **spec}
     rows = build(spec, 1.0 / arguments.rate, axes)
     write_excitation(arguments.output, spec, rows, 1.0 / arguments.rate, arguments.unit)
-    print(f"{len(rows)} samples, {len(rows) / arguments.rate:g} s, {rows.min():.6g} to {rows.max():.6g} {arguments.unit}, at most "
-          f"{np.abs(np.diff(rows, axis=0)).max(initial=0.0) * arguments.rate:.4g} {arguments.unit}/s")
-    print(f"written: {arguments.output}")
-    return 0
+    unit, duration = arguments.unit, len(rows) / arguments.rate
+    slope = np.abs(np.diff(rows, axis=0)).max(initial=0.0) * arguments.rate
+    made = Made("excite", [arguments.output], lines=[f"{len(rows)} samples, {duration:g} s, {rows.min():.6g} to {rows.max():.6g} {unit}, "
+                                                     f"at most {slope:.4g} {unit}/s"])
+    made.add("", "samples", "", len(rows))
+    for quantity, of, value in (("duration", "s", duration), ("minimum", unit, rows.min()), ("maximum", unit, rows.max()),
+                                ("slope", f"{unit}/s", slope)):
+        made.add("", quantity, of, value)
+    return made
 
 
 def plant_limits(name: str, unit: str) -> tuple[dict[str, float], int]:
@@ -76,16 +86,29 @@ def plant_limits(name: str, unit: str) -> tuple[dict[str, float], int]:
     return ({**limits, "slew_limit": plant.slew_limit} if plant.slew_limit > 0 else limits), len(plant.axes)
 
 
-def listing() -> str:
-    """Every kind: its parameters with their defaults, and what it is."""
-    import inspect
+class Kinds:
+    """Every kind of signal: its parameters with their defaults, and what it is."""
 
-    from hyst_control.excitation import KINDS
+    COMMON = ("lower", "upper", "slew_limit", "axis", "idle")
 
-    lines = []
-    for name in sorted(KINDS):
-        parameters = [parameter for key, parameter in inspect.signature(KINDS[name]).parameters.items()
-                      if key not in ("sample_time", "axes")]
-        words = [each.name if each.default is inspect.Parameter.empty else f"{each.name}={each.default}" for each in parameters]
-        lines += [f"{name} {' '.join(words)}", f"    {(inspect.getdoc(KINDS[name]) or '').splitlines()[0]}"]
-    return "\n".join([*lines, "Each takes besides: lower, upper, slew_limit (bounds that it is checked against), axis, idle."])
+    def document(self) -> dict[str, Any]:
+        """By name: parameters (a default of null: it has none, and must be given), and a sentence."""
+        import inspect
+
+        from hyst_control.excitation import KINDS
+
+        kinds = {}
+        for name in sorted(KINDS):
+            parameters = {key: None if each.default is inspect.Parameter.empty else each.default
+                          for key, each in inspect.signature(KINDS[name]).parameters.items() if key not in ("sample_time", "axes")}
+            kinds[name] = {"parameters": parameters, "text": (inspect.getdoc(KINDS[name]) or "").splitlines()[0]}
+        return {"schema": "hyst_control/excitations", "version": 1, "kinds": kinds, "common_parameters": list(self.COMMON)}
+
+    def text(self) -> str:
+        lines = []
+        for name, kind in self.document()["kinds"].items():
+            words = [key if default is None else f"{key}={default}" for key, default in kind["parameters"].items()]
+            lines += [f"{name} {' '.join(words)}", f"    {kind['text']}"]
+        lower, upper, slew_limit, *others = self.COMMON
+        return "\n".join([*lines, f"Each takes besides: {lower}, {upper}, {slew_limit} (bounds that it is checked against), "
+                                  f"{', '.join(others)}."])

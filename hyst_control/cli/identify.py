@@ -8,19 +8,24 @@ examples:
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hyst_control.identify.workflow import Result
 
 NAME = "identify"
 HELP = "fit a model's parameters to recorded bags"
+JSON = "fit report"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bags", nargs="+", metavar="BAG", help="rosbag2 directories, or .mcap or .db3 files")
-    parser.add_argument("--model", metavar="NAME", help="model family: pi, hapi, rdpi, hampi, mhl or linear; without it the best of "
-                        "them on held-out data")
+    parser.add_argument("--model", metavar="NAME", help="model family: pi, hapi, rdpi, hampi, madelung, mhl or linear; without it the "
+                        "best of the first four on held-out data")
     parser.add_argument("--output", metavar="MODEL.yaml", required=True, help="model file to write")
-    parser.add_argument("--json", metavar="FIT.json", help="fit report to write")
     parser.add_argument("--method", choices=("joint", "paper"), default="joint", help="all records together, or the paper's sequence")
-    parser.add_argument("--hold", choices=("zoh", "foh"), help="the command between samples: held by a DAC, or a smooth source")
+    parser.add_argument("--hold", choices=("zoh", "foh"), help="zoh: a DAC holds the command between samples; foh: a smooth source "
+                        "was sampled (default: what the bag says, else zoh)")
     parser.add_argument("--start", choices=("settled", "unknown"), default="settled", help="settled: at the first "
                         "command, reached from 0 V; unknown: in the middle of something")
     parser.add_argument("--allow-gaps", action="store_true", help="use the stretches between lost samples")
@@ -31,12 +36,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--one-sided", action="store_true", help="one-sided play operators")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> Result:
     from hyst_control.identify.workflow import identify_bags
 
-    result = identify_bags(
-        arguments.bags, arguments.model, arguments.output, json_path=arguments.json, method=arguments.method, hold=arguments.hold,
-        start=arguments.start, allow_gaps=arguments.allow_gaps, namespace=arguments.namespace, unit=arguments.unit,
-        operators=arguments.operators, thresholds=arguments.thresholds, one_sided=arguments.one_sided)
-    print(result.text())
-    return 0
+    return identify_bags(
+        arguments.bags, arguments.model, arguments.output, method=arguments.method, hold=arguments.hold, start=arguments.start,
+        allow_gaps=arguments.allow_gaps, namespace=arguments.namespace, unit=arguments.unit, operators=arguments.operators,
+        thresholds=arguments.thresholds, one_sided=arguments.one_sided)

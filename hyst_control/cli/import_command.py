@@ -16,10 +16,12 @@ import argparse
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from hyst_control.made import Made
     from hyst_control.record import Record
 
 NAME = "import"
 HELP = "turn CSV, NPY, NPZ or MAT recordings into bags"
+JSON = "what was made"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,23 +30,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--columns", help="topic=column[unit], separated by commas (not for a bag)")
     parser.add_argument("--rate", type=float, help="sample rate in Hz (not for a bag)")
     parser.add_argument("--rows", default=":", help="first:end, counted from 0 (default all)")
-    parser.add_argument("--hold", choices=("zoh", "foh"), default="zoh", help="zoh: a DAC held the command; foh: a smooth source "
-                        "was sampled")
+    parser.add_argument("--hold", choices=("zoh", "foh"), default="zoh", help="zoh: a DAC held the command between "
+                        "samples; foh: a smooth source was sampled (default zoh)")
     parser.add_argument("--variable", help="array of an .npz or .mat file")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> Made:
     from pathlib import Path
 
+    from hyst_control import progress
     from hyst_control.bag_reader import read_bag
     from hyst_control.errors import InputError
     from hyst_control.importing import import_table, parse_columns
 
+    progress.step(f"read {arguments.file}")
     if Path(arguments.file).is_dir() or arguments.file.endswith((".mcap", ".db3")):
         record = read_bag(arguments.file)
-        for note in record.notes:
-            print(f"note: {note}")
-        return written(arguments.output, record)
+        return written(arguments.output, record, [f"note: {note}" for note in record.notes])
     for name in ("columns", "rate"):
         if getattr(arguments, name) is None:
             raise InputError(f"--{name}: is missing: a table does not say it by itself")
@@ -54,15 +56,19 @@ def run(arguments: argparse.Namespace) -> int:
     except ValueError:
         raise InputError(f"rows: {arguments.rows!r}: first:end, whole numbers, is due") from None
     record = import_table(arguments.file, parse_columns(arguments.columns), arguments.rate, rows, arguments.hold, arguments.variable)
-    return written(arguments.output, record)
+    return written(arguments.output, record, [])
 
 
-def written(output: str, record: Record) -> int:
+def written(output: str, record: Record, notes: list[str]) -> Made:
     """Write the record and say what is in it."""
+    from hyst_control import progress
     from hyst_control.importing import write_bag
+    from hyst_control.made import Made
 
+    progress.step(f"write {output}")
     write_bag(output, record)
+    made = Made("import", [output], lines=notes)
     for topic, signal in record.signals.items():
-        print(f"{topic}: {len(signal.time)} samples, {', '.join(signal.axes)} in {signal.unit}")
-    print(f"written: {output}")
-    return 0
+        made.lines.append(f"{topic}: {len(signal.time)} samples, {', '.join(signal.axes)} in {signal.unit}")
+        made.add(topic, "samples", "", len(signal.time))
+    return made

@@ -11,9 +11,14 @@ examples:
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hyst_control.made import Made
 
 NAME = "record"
 HELP = "record signal topics to a bag"
+JSON = "what was recorded"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,13 +32,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--namespace", help="namespace of the topics")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> Made | int:
     import json
     from pathlib import Path
 
     import yaml
 
+    from hyst_control import progress
     from hyst_control.errors import InputError
+    from hyst_control.made import Made
     from hyst_control.nodes.recorder import Recorder
     from hyst_control.nodes.run import main
 
@@ -45,10 +52,13 @@ def run(arguments: argparse.Namespace) -> int:
                   "duration": arguments.duration, "ticks": arguments.ticks, "merge": arguments.merge}
     given = [word for name, value in parameters.items() if value is not None for word in ("-p", f"{name}:={json.dumps(value)}")]
     remaps = ["-r", f"__ns:=/{arguments.namespace.strip('/')}"] if arguments.namespace else []
-    status = main(Recorder, args=["hyst", "--ros-args", *given, *remaps])
-    if status == 0:
-        metadata = yaml.safe_load((Path(arguments.output) / "metadata.yaml").read_text(encoding="utf-8"))
-        for topic in metadata["rosbag2_bagfile_information"]["topics_with_message_count"]:
-            print(f"{topic['topic_metadata']['name']}: {topic['message_count']} messages")
-        print(f"written: {arguments.output}")
-    return status
+    progress.step(f"record to {arguments.output}; Ctrl-C ends it")
+    if status := main(Recorder, args=["hyst", "--ros-args", *given, *remaps]):
+        return status
+    made = Made("record", [arguments.output])
+    metadata = yaml.safe_load((Path(arguments.output) / "metadata.yaml").read_text(encoding="utf-8"))
+    for topic in metadata["rosbag2_bagfile_information"]["topics_with_message_count"]:
+        name, count = topic["topic_metadata"]["name"], topic["message_count"]
+        made.lines.append(f"{name}: {count} messages")
+        made.add(name, "messages", "", count)
+    return made

@@ -9,24 +9,29 @@ Measurements are looked for in ../shared/data beside the repository, or in the f
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from hyst_control.errors import InputError
 
+if TYPE_CHECKING:
+    from hyst_control.made import Made
+    from hyst_control.tables import Table
+
 NAME = "reproduce"
 HELP = "run a published experiment and print its table"
+JSON = "result table (page: what was made)"
 EXPERIMENTS = ("hampi", "mhl", "pea-p885", "fsm-cubespec")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("experiment", choices=(*EXPERIMENTS, "page"), metavar="NAME",
                         help=f"{', '.join(EXPERIMENTS)}; page: the papers' targets met and missed, from results")
-    parser.add_argument("--json", metavar="OUT", help="result table to write")
     parser.add_argument("--figures", metavar="FOLDER", help="folder for the figures")
     parser.add_argument("--results", nargs="+", metavar="JSON", help="page: results of hampi and mhl")
     parser.add_argument("--page", metavar="OUT.md", help="page: Markdown to write")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> Table | Made:
     from importlib import import_module
 
     given = [arguments.results is not None, arguments.page is not None]
@@ -34,9 +39,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("--results, --page: both belong to `hyst reproduce page`, and only there")
     if arguments.experiment == "page":
         from hyst_control.experiments.reproduction_page import write_page
+        from hyst_control.made import Made
 
         write_page(arguments.results, arguments.page)
-        return 0
+        return Made("reproduce page", [arguments.page])
     experiment = import_module(f"hyst_control.experiments.{arguments.experiment.replace('-', '_')}")
-    print(experiment.run(arguments.json, arguments.figures).text())
-    return 0
+    return experiment.run(None, arguments.figures)

@@ -8,9 +8,14 @@ examples:
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hyst_control.made import Made
 
 NAME = "simulate"
 HELP = "run a model over a recorded command or an excitation"
+JSON = "what was made"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,14 +28,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> Made:
     import numpy as np
 
+    from hyst_control import progress
     from hyst_control.bag_reader import read_bag
     from hyst_control.errors import InputError
     from hyst_control.excitation import build
     from hyst_control.excitation_files import read_description
     from hyst_control.importing import write_bag
+    from hyst_control.made import Made
     from hyst_control.model_file import load_model, simulate
     from hyst_control.record import Record, Signal
 
@@ -39,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.seed is not None and arguments.seed < 0:
         raise InputError(f"seed: {arguments.seed}, 0 or more is due")
     model = load_model(arguments.model)
-    hold = model.hold
+    hold, notes = model.hold, []
     if arguments.bag:
         if arguments.rate is not None:
             raise InputError("rate: a bag has its own: leave --rate out")
@@ -48,14 +55,14 @@ def run(arguments: argparse.Namespace) -> int:
         commands, sample_time, hold = data.values["command"], data.sample_time, record.hold
         if commands.shape[1] != len(model.axes):
             raise InputError(f"{arguments.bag}: command has {commands.shape[1]} axes, {arguments.model} {len(model.axes)}")
-        for note in record.notes:
-            print(f"note: {note}")
+        notes = [f"note: {note}" for note in record.notes]
     else:
         rate = 1.0 / model.sample_time if arguments.rate is None else arguments.rate
         if not np.isfinite(rate) or rate <= 0:
             raise InputError(f"rate: {rate!r} Hz, a positive rate is due")
         sample_time = 1.0 / rate
         commands = build(read_description(arguments.excitation), sample_time, len(model.axes))
+    progress.step(f"simulate {len(commands)} samples")
     measurement = simulate(model, commands, sample_time, hold)
     if arguments.seed is not None:
         sigma = np.broadcast_to(np.asarray(model.noise.get("sigma", 0.0), dtype=float), len(model.axes))
@@ -66,7 +73,11 @@ def run(arguments: argparse.Namespace) -> int:
     signals = {"command": Signal(time, commands, tuple(model.axes), "V"),
                "measurement": Signal(time, measurement, tuple(model.axes), model.units["measurement"])}
     write_bag(arguments.output, Record(signals, arguments.output, (), hold))
-    print(f"{len(commands)} samples at {1.0 / sample_time:g} Hz, measurement {measurement.min():.6g} to {measurement.max():.6g} "
-          f"{model.units['measurement']}")
-    print(f"written: {arguments.output}")
-    return 0
+    unit, rate = model.units["measurement"], 1.0 / sample_time
+    made = Made("simulate", [arguments.output], lines=[*notes, f"{len(commands)} samples at {rate:g} Hz, measurement "
+                                                       f"{measurement.min():.6g} to {measurement.max():.6g} {unit}"])
+    made.add("", "samples", "", len(commands))
+    made.add("", "rate", "Hz", rate)
+    made.add("measurement", "minimum", unit, measurement.min())
+    made.add("measurement", "maximum", unit, measurement.max())
+    return made

@@ -1,21 +1,26 @@
 """Tune the PI feedback from a model to given stability margins, and report what the loop then does.
 
 examples:
-  hyst tune config/models/fsm_mhl.yaml --sample-time 2e-4
+  hyst tune config/models/fsm_mhl.yaml --rate 5000
   hyst tune hampi.yaml --gain-margin 8 --phase-margin 55 --loop-delay 1 --json tuning.json
 """
 
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hyst_control.tables import Table
 
 NAME = "tune"
 HELP = "tune the PI feedback from a model to stability margins"
+JSON = "result table"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL.yaml", help="model file")
-    parser.add_argument("--sample-time", type=float, metavar="S", help="of the loop, in s (default: the model's)")
+    parser.add_argument("--rate", type=float, help="sample rate of the loop in Hz (default: the model's)")
     parser.add_argument("--gain-margin", type=float, default=6.0, metavar="DB", help="at least, in dB (default 6)")
     parser.add_argument("--phase-margin", type=float, default=45.0, metavar="DEG", help="at least, in degrees (default 45)")
     parser.add_argument("--peak-sensitivity", type=float, default=2.0, metavar="MS", help="at most (default 2)")
@@ -25,19 +30,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mode-spread", type=float, default=0.2, help="of the first resonance, relative (default 0.2)")
     parser.add_argument("--model-error", type=float, default=0.15,
                         help="of the model's response at any frequency, relative (default 0.15)")
-    parser.add_argument("--json", metavar="OUT.json", help="result table to write")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> Table:
     from hyst_control.control.tuning import tune
+    from hyst_control.errors import InputError
     from hyst_control.model_file import load_model
 
     model = load_model(arguments.model)
-    result = tune(model, sample_time=arguments.sample_time, gain_margin=arguments.gain_margin, phase_margin=arguments.phase_margin,
+    if arguments.rate is not None and not 0 < arguments.rate < 1e12:
+        raise InputError(f"rate: {arguments.rate!r} Hz, a positive rate is due")
+    result = tune(model, sample_time=1.0 / arguments.rate if arguments.rate else None,
+                  gain_margin=arguments.gain_margin, phase_margin=arguments.phase_margin,
                   peak_sensitivity=arguments.peak_sensitivity, loop_delay=arguments.loop_delay,
                   gain_spread=arguments.gain_spread, mode_spread=arguments.mode_spread, model_error=arguments.model_error)
-    table = result.table(model)
-    if arguments.json:
-        table.write(arguments.json)
-    print(table.text())
-    return 0
+    return result.table(model)

@@ -7,9 +7,14 @@ example:
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hyst_control.tables import Table
 
 NAME = "validate"
 HELP = "score a model on recorded bags"
+JSON = "result table"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,21 +25,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Options that validate and compare share."""
-    parser.add_argument("--hold", choices=("zoh", "foh"), help="the command between samples")
+    parser.add_argument("--hold", choices=("zoh", "foh"), help="zoh: a DAC holds the command between samples; foh: a smooth source "
+                        "was sampled (default: what the bag says, else zoh)")
     parser.add_argument("--start", choices=("settled", "unknown"), default="settled", help="settled: at the first "
                         "command, reached from 0 V; unknown: in the middle of something")
     parser.add_argument("--namespace", help="namespace of the topics")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
-    parser.add_argument("--json", metavar="OUT", help="result table to write")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> Table:
     from hyst_control.validation import validate_bags
 
     models = arguments.models if hasattr(arguments, "models") else [arguments.model]
-    table = validate_bags(models, arguments.bags, arguments.command, arguments.hold, arguments.start, arguments.namespace,
-                          arguments.unit)
-    if arguments.json:
-        table.write(arguments.json)
-    print(table.text())
-    return 0
+    return validate_bags(models, arguments.bags, arguments.command, arguments.hold, arguments.start, arguments.namespace, arguments.unit)

@@ -135,7 +135,7 @@ def _largest_scale(loops: Complex, gain_margin: float, phase_margin: float, peak
 
     def kept(scale: float) -> bool:
         scaled = scale * loops
-        return 1.0 <= peak_sensitivity * _least_distance(scaled, error) and _phase_margin(scaled, error).min() >= phase_margin
+        return bool(1.0 <= peak_sensitivity * _least_distance(scaled, error) and _phase_margin(scaled, error).min() >= phase_margin)
 
     if highest <= above:
         return 0.0

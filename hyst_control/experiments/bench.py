@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hyst_control import progress
 from hyst_control.bag_reader import read_bag
 from hyst_control.bag_writer import BagWriter
 from hyst_control.errors import InputError
@@ -35,13 +36,16 @@ def run(only: str | None = None, seconds: float = loop_bench.SECONDS, soak: floa
         loop_bench.soak(table, soak)
         return table
     if only in (None, "kernels"):
+        progress.step("kernels beside C")
         for row in kernel_bench.run():
             table.add("kernels", row.case, row.subject, "kernel_rate", "samples/s", row.rate, n=kernel_bench.REPEATS)
     if only in (None, "bags"):
+        progress.step("write and read bags")
         bags(table)
     if only in (None, "loops"):
         loop_bench.run(table, seconds)
     if only in (None, "workflows"):
+        progress.step("workflows")
         workflow_bench.run(table)
     return table
 

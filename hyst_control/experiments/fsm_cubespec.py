@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hyst_control import progress
 from hyst_control.chain.chain import Chain
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
@@ -165,6 +166,7 @@ def run(json_path: str | Path | None = None, figures_dir: str | Path | None = No
     levels = load_levels()
     table = Table("reproduce fsm-cubespec")
     began = time.perf_counter()
+    progress.step("fit every level by itself and all together, in two processes")
     with ProcessPoolExecutor(2) as pool:
         jobs = [(level, order) for order in sorted(ORDERS, reverse=True) for level in levels]
         candidates = list(pool.map(fit_level, *zip(*jobs, strict=True)))

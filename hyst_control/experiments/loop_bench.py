@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from hyst_control import progress
 from hyst_control.bag_reader import read_bag
 from hyst_control.errors import InputError
 from hyst_control.launch.domain import own_domain
@@ -102,6 +103,7 @@ def measure(case: str, subject: str, schedule: str, seconds: float, bag: Path | 
 
     Raises `InputError` when a node fails or the loop does not start.
     """
+    progress.step(f"{schedule}, {case}, {subject}{', recorded' if bag else ''}: {seconds:g} s")
     with _running(case, subject, schedule, bag) as (processes, plant):
         pids = [process.pid for name, process in processes.running.items() if name != "monitor"]
         log = _Diagnostics(processes.log("monitor"))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hyst_control import progress
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 from hyst_control.launch.domain import own_domain
@@ -24,6 +25,7 @@ def run_processes(folder: Path, reference: Array, sample_time: float, nodes: Map
 
     nodes: parameters by node name, on top of what the run itself sets. Raises `InputError` when a node fails.
     """
+    progress.step(f"run {len(reference)} ticks through the nodes ({folder.name})")
     folder.mkdir(parents=True, exist_ok=True)
     signal = folder / "reference.npy"
     np.save(signal, reference)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from hyst_control import progress
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset, Fit
 
@@ -21,6 +22,7 @@ def identify(datasets: Sequence[Dataset], family: str, method: str = "joint", **
         raise InputError(f"model: {family!r} is not a model family: one of {', '.join(FAMILIES)} is due")
     if method not in ("joint", "paper"):
         raise InputError(f"method: {method!r} is not known: joint or paper is due")
+    progress.step(f"identify {family} ({method}) from {sum(len(data.command) for data in datasets)} samples")
     if family in PRANDTL_FAMILIES:
         from hyst_control.identify import hammerstein, paper_hampi
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from hyst_control import progress
 from hyst_control.bag_reader import read_bag
 from hyst_control.errors import InputError
-from hyst_control.files import write_json
+from hyst_control.files import check_writable, write_json
 from hyst_control.identify import FAMILIES, PRANDTL_FAMILIES, identify
 from hyst_control.identify.dataset import Dataset, Fit
 from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, save_model
@@ -37,6 +37,10 @@ class Result:
         lines += [f"  note: {note}" for note in report["notes"]]
         return "\n".join([*lines, f"  written: {self.output}"])
 
+    def document(self) -> dict[str, Any]:
+        """The fit report."""
+        return self.fit.report
+
 
 def identify_bags(bags: Sequence[str | Path], family: str | None, output: str | Path, *, json_path: str | Path | None = None,
                   method: str = "joint", hold: str | None = None, start: str = "settled", allow_gaps: bool = False,
@@ -45,13 +49,14 @@ def identify_bags(bags: Sequence[str | Path], family: str | None, output: str | 
 
     Nothing is written unless the fit succeeded. Raises `InputError` naming file, field and remedy.
     """
-    _writable(output)
+    check_writable(output)
     if json_path is not None:
-        _writable(json_path)
+        check_writable(json_path)
     if family is not None and family not in FAMILIES:
         raise InputError(f"model: {family!r} is not a model family: one of {', '.join(FAMILIES)} is due")
     datasets, notes = [], []
     for bag in bags:
+        progress.step(f"read {bag}")
         record = read_bag(bag, namespace, unit)
         notes += record.notes
         datasets += datasets_of(record, hold, start, allow_gaps)
@@ -90,14 +95,6 @@ def datasets_of(record: Record, hold: str | None = None, start: str = "settled",
                        hold or record.hold, "unknown" if index else start)
         datasets.append(data)
     return datasets
-
-
-def _writable(path: str | Path) -> None:
-    folder = Path(path).parent
-    if not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise InputError(f"{path}: its folder does not exist or cannot be written: create it first")
-    if Path(path).is_dir():
-        raise InputError(f"{path}: is a directory: give the name of a file")
 
 
 def _numbers(text: str) -> list[float]:
