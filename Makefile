@@ -45,6 +45,7 @@ check-readme: env
 lint: $(CHECKS_READY)
 	$(VENV)/bin/python -m ruff check .
 	$(VENV)/bin/python -m mypy
+	$(VENV)/bin/python .ci/package.py
 
 bench: env
 	$(VENV)/bin/hyst bench $(ARGS)

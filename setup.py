@@ -20,7 +20,7 @@ NODES = {
 root = Path(__file__).parent
 folders = [Path("config"), *(path.relative_to(root) for path in sorted((root / "config").rglob("*")) if path.is_dir())]
 # Without versions: a ROS 2 machine has its distribution's. What `make` and the checks install is pinned in requirements.txt.
-REQUIRED = ["numpy", "scipy", "numba", "PyYAML", "matplotlib", "plotly", "tqdm", "rosbags", "mcap", "argcomplete"]
+REQUIRED = ["numpy", "scipy", "numba", "PyYAML", "matplotlib", "pillow", "plotly", "tqdm", "rosbags", "mcap", "argcomplete"]
 present = {name: module for name, module in NODES.items() if (root / (module.replace(".", "/") + ".py")).exists()}
 
 setup(

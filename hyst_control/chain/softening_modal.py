@@ -1,6 +1,4 @@
-"""Modes that soften with amplitude: a structure on piezo actuators whose stiffness and gain depend on how hard it is
-driven.
-"""
+"""Modes that soften with amplitude: a structure on piezo actuators whose stiffness and gain depend on how hard it is driven."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Measure speed: the chain's kernels beside the same loops in C (needs gcc), reading and writing bags, the running loop (rounds
-per second in lockstep; period, latency, loss and load at 1 kHz) beside the same loop written the plain way, and workflows
-(identification from a minute at 20 kHz, diagnosis of a record).
+"""Measure the speed of kernels, bags, the running loop, and workflows.
 
-The figures are of this machine at this moment; the table names the machine.
+Kernels run beside the same loops in C (needs gcc); the loop (rounds per second in lockstep; period, latency, loss and load at 1 kHz)
+beside the same loop written the plain way; workflows are identification from a minute at 20 kHz and the diagnosis of a
+record. The figures are of this machine at this moment; the table names the machine.
 
 examples:
   hyst bench --only loops --json bench.json

@@ -184,8 +184,10 @@ def dynamics_inverse(side: list[Stage], sampling: Sampling, method: str, discret
 
 def core_inverse(core: Stage | None, after: list[Stage], kind: str, sampling: Sampling, drive: Array, needed: Array,
                  iterations: int | None) -> list[Stage]:
-    """Stages that undo the hysteresis; `after` are the linear stages that follow it in the model, `drive` (2, A) V what enters
-    it, `needed` (A,) V up to where it must be invertible.
+    """Stages that undo the hysteresis.
+
+    after: the linear stages that follow it in the model; drive (2, A): V, what enters it; needed (A,): V, up to where it must be
+    invertible.
     """
     if kind == "mhl_inverse":
         hysteresis, correction = rate_dependent_parts(core)

@@ -32,8 +32,11 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Margins:
-    """Stability of one loop: gain_margin dB, phase_margin degrees, peak_sensitivity (max |1 / (1 + L)|), crossover and
-    bandwidth Hz (-3 dB of L / (1 + L), half the sampling rate when it stays above)."""
+    """Stability of one loop.
+
+    gain_margin dB, phase_margin degrees, peak_sensitivity (max |1 / (1 + L)|), crossover and bandwidth Hz (-3 dB of L / (1 + L), half
+    the sampling rate when it stays above).
+    """
 
     gain_margin: float
     phase_margin: float
@@ -44,8 +47,11 @@ class Margins:
 
 @dataclass(frozen=True)
 class Tuning:
-    """Result: gains kp (V per measurement unit) and ki (V per measurement unit and s), margins of the model as it is and the
-    worst over the spread and the model's own error, settling_time s of a step into 2 %, overshoot in per cent."""
+    """Gains and what they give.
+
+    kp (V per measurement unit) and ki (V per measurement unit and s), margins of the model as it is and the worst over the spread and
+    the model's own error, settling_time s of a step into 2 %, overshoot in per cent.
+    """
 
     kp: float
     ki: float

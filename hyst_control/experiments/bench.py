@@ -25,8 +25,10 @@ GROUPS = ("kernels", "bags", "loops", "workflows")
 
 
 def run(only: str | None = None, seconds: float = loop_bench.SECONDS, soak: float | None = None) -> Table:
-    """All groups, or one of `GROUPS`; `seconds`: length of every run of the loop; `soak`: minutes of the long run,
-    in place of the groups. Raises `InputError` when gcc is missing for the kernels, or a node fails.
+    """All groups, or one of `GROUPS`.
+
+    seconds: length of every run of the loop; soak: minutes of the long run, in place of the groups.
+    Raises `InputError` when gcc is missing for the kernels, or a node fails.
     """
     table = Table("bench")
     for name, value in (("seconds", seconds), ("soak", soak)):

@@ -1,6 +1,7 @@
-"""A measured fast steering mirror: the CubeSpec benchmark (Floren, Peri, De Maeyer, De Munter, Vandepitte, Noel,
-"Data-driven state-space identification and nonlinearity assessment of the CubeSpec Fine Steering Mirror", ISMA-USD
-2024).
+"""A measured fast steering mirror: the CubeSpec benchmark.
+
+Floren, Peri, De Maeyer, De Munter, Vandepitte, Noel, "Data-driven state-space identification and nonlinearity assessment of the
+CubeSpec Fine Steering Mirror", ISMA-USD 2024.
 
 Three piezo actuators, three displacement sensors, three levels, six realisations of random-phase orthogonal multisines
 with two steady periods each. Models are fitted on realisations 1-4, chosen (number of states, law of the softening
@@ -67,9 +68,7 @@ class Level:
     measurement: Array
 
     def spectra(self, realisations: Sequence[int], weight: float = 1.0) -> Spectra:
-        """Excited lines of the realisations, both periods averaged; sums of squares are those of the samples, times
-        weight².
-        """
+        """Excited lines of the realisations, both periods averaged; sums of squares are those of the samples, times weight²."""
         u = np.fft.rfft(self.command[:, :, realisations].mean(axis=3), axis=0)
         y = np.fft.rfft(self.measurement[:, :, realisations].mean(axis=3), axis=0)
         lines = excited_lines(np.sum(np.abs(u) ** 2, axis=(1, 2)))
@@ -128,9 +127,7 @@ def simulation_error(model: Model, level: Level, realisations: Sequence[int]) ->
 
 
 def response_error(response: np.ndarray, lines: Array, level: Level, realisations: Sequence[int]) -> Array:
-    """Relative errors in % of a nonparametric response (F, 3, 3) at `lines` of the period: all sensors together, then
-    each.
-    """
+    """Relative errors in % of a nonparametric response (F, 3, 3) at `lines` of the period: all sensors together, then each."""
     u = np.fft.rfft(level.command[:, :, realisations].mean(axis=3), axis=0)
     y = np.zeros_like(u)
     y[lines] = np.einsum("koj,kjr->kor", response, u[lines])
@@ -158,10 +155,10 @@ def fit_all(levels: Sequence[Level], order: int, hold: str = "zoh") -> Candidate
 
 
 def run(json_path: str | Path | None = None, figures_dir: str | Path | None = None) -> Table:
-    """Print-ready table of every model on every level; writes it as JSON where asked to, and into the folder the spectra,
-    the model file and the table of shares.
+    """Print-ready table of every model on every level.
 
-    Raises `InputError` when the measurements are absent.
+    Writes it as JSON where asked to, and into the folder the spectra, the model file and the table of shares. Raises
+    `InputError` when the measurements are absent.
     """
     levels = load_levels()
     table = Table("reproduce fsm-cubespec")
@@ -268,9 +265,7 @@ def report_linear(table: Table, levels: Sequence[Level], fits: Sequence[Sequence
 
 
 def report_nonparametric(table: Table, levels: Sequence[Level]) -> None:
-    """Responses without a model, fitted and tested alike: what any linear model of a level could reach, and the
-    noise.
-    """
+    """Responses without a model, fitted and tested alike: what any linear model of a level could reach, and the noise."""
     title = "Nonparametric response per level, realisation 6"
     for level in levels:
         records = [level.command[:, :, r].mean(axis=2) for r in FIT], [level.measurement[:, :, r].mean(axis=2) for r in FIT]
@@ -318,9 +313,7 @@ ALL = "One model for all levels, realisation 6"
 def report_one(
     table: Table, levels: Sequence[Level], subject: str, model: Model, states: int, parameters: int, seconds: float
 ) -> float:
-    """Errors of one model on the sixth realisation, and on the fifth, with its size and speed; returns the root mean
-    square of those on the fifth.
-    """
+    """Errors of one model on the sixth realisation and the fifth, its size and speed; the root mean square of those on the fifth."""
     squares = []
     for level in levels:
         mv = int(level.name.split()[0])
@@ -339,9 +332,7 @@ def report_one(
 
 
 def report_laws(table: Table, levels: Sequence[Level], models: Sequence[ModalModel]) -> None:
-    """Candidate forces beside each level's linear model (`fsm_cubespec_laws`), on the fifth realisation, the one to choose
-    on, and on the sixth.
-    """
+    """Candidate forces beside each level's linear model (`fsm_cubespec_laws`), on the fifth realisation, to choose on, and the sixth."""
     title = "Force laws by regression on the error of each level's linear model"
     for level, model in zip(levels, models, strict=True):
         command, measurement = level.command.mean(axis=3), level.measurement.mean(axis=3)

@@ -46,8 +46,11 @@ BLOCK = 500
 
 @dataclass(frozen=True)
 class Extent:
-    """How much is run: frequencies (Hz) and peaks (V) of held-out loops, of the lags and of the tracked reference, the excitation's own
-    options, the methods whose models track, and whether the feedback's margins are measured."""
+    """How much is run.
+
+    Frequencies (Hz) and peaks (V) of held-out loops, of the lags and of the tracked reference, the excitation's own options, the methods
+    whose models track, and whether the feedback's margins are measured.
+    """
 
     frequencies: tuple[float, ...] = FREQUENCIES
     peaks: tuple[float, ...] = PEAKS

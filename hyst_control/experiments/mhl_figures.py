@@ -31,11 +31,11 @@ def write(folder: Path, table: Table, fits: Mapping[str, Fit], fine: Fit, record
     page = Page("MHL: modelling and control of a fast steering mirror", "The paper's experiments on a truth mirror whose physics is not "
                 "the model's; every signal went over ROS 2 topics in lockstep. The published figures are of the paper's own mirror.")
     page.section("Fig. 9: slow loops", "Measured and predicted tilt of axis x, 1 Hz, held out.")
-    page.figure(prediction(records["static"], {name: fit for name, fit in fits.items()}))
+    page.figure(prediction(records["static"], dict(fits)))
     page.section("Fig. 10: open-loop response", "Small sweep to 4 kHz, axis x: measured and modelled.")
     page.figure(open_loop(records["fine"], fine))
     page.section("Fig. 11: multi-frequency drive", "15, 40, 75 and 100 Hz, held out.")
-    page.figure(prediction(records["multi"], {name: fit for name, fit in fits.items()}))
+    page.figure(prediction(records["multi"], dict(fits)))
     page.section("Figs. 12 and 13: loops at high frequency", "Axis x, 10 V about 50 V; the means of a loop are removed.")
     page.figure(fast_loops(records["fast"], fine, places), 560)
     for number, name in ((14, "single"), (15, "decreasing"), (16, "multi")):

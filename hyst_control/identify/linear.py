@@ -63,9 +63,7 @@ class Candidate:
     seconds: float
 
     def standard_errors(self, *kinds: str) -> Array:
-        """Standard errors (P,) of the parameters of these kinds estimated together, for a white residual; others as
-        known.
-        """
+        """Standard errors (P,) of the parameters of these kinds estimated together, for a white residual; others as known."""
         chosen = np.concatenate([np.arange(self.normal.shape[0])[self.layout.slices[kind]] for kind in kinds])
         part = self.normal[np.ix_(chosen, chosen)]
         scale = np.sqrt(np.maximum(np.diag(part), 1e-300))
@@ -140,9 +138,7 @@ def fit(datasets: Sequence[Dataset], **options: Any) -> Fit:
 
 
 def checked(datasets: Sequence[Dataset]) -> Dataset:
-    """The first record, after all were found to agree in axes, units, hold and sample time and to move on every
-    axis.
-    """
+    """The first record, after all were found to agree in axes, units, hold and sample time and to move on every axis."""
     if not datasets:
         raise InputError("records: none given: a linear fit needs at least one with command and measurement")
     first = datasets[0]
@@ -220,9 +216,7 @@ def _length(data: Dataset) -> int:
 
 
 def error_of(model: ModalModel, data: Sequence[Spectra]) -> float:
-    """rms error / rms measurement of a model on spectra; transients are fitted, as nothing is known of a cut's
-    start.
-    """
+    """rms error / rms measurement of a model on spectra; transients are fitted, as nothing is known of a cut's start."""
     problem = Problem(data, model)
     if problem.records:
         problem.fit_linear("t", "d")
@@ -351,9 +345,7 @@ def _axis(data: Dataset, axis: int) -> Dataset:
 
 
 def stages_of(model: ModalModel, sample_time: float) -> list[Stage]:
-    """The model as chain stages: the delay if there is one, then a `transfer_function` (one axis) or a
-    `state_space`.
-    """
+    """The model as chain stages: the delay if there is one, then a `transfer_function` (one axis) or a `state_space`."""
     stages: list[Stage] = [Delay(_alike(model.delay * sample_time))] if np.any(model.delay > 0) else []
     if model.feedthrough.shape == (1, 1):
         num, den = polynomials(model, sample_time)

@@ -55,8 +55,7 @@ class Spectra:
         return float(np.sum(np.abs(self.measurement) ** 2))
 
     def compressed(self) -> tuple[Spectra, float]:
-        """Periodic records over m per line carry redundant columns: the m that matter, and the squared error no model
-        removes.
+        """The m columns that matter where periodic records over m per line carry redundant ones, and the squared error no model removes.
 
         Per line [U; Y] (m + p, R) is turned by a unitary matrix from the right so that U has m nonzero columns only.
         """
@@ -135,18 +134,14 @@ class ModalModel:
 
 @dataclass(frozen=True)
 class Transients:
-    """Linear nuisance of the records that are not periodic: per record the modes' t (n,) complex and the edge d
-    (p,).
-    """
+    """Linear nuisance of the records that are not periodic: per record the modes' t (n,) complex and the edge d (p,)."""
 
     modes: list[np.ndarray] = field(default_factory=list)
     edge: list[Array] = field(default_factory=list)
 
 
 def taps(pole: complex, late: float, hold: str) -> tuple[complex, complex, complex]:
-    """Input taps of dx/dt = λ x + u sampled at 1, u held and late by 0 <= late < 1: x[k] = e^λ x[k-1] + Σ taps[i]
-    w[k-i].
-    """
+    """Input taps of dx/dt = λ x + u sampled at 1, u held and late by 0 <= late < 1: x[k] = e^λ x[k-1] + Σ taps[i] w[k-i]."""
 
     def step(time: float) -> complex:
         return np.expm1(pole * time) / pole
@@ -352,9 +347,7 @@ class Problem:
         )
 
     def fit_linear(self, *names: str) -> ModalModel:
-        """The model whose parameters of these kinds, in which the output is linear, minimise the error; the others
-        stay.
-        """
+        """The model whose parameters of these kinds, in which the output is linear, minimise the error; the others stay."""
         matrix, vector, _ = self.normal_equations()
         chosen = np.zeros(self.layout.size, dtype=bool)
         for name in names:
@@ -387,9 +380,7 @@ class Problem:
         )
 
     def movable(self, vector: Array) -> np.ndarray:
-        """The parameters (P,) that a step may change: not the decay of a pole that is at its bound and would go
-        beyond.
-        """
+        """The parameters (P,) that a step may change: not the decay of a pole that is at its bound and would go beyond."""
         movable = self.free.copy()
         at = self.layout.indices("pole", len(self.model.poles), 2)[:, 0]
         movable[at] &= (np.log(-self.model.poles.real) > self.slowest + 1e-9) | (vector[at] > 0)
@@ -418,9 +409,7 @@ class Problem:
                 yield functions.reshape(-1, self.columns), measured.reshape(-1, measured.shape[2])
 
     def _functions(self, z: np.ndarray, u: np.ndarray, records: range) -> np.ndarray:
-        """W at some lines z (F,), commands u (F, R, m): (F, R, K). `records` are those of the transients, empty if
-        periodic.
-        """
+        """W at some lines z (F,), commands u (F, R, m): (F, R, K). `records` are those of the transients, empty if periodic."""
         model = self.model
         m, hold, delay = u.shape[2], model.hold, model.delay
         functions = np.zeros((*u.shape[:2], self.columns), dtype=complex)

@@ -1,7 +1,7 @@
-"""The MHL paper's own sequence (§2.4, §4.2): step → τ, slow loops of variable amplitude → f0, g0, sweep to 100 Hz → k1, k2,
-sweep to 4 kHz → G(s); and curves of their own for the inverse (Table 1, right).
+"""The MHL paper's own sequence (§2.4, §4.2).
 
-Kept to be compared with the joint fit: every later step inherits the error of the ones before.
+Step → τ, slow loops of variable amplitude → f0, g0, sweep to 100 Hz → k1, k2, sweep to 4 kHz → G(s); and curves of their own for the
+inverse (Table 1, right). Kept to be compared with the joint fit: every later step inherits the error of the ones before.
 """
 
 from __future__ import annotations

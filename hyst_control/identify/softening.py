@@ -35,9 +35,7 @@ class Level:
 
 @dataclass(frozen=True)
 class Scheduled:
-    """Modal parameters that move along one direction with g: θ = centre + g · change, in the layout of
-    `modal_fit.Problem`.
-    """
+    """Modal parameters that move along one direction with g: θ = centre + g · change, in the layout of `modal_fit.Problem`."""
 
     centre: ModalModel
     change: Array
@@ -51,8 +49,10 @@ class Scheduled:
 
 @dataclass(frozen=True)
 class SofteningFit:
-    """The stage, the parameters it was made of, how many of them are free, the seconds it took, and the
-    standard deviations (M, 2) of the poles' decay and frequency, as far as the fit's residual tells.
+    """The stage and how it was found.
+
+    The parameters it was made of, how many of them are free, the seconds it took, and the standard deviations (M, 2) of the poles' decay
+    and frequency, as far as the fit's residual tells.
     """
 
     stage: SofteningModal

@@ -144,7 +144,7 @@ class Output:
         self.publisher = self._sender.publisher
 
     def send(self, tick: int, rows: Array) -> None:
-        """Publish rows (N, A) of the ticks tick, tick + 1, …"""
+        """Publish rows (N, A) of the ticks from `tick` on."""
         count = len(rows)
         block = np.empty((count, self._columns))
         period = self._node.period

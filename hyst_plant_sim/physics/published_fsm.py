@@ -32,8 +32,11 @@ DEPTH = 512
 
 @dataclass(frozen=True)
 class PublishedFsmParameters:
-    """One entry per axis: delay s, ascending and descending p5 … p1 over the input / span (V), scale mrad, k1 mrad s/V,
-    k2 s, b2, num and den of G(s); noise mrad rms for both."""
+    """The published mirror's figures, one entry per axis.
+
+    delay s, ascending and descending p5 … p1 over the input / span (V), scale mrad, k1 mrad s/V, k2 s, b2, num and den of G(s); noise
+    mrad rms for both.
+    """
 
     axes: ClassVar[tuple[str, ...]] = ("x", "y")
     unit: ClassVar[str] = "mrad"

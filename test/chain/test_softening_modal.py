@@ -1,6 +1,4 @@
-"""Modes that soften with amplitude: against the linear chain where they do not, and against what softening means where
-they do.
-"""
+"""Modes that soften with amplitude: against the linear chain where they do not, against what softening means where they do."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,4 @@
-"""A softening oscillator, integrated finely, at three levels: one model for all of them, tested on unseen
-excitation.
-"""
+"""A softening oscillator, integrated finely, at three levels: one model for all of them, tested on unseen excitation."""
 
 import numpy as np
 import pytest

@@ -164,8 +164,10 @@ class Counting:
 
 
 def test_the_loop_allocates_nothing_that_stays(bench, tmp_path):
-    """Ten thousand rounds of the composed loop, once its outputs have kept as many rows as they keep; a row that stayed would be three
-    blocks."""
+    """Ten thousand rounds of the composed loop, once its outputs have kept as many rows as they keep.
+
+    A row that stayed would be three blocks.
+    """
     plant = Counting([6000, 16_000])
     settings = parameters(tmp_path, 17_000, plant={"wait_for_recorder": False, "model": ""})
     nodes = {}

@@ -138,7 +138,7 @@ def test_every_plant_is_the_same_however_it_is_cut_and_by_its_seed(name):
 
 @pytest.mark.parametrize("name", [name for name in EFFECTS if name not in RANDOM and name != "clock_rate_mismatch"])
 def test_halving_the_internal_step_changes_little_with_an_effect(name):
-    """By less than 0.05 % of range, after jumps as well. (A clock that drifts shares a command between two internal steps.)"""
+    """By less than 0.05 % of range, after jumps as well; a clock that drifts shares a command between two internal steps."""
     coarse, finer = (run(plant_for(name), [{"name": name, **GROWING[name][2]}], noise=0.0, refinement=r) for r in (1, 2))
     assert np.all(np.max(np.abs(finer - coarse), axis=0) < 5e-4 * np.ptp(coarse, axis=0))
 

@@ -134,8 +134,10 @@ def test_halving_the_internal_step_changes_little(name, excitation):
 
 @pytest.mark.parametrize("name, most", [("pea_multisine", 1e-4), ("pea_staircase", 1e-4), ("fsm_multisine", 2e-4), ("fsm_staircase", 1e-4)])
 def test_the_published_plants_reproduce_the_conformance_records(conformance, name, most):
-    """The mirror's multisine record shares its delay's fraction of an internal step between two commands: the chain, which takes
-    it exactly, is off that record by 0.0143 % of range in a sample, and so is the plant however finely it is stepped."""
+    """The mirror's multisine record shares its delay's fraction of an internal step between two commands.
+
+    The chain, which takes it exactly, is off that record by 0.0143 % of range in a sample, and so is the plant however finely stepped.
+    """
     real = read_bag(conformance / name / "real")
     measured = real.signals["measurement"].values
     found = run(plant(f"{name[:3]}_published"), real.signals["command"].values)

@@ -107,8 +107,10 @@ def insert_effects(line: Line, axis: int | None, parts: Any, present: Sequence[P
 
 
 def _change(line: Line, axis: int, place: str, kinds: Sequence[str], present: Sequence[Present], frame: Frame, build: Any) -> None:
-    """Put a part built with the changes in place of the plant's own first one there, one after the other when they begin at
-    different times."""
+    """Put a part built with the changes in place of the plant's own first one there.
+
+    One after the other when they begin at different times.
+    """
     own = sorted((item for item in present if item.kind in kinds), key=lambda item: item.start)
     if not own:
         return
