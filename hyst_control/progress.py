@@ -20,6 +20,7 @@ def shown(wanted: bool = True) -> Iterator[None]:
         return
     from tqdm import tqdm
 
+    tqdm.monitor_interval = 0  # no thread of its own: what is shown may be forked
     _bar = tqdm(bar_format="{elapsed} {desc}", leave=False, file=sys.stderr)
     try:
         yield

@@ -25,6 +25,7 @@ MODULES = {
     "plant": "hyst_plant_sim.node",
     "recorder": "hyst_control.nodes.recorder",
     "identification": "hyst_control.nodes.identification",
+    "diagnosis": "hyst_control.nodes.diagnosis",
     "pipeline": "hyst_control.nodes.pipeline",
     "monitor": "hyst_control.nodes.monitor",
 }

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from loop_case import RATE, SIGNALS, assert_same_bits, offline, parameters, recorded
+from loop_case import MODEL, RATE, SIGNALS, assert_same_bits, offline, parameters, recorded
 from rclpy.parameter import Parameter
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
@@ -111,6 +111,39 @@ def test_killed_plant_is_started_again_and_the_run_goes_on_to_its_end(tmp_path, 
     assert ticks[-1] == COUNT - 1 and np.all(np.diff(ticks) >= 1)
     if "a run is under way" not in told:  # the commands were still there from the first on: the new plant repeats what the old one did
         assert_same_bits(rows, offline(COUNT))
+
+
+def test_killed_diagnosis_leaves_the_loop_alone_and_starts_again(tmp_path, domain):
+    """It listens only: the run is to the last bit what it is without it."""
+    settings = parameters(tmp_path, COUNT, recorder={"merge": 64})
+    watching = {"model": MODEL, "rate_hz": RATE, "output": str(tmp_path / "diagnosis")}
+    with Processes(tmp_path / "log", domain) as processes:
+        processes.start("monitor", {})
+        diagnosis = processes.start("diagnosis", watching)
+        wait_for_diagnostics(processes, "diagnosis", 1)
+        processes.compose(settings)
+        wait_for_size(processes, tmp_path / "bag", 80_000)
+        diagnosis.kill()
+        diagnosis.wait()
+        said = processes.log("monitor").read_text().count(SAYS.format("diagnosis"))
+        again = processes.start("diagnosis", watching)
+        processes.wait("pipeline", timeout=60)
+        wait_for_diagnostics(processes, "diagnosis", said + 1)
+        assert again.poll() is None and processes.stop()["diagnosis"] == 0
+        assert "Traceback" not in processes.log("diagnosis").read_text()
+    assert_same_bits(recorded(tmp_path / "bag"), offline(COUNT))
+
+
+SAYS = '"node": "{}"'
+
+
+def wait_for_diagnostics(processes, node, count):
+    """Until the node has published its diagnostics so many times."""
+    end = time.monotonic() + 60
+    while processes.log("monitor").read_text().count(SAYS.format(node)) < count:
+        assert time.monotonic() < end
+        processes.check()
+        time.sleep(0.02)
 
 
 def test_nodes_that_join_late_find_the_loop_running(tmp_path, domain):
