@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -20,8 +21,16 @@ def forked(work: Callable[[int], Any], count: int) -> Iterator[Any]:
         yield from map(work, range(count))
         return
     _work = work
-    with multiprocessing.get_context("fork").Pool(workers) as pool:
+    with multiprocessing.get_context("fork").Pool(workers, _quietly) as pool:
         yield from pool.imap(_call, range(count))
+        pool.close()  # its workers end by themselves, also one that has only begun
+        pool.join()
+
+
+def _quietly() -> None:
+    """A worker ends when it is told to, without the word that the command line has for the user; Ctrl-C is its parent's to answer."""
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _call(index: int) -> Any:
