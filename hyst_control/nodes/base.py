@@ -138,8 +138,8 @@ class SignalNode(EndingNode):
     def arrived(self, source: Input, tick: int, stamp: int) -> None:
         """Timer: rows of `source` up to this tick came at this time (ns since the epoch)."""
 
-    def repeat(self, source: Input) -> None:
-        """Lockstep: `source` was repeated; what followed from it may have been lost."""
+    def repeat(self, source: Input, tick: int) -> None:
+        """Lockstep: rows of `source` from this tick on were repeated; what followed from them may have been lost."""
 
     def out_of_order(self, source: Input, tick: int) -> None:
         """Lockstep: rows of `source` from `tick` on came while earlier ones are missing."""

@@ -76,8 +76,8 @@ class Feedforward(SignalNode):
         else:
             self.reference.rows.skip_to(tick)
 
-    def repeat(self, source: Input) -> None:
-        self.feedforward.repeat()
+    def repeat(self, source: Input, tick: int) -> None:
+        self.feedforward.repeat(tick)
 
     def reset(self) -> None:
         self._next = None

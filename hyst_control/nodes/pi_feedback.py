@@ -125,10 +125,10 @@ class PiFeedback(SignalNode):
         elif self._newest is not None:  # nothing came since a reset
             self._to_safety(tick, 1)
 
-    def repeat(self, source: Input) -> None:
+    def repeat(self, source: Input, tick: int) -> None:
         if source is self._paced_by:
-            self.command.repeat()
-            self.feedback.repeat()
+            self.command.repeat(tick)
+            self.feedback.repeat(tick)
 
     def reset(self) -> None:
         """A fault is over, or a run begins; a command that is out is never left with a jump."""

@@ -21,9 +21,11 @@ Array = NDArray[np.float64]
 
 KEPT_ROWS, KEPT_BLOCKS = 4096, 8
 MOST_LOST = 1024  # lost ticks that are remembered, to know them when they come late
-REPEAT_INTERVAL = 0.02
+REPEAT_INTERVAL, LONGEST_INTERVAL = 0.02, 0.5
 """s, between two repetitions, and for which nothing new must have come: what goes on lacks nothing, and of two sources of one signal,
-which bring every tick twice, each repetition would cause others."""
+which bring every tick twice, each repetition would cause others. Twice as long after each that brought nothing, up to the longest."""
+REPEATED_ROWS = 64
+"""In one message, or as many as the node streams: the middleware's queues keep room for the longest message in each of their places."""
 
 
 class Input:
@@ -34,6 +36,7 @@ class Input:
         self.label = label_for(node.axes, unit)
         self.rows = Rows(contiguous, node.settings.most_waiting)
         self.arrived, self._repeated = time.monotonic(), -math.inf  # s, monotonic clock
+        self._patience = REPEAT_INTERVAL
         self.conflicted = -math.inf  # s, monotonic clock: when two sources disagreed last
         self._seen_label: str | None = None
         self._newest: tuple[int, Array] | None = None  # rows that came last, and the tick of the first of them
@@ -83,6 +86,7 @@ class Input:
                                                       "the time of this one ahead? A lead may be longer with a greater most_waiting")
             return
         self.arrived = time.monotonic()
+        self._patience = REPEAT_INTERVAL
         self._newest = tick, rows
         if node.lockstep:
             node.advance()
@@ -113,9 +117,9 @@ class Input:
             self.conflicted = time.monotonic()
             node.drop(self.topic, "conflict", f"tick {tick} came twice, with other values: do two nodes publish it?")
         now = time.monotonic()
-        if node.lockstep and now - max(self._repeated, self.arrived) > REPEAT_INTERVAL:
-            self._repeated = now
-            node.repeat(self)
+        if node.lockstep and now - max(self._repeated, self.arrived) > self._patience:
+            self._repeated, self._patience = now, min(2 * self._patience, LONGEST_INTERVAL)
+            node.repeat(self, tick)
 
     def _contradicts(self, tick: int, rows: Array) -> bool:
         """Whether these rows differ from those that came last in a tick that both have."""
@@ -143,29 +147,43 @@ class Output:
         self._end = 0
         self.publisher = self._sender.publisher
 
-    def send(self, tick: int, rows: Array) -> None:
-        """Publish rows (N, A) of the ticks from `tick` on."""
-        count = len(rows)
+    def block(self, tick: int, rows: Array) -> Array:
+        """Rows (N, A) of the ticks from `tick` on with their times, (N, 1 + A)."""
+        count, period = len(rows), self._node.period
         block = np.empty((count, self._columns))
-        period = self._node.period
         if count == 1:
             block[0, 0] = tick * period
         else:
             block[:, 0] = np.arange(tick, tick + count) * period
         block[:, 1:] = rows
+        return block
+
+    def send(self, tick: int, rows: Array) -> None:
+        """Publish rows (N, A) of the ticks from `tick` on."""
+        count = len(rows)
+        block = self.block(tick, rows)
         self._sender.send(block)
         if tick != self._end:
-            self.clear()  # what is repeated goes out as one message, of successive ticks
+            self.clear()  # what is kept are successive ticks
         self._end = tick + count
         self._kept.append(block)
         self._kept_rows += count
         while self._kept_rows - len(self._kept[0]) >= KEPT_ROWS and len(self._kept) > KEPT_BLOCKS:
             self._kept_rows -= len(self._kept.popleft())
 
-    def repeat(self) -> None:
-        """Publish the newest rows again, as one block."""
-        if self._kept:
-            self._sender.send(np.concatenate(self._kept))
+    def repeat(self, first: int) -> None:
+        """Publish the rows from this tick on again; the newest message where what is kept does not reach back so far."""
+        begin = first - (self._end - self._kept_rows)
+        if not 0 <= begin < self._kept_rows:
+            self.repeat_newest()
+        else:
+            self.send_again(np.concatenate(self._kept)[begin:])
+
+    def send_again(self, block: Array) -> None:
+        """Publish a block (N, C) that was published before, column 0 the time."""
+        step = max(REPEATED_ROWS, self._node.settings.block)
+        for begin in range(0, len(block), step):
+            self._sender.send(block[begin:begin + step])
 
     def repeat_newest(self) -> None:
         """Publish the newest message again."""

@@ -14,7 +14,7 @@ from hyst_control.control.reachable import check_reachable
 from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
 from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.ports import Input
+from hyst_control.nodes.ports import KEPT_ROWS, Input
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.settings import Setting
 
@@ -70,10 +70,8 @@ class ReferenceGenerator(SignalNode):
         while self._end < arrived.end + self.settings.lead:
             self._publish()
 
-    def repeat(self, source: Input) -> None:
-        if self._end:
-            first = max(0, (source.rows.end or 0) - 2 * self.settings.block)
-            self.reference.send(first, self.rows(first, self._end - first))
+    def repeat(self, source: Input, tick: int) -> None:
+        self._send_again(max(0, (source.rows.end or 0) - 2 * self.settings.block))
 
     def tick(self, tick: int) -> None:
         self.measurement.rows.skip_to(tick)  # only lockstep is paced by it
@@ -92,10 +90,14 @@ class ReferenceGenerator(SignalNode):
 
     def _start_off(self) -> None:
         if self.measurement.rows.end is None:
-            if self._end:
-                self.reference.repeat()
+            self._send_again(0)
             while self._end <= self.settings.lead:
                 self._publish()
+
+    def _send_again(self, first: int) -> None:
+        count = min(self._end - first, KEPT_ROWS)
+        if count > 0:
+            self.reference.send_again(self.reference.block(first, self.rows(first, count)))
 
     def _publish(self) -> None:
         block = self.settings.block

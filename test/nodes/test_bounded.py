@@ -15,7 +15,7 @@ from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.pipeline import DEFAULT, NODES
-from hyst_control.nodes.ports import KEPT_ROWS, REPEAT_INTERVAL
+from hyst_control.nodes.ports import KEPT_ROWS, REPEAT_INTERVAL, REPEATED_ROWS
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_plant_sim.node import PlantNode
@@ -106,13 +106,27 @@ def test_repetitions_do_not_multiply_while_the_loop_goes_on(bench):
     """Each tick comes twice, as from two loops: to repeat what is known would bring more of the same to both."""
     node = bench.add(MAKES["feedforward"][0], rate_hz=1 / PERIOD, kind="proportional", gain=[1.0])
     repeated = []
-    node.repeat = repeated.append
+    node.repeat = lambda source, tick: repeated.append(tick)
     for tick in range(2000):
         bring(node.reference, [tick, tick])
     assert node.counts["reference: duplicate"] == 2000 and not repeated
     bench.until(lambda: node.reference.age > REPEAT_INTERVAL)  # nothing new comes any more: now somebody may lack something
     bring(node.reference, [1999] * 100)
-    assert len(repeated) == 1
+    assert repeated == [1999]
+
+
+def test_what_is_repeated_is_what_may_be_lacking_in_messages_of_bounded_size(bench):
+    """The middleware keeps room for the longest message in each of its 5000 places of a queue, for ever."""
+    node = bench.add(MAKES["feedforward"][0], rate_hz=1 / PERIOD, kind="proportional", gain=[1.0])
+    sent = []
+    bring(node.reference, range(2 * KEPT_ROWS))
+    node.feedforward._sender.send = lambda block: sent.append(np.rint(block[:, 0] / PERIOD).astype(int))
+    for tick, expected in ((2 * KEPT_ROWS - 3, range(2 * KEPT_ROWS - 3, 2 * KEPT_ROWS)), (5, [2 * KEPT_ROWS - 1]),
+                           (KEPT_ROWS + 10, range(KEPT_ROWS + 10, 2 * KEPT_ROWS))):
+        sent.clear()
+        node.repeat(node.reference, tick)
+        np.testing.assert_array_equal(np.concatenate(sent), expected)
+        assert max(map(len, sent)) <= REPEATED_ROWS
 
 
 def test_a_diagnosis_whose_measurement_never_comes_stays_bounded(bench):
