@@ -11,6 +11,7 @@ import pytest
 from loop_case import MODEL, RATE, parameters, recorded
 
 from hyst_control.model_file import Simulator, load_model
+from hyst_control.nodes import base, ports, recorder
 from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
@@ -45,6 +46,7 @@ def test_inputs_of_a_loop_whose_reference_stands_still_stay_bounded(bench, monke
     node, log = bench.add(PiFeedback, most_waiting=MOST, upper=50, start="first_command"), Log()
     bench.listen_to_diagnostics()
     monkeypatch.setattr(node, "get_logger", lambda: log)
+    monkeypatch.setattr(base, "LOG_INTERVAL", 1e9)
     for signal in (node.feedforward, node.measurement):
         bring(signal, range(20 * MOST))
         assert signal.rows.available == MOST == len(signal.rows._blocks)
@@ -102,17 +104,40 @@ def test_two_loops_on_one_domain_leave_memory_as_it_is(bench, name):
     assert grown < 600 * 4 * MOST  # bytes; a row that stays costs more than 200 of them, and each signal brought 10000 messages
 
 
-def test_repetitions_do_not_multiply_while_the_loop_goes_on(bench):
+class Clock:
+    """Stands in for a module's `time`."""
+
+    def __init__(self):
+        self.now = 100.0
+
+    def monotonic(self):
+        return self.now
+
+
+def test_repetitions_do_not_multiply_while_the_loop_goes_on(bench, monkeypatch):
     """Each tick comes twice, as from two loops: to repeat what is known would bring more of the same to both."""
     node = bench.add(MAKES["feedforward"][0], rate_hz=1 / PERIOD, kind="proportional", gain=[1.0])
     repeated = []
     node.repeat = lambda source, tick: repeated.append(tick)
+    clock = Clock()
+    monkeypatch.setattr(ports, "time", clock)
     for tick in range(2000):
+        clock.now += 0.9 * REPEAT_INTERVAL
         bring(node.reference, [tick, tick])
     assert node.counts["reference: duplicate"] == 2000 and not repeated
-    bench.until(lambda: node.reference.age > REPEAT_INTERVAL)  # nothing new comes any more: now somebody may lack something
+    clock.now += 1.1 * REPEAT_INTERVAL  # nothing new comes any more: now somebody may lack something
     bring(node.reference, [1999] * 100)
     assert repeated == [1999]
+    begin = clock.now
+    while clock.now < begin + 10.0:  # nobody can be helped: ever more rarely
+        clock.now += 0.01
+        bring(node.reference, [1999])
+    assert 20 <= len(repeated) < 30
+    repeated.clear()
+    bring(node.reference, [2000])
+    clock.now += 1.1 * REPEAT_INTERVAL
+    bring(node.reference, [2000])
+    assert repeated == [2000]
 
 
 def test_what_is_repeated_is_what_may_be_lacking_in_messages_of_bounded_size(bench):
@@ -143,17 +168,20 @@ def test_a_diagnosis_whose_measurement_never_comes_stays_bounded(bench):
     assert node._command.waiting == node._measurement.waiting == 0
 
 
-def test_the_recorder_beside_two_sources_stores_each_tick_once(bench, tmp_path):
+def test_the_recorder_beside_two_sources_stores_each_tick_once(bench, tmp_path, monkeypatch):
     """Rows of two sources, mixed in one queue: the pending ones go to the bag, what was told is not told without end."""
+    clock = Clock()
+    monkeypatch.setattr(recorder, "time", clock)
     node = bench.add(Recorder, output=str(tmp_path / "bag"), topics=["command"], rate_hz=1 / PERIOD, merge=64)
     [topic] = node._topics
     told = []
     node._progress.publish = told.append
-    for tick in range(0, 4000):
+    for tick in range(4000):
+        clock.now += PERIOD
         for value in (1.0, 2.0):
             topic._receive(LABELS["command"], np.array([[tick * PERIOD, value]]))
         assert topic._pending_rows < 64
-    assert node.counts["/command: duplicate"] == 4000 and len(told) < 400
+    assert node.counts["/command: duplicate"] == 4000 and len(told) <= 4.0 / REPEAT_INTERVAL + 4000 / recorder.PROGRESS_INTERVAL + 1
     node.close()
     rows = recorded(tmp_path / "bag")["command"]
     np.testing.assert_array_equal(rows, np.column_stack([np.arange(4000) * PERIOD, np.ones(4000)]))
