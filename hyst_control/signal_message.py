@@ -83,7 +83,7 @@ class Decoder:
         # bytes behind the data are allowed, but then the data is not where the header alone says it is
         if label and buffer[1] == 1 and block.ctypes.data == np.frombuffer(buffer, np.uint8).ctypes.data + head:
             self._header, self._length = bytes(buffer[:head]), len(buffer)
-            self._label, self._shape = label, block.shape
+            self._label, self._shape = label, (block.shape[0], block.shape[1])
         return label, block
 
 

@@ -82,9 +82,9 @@ def test_two_loops_on_one_domain_leave_memory_as_it_is(bench, name):
     node, random = bench.add(make, rate_hz=1 / PERIOD, most_waiting=MOST, **settings), np.random.default_rng(1)
 
     def mix(first, last):
-        for base in range(first, last):
+        for newest in range(first, last):
             for signal in node.inputs:
-                for tick in (base, base, base // 2, base + int(random.integers(-20, 20)), 3 * base):
+                for tick in (newest, newest, newest // 2, newest + int(random.integers(-20, 20)), 3 * newest):
                     bring(signal, [max(tick, 0)], float(random.integers(0, 3)))
 
     mix(0, 6 * MOST)
