@@ -33,6 +33,8 @@ LONGEST_DELAY = 1e6
 """Longest delay in samples: what is held in memory."""
 TINY = 1e-80
 """States below this are 0: a decaying state would else end in subnormal numbers, which processors handle a hundred times slower."""
+CLOSE = 8
+"""States up to which empty entries of a matrix are computed too: leaving them out costs more than it saves."""
 
 
 @dataclass(frozen=True)
@@ -389,11 +391,12 @@ def _held_input(a: Array, b: Array, time: float) -> tuple[Array, Array]:
 
 
 @njit(cache=True, error_model="numpy")
-def advance_linear(block, a, b, c, d, bias, whole, state, scratch, taps, history, position, output):
+def advance_linear(block, a, reach, b, late, c, d, bias, whole, state, scratch, taps, history, position, output):
     """Run S systems of m inputs each over a block (N, S m); see `Discretised`.
 
-    a (S, n, n), b (S, 3, n, m), c (S, m, n), d (S, 2, m, m), bias (S m,), whole (S m,) delay in samples, state (S, n),
-    scratch (n,) and taps (3, m) work space, history (L, S m) ring of past inputs with its write position; returns the new position.
+    a (S, n, n), reach (S, n, 2) first and past-the-last nonzero column of its rows, b (S, 3, n, m), late (S,) whether any but the
+    newest input acts, c (S, m, n), d (S, 2, m, m), bias (S m,), whole (S m,) delay in samples, state (S, n), scratch (n,) and taps
+    (3, m) work space, history (L, S m) ring of past inputs with its write position; returns the new position.
     """
     length = history.shape[0]
     systems, n = state.shape
@@ -410,12 +413,21 @@ def advance_linear(block, a, b, c, d, bias, whole, state, scratch, taps, history
                 taps[0, j] = history[first, s * m + j]
                 taps[1, j] = history[second, s * m + j]
                 taps[2, j] = history[third, s * m + j]
+            older, apart = late[s], n > CLOSE
             for i in range(n):
                 value = 0.0
-                for j in range(n):
-                    value += a[s, i, j] * state[s, j]
-                for j in range(m):
-                    value += b[s, 0, i, j] * taps[0, j] + b[s, 1, i, j] * taps[1, j] + b[s, 2, i, j] * taps[2, j]
+                if apart:
+                    for j in range(reach[s, i, 0], reach[s, i, 1]):
+                        value += a[s, i, j] * state[s, j]
+                else:
+                    for j in range(n):
+                        value += a[s, i, j] * state[s, j]
+                if older:
+                    for j in range(m):
+                        value += b[s, 0, i, j] * taps[0, j] + b[s, 1, i, j] * taps[1, j] + b[s, 2, i, j] * taps[2, j]
+                else:
+                    for j in range(m):
+                        value += b[s, 0, i, j] * taps[0, j]
                 scratch[i] = value
             for i in range(n):
                 state[s, i] = scratch[i] if abs(scratch[i]) > TINY else 0.0
@@ -446,6 +458,9 @@ class LinearFilter(Filter):
             self.a[s, :order, :order], self.b[s, :, :order] = system.A, system.B
             self.c[s, :, :order], self.d[s] = system.C, system.D
         self.bias = np.concatenate([system.bias for system in systems])
+        # Modes that do not act on each other leave most of a matrix empty: only what is there is computed.
+        self.reach = _reach(self.a)
+        self.late = self.b[:, 1:].any(axis=(1, 2, 3))
         # State and output at rest, for a unit input; the states that fill up a shorter system stay 0.
         self.rest = np.stack([np.linalg.solve(np.eye(n) - a, b.sum(axis=0)) for a, b in zip(self.a, self.b, strict=True)])
         self.static_gain = self.c @ self.rest + self.d.sum(axis=1)
@@ -467,7 +482,9 @@ class LinearFilter(Filter):
         self.position = advance_linear(
             block,
             self.a,
+            self.reach,
             self.b,
+            self.late,
             self.c,
             self.d,
             self.bias,
@@ -480,6 +497,15 @@ class LinearFilter(Filter):
             output,
         )
         return output
+
+
+def _reach(a: Array) -> Array:
+    """First and past-the-last nonzero column (S, n, 2) of every row of matrices (S, n, n)."""
+    there, n = a != 0.0, a.shape[2]
+    if not n:
+        return np.zeros((*a.shape[:2], 2), np.int64)
+    first, last = there.argmax(axis=2), n - there[:, :, ::-1].argmax(axis=2)
+    return np.stack([first, np.where(there.any(axis=2), last, first)], axis=2)
 
 
 def linear_filter(run: list[Stage], sampling: Sampling, averaged: bool = False) -> Filter:

@@ -104,7 +104,7 @@ def linear(library: ctypes.CDLL) -> tuple[str, Callable[[], Array], Callable[[],
 
     def own() -> Array:
         running.settle(block[0])
-        advance_linear(block, *arrays, 0, output)
+        advance_linear(block, running.a, running.reach, running.b, running.late, *arrays[2:], 0, output)
         return output.copy()
 
     def other() -> Array:
