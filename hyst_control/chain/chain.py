@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -65,15 +65,16 @@ class SeriesFilter(Filter):
         return block
 
 
-@runtime_checkable
-class Averaged(Protocol):
+class Averaged:
     """A stage that bends the held command within a sample: what follows gets the samples it ends at, or the mean over each."""
 
     def at_samples(self) -> Stage:
         """What the samples go through."""
+        raise NotImplementedError
 
     def between_samples(self) -> tuple[Stage, ...]:
         """What bends the way from one sample to the next."""
+        raise NotImplementedError
 
 
 class ParallelFilter(Filter):

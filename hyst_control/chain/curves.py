@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from scipy.interpolate import PchipInterpolator
 
+from hyst_control.chain.remembered import remembered
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 
@@ -29,6 +30,7 @@ class Curve:
         )
 
 
+@remembered
 def polynomial_curve(coefficients: Array, field: str) -> Curve:
     """Curve p_n x^n + … + p_1 x from its coefficients p_n … p_1 (MHL paper Eq. 1, 2).
 

@@ -7,13 +7,14 @@ number of samples is exact too, because the held input is known between the samp
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit
 from scipy.linalg import block_diag, expm, matrix_balance
 
+from hyst_control.chain.remembered import remembered
 from hyst_control.chain.stage import (
     Array,
     Filter,
@@ -81,6 +82,7 @@ def stacked(systems: list[LinearSystem]) -> LinearSystem:
     )
 
 
+@remembered
 def transfer_function_system(num: Array, den: Array) -> LinearSystem:
     """Controllable canonical form of num(s)/den(s), descending powers, in a time scale that keeps its entries near one."""
     num, den = np.trim_zeros(np.atleast_1d(num), "f"), np.trim_zeros(np.atleast_1d(den), "f")
@@ -334,6 +336,7 @@ class Discretised:
     bias: Array
 
 
+@remembered
 def discretise(system: LinearSystem, fraction: Array, sampling: Sampling) -> Discretised:
     """Advance a system exactly by one sample; input j is late by `fraction[j]` (0 <= fraction < 1) of a sample.
 
@@ -371,8 +374,9 @@ def discretise_average(system: LinearSystem, fraction: Array, sampling: Sampling
     b = np.vstack([system.B, system.D / sampling.sample_time])
     c = np.hstack([np.zeros((p, n)), np.eye(p)])
     step = discretise(LinearSystem(a, b, c, np.zeros_like(system.D), system.bias), fraction, sampling)
-    step.A[:, n:] = 0.0
-    return step
+    fresh = step.A.copy()
+    fresh[:, n:] = 0.0
+    return replace(step, A=fresh)
 
 
 def _held_input(a: Array, b: Array, time: float) -> tuple[Array, Array]:

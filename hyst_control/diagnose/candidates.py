@@ -190,14 +190,14 @@ class Candidate:
 
 
 def catalogue(problem: Problem, lines: Mapping[str, Sequence[float]], without: Sequence[str] = ()) -> list[Member]:
-    """Every effect with a waveform that the record could show, on every axis of the problem.
+    """Every effect with a waveform that the record could show, on all axes of the problem alike and on every single one.
 
     lines: frequencies (Hz) of `mains_hum` and `vibration` that the residual's spectrum suggests; without: names left out.
     """
     count = len(problem.model.axes)
     others = 0 if problem.pieces[0].others is None else problem.pieces[0].others.shape[1]
     surroundings = replace(problem.surroundings, axes=count + others)
-    axes: list[int | None] = [None] if count == 1 else list(range(count))
+    axes: list[int | None] = [None] if count == 1 else [None, *range(count)]
     found: list[Member] = []
     for name, effect in EFFECTS.items():
         if name in without or (not effect.waveform and name not in HARMONICS) or not effect.exercised(surroundings):
@@ -206,7 +206,7 @@ def catalogue(problem: Problem, lines: Mapping[str, Sequence[float]], without: S
             continue
         parameters = effect.parameters(surroundings)
         if name in HARMONICS:
-            found += [Member(effect, parameters, problem, axis, frequency) for axis in axes for frequency in lines.get(name, ())]
+            found += [Member(effect, parameters, problem, axis, frequency) for axis in axes[-count:] for frequency in lines.get(name, ())]
         elif name == "dac_hold":
             samples, step = parameters
             counts = sorted({value for value in samples.starts if value > 1.0})

@@ -20,7 +20,8 @@ MISFIT = 0.5
 class Flicker:
     """1/f noise beside white noise: rms of both (in the residual's unit), the flicker's 90 % interval, gain in log-likelihood (nats).
 
-    plausible: whether the spectrum has that shape, and is about the same where the command rests and where it moves.
+    plausible: whether the spectrum has that shape, and is about the same where the command rests and where it moves. top: the
+    flicker's share of the power at the highest frequencies.
     """
 
     rms: float
@@ -28,6 +29,7 @@ class Flicker:
     white: float
     gain: float
     plausible: bool
+    top: float
 
 
 def flicker(residual: Array, command: Array) -> Flicker:
@@ -60,7 +62,7 @@ def flicker(residual: Array, command: Array) -> Flicker:
     coloured = share > 0.3
     fits = bool(coloured.sum() >= 4 and np.sqrt(np.mean(np.log(level / (a + b * inverse))[coloured] ** 2)) < MISFIT)
     return Flicker(rms, (rms * float(np.exp(-spread)), rms * float(np.exp(spread))), float(np.sqrt(a)), alone - float(best.fun),
-                   fits and _stationary(residual, command))
+                   fits and _stationary(residual, command), float(share[-1]))
 
 
 def _stationary(residual: Array, command: Array) -> bool:

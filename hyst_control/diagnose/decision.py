@@ -18,6 +18,7 @@ class Thresholds:
 
     practical_floor: float
     discrepancy: float
+    rounding: float
     margin: float
     sharpness: float
     sure: float
@@ -26,6 +27,7 @@ class Thresholds:
     further: float
     least_excess: float
     own_error: float
+    form: float
 
 
 @cache

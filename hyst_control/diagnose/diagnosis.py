@@ -23,6 +23,9 @@ from hyst_control.model_file import Model
 from hyst_control.record import Record
 
 LEAST_ROWS = 200
+HIDDEN = 0.3
+"""Share of 1/f noise at the top of the spectrum beyond which it hides the white noise."""
+
 LEAST_NOISE = 2e-5
 """Share of the range below which noise is not believed: numbers are rounded, and models discretised."""
 
@@ -128,18 +131,20 @@ def problem_of(records: Sequence[Record], model: Model, warm_up: float = 0.0) ->
 def _with_noise(problem: Problem, residuals: Array) -> Problem:
     """The same problem with the noise (A,) that the residuals' upper spectrum has."""
     measured = np.concatenate([piece.measurement for piece in problem.pieces])
-    sigma = []
+    stated, sigma = stated_noise(problem.model), []
     for axis in range(residuals.shape[1]):
         lattice = lattice_of(measured[:, axis])
         noise = _white(problem, residuals, axis, rests=not lattice)  # at rest a lattice hides the noise
-        sigma.append(max(noise, LEAST_NOISE * float(np.ptp(measured[:, axis])), lattice / np.sqrt(12.0), 1e-12))
+        # Rounding adds to the noise; it follows the signal, so that the upper spectrum shows little of it.
+        rounded = float(np.hypot(lattice / np.sqrt(12.0), stated[axis])) if lattice else 0.0
+        sigma.append(max(noise, LEAST_NOISE * float(np.ptp(measured[:, axis])), rounded, 1e-12))
     return replace(problem, sigma=np.array(sigma))
 
 
 def _axis(problem: Problem, axes: tuple[int, ...], seed: int, without: Sequence[str], cache: bool, limits: Thresholds,
           progress: Callable[[str], None]) -> AxisDiagnosis:
     model = problem.model
-    stated = np.broadcast_to(np.atleast_1d(np.asarray(model.noise.get("sigma", 0.0), dtype=float)), len(model.axes)).copy()
+    stated = stated_noise(model)
     progress("coefficients of the model")
     scatter = scatter_of(model)
     linearised = Linearised(problem, scatter)
@@ -169,6 +174,8 @@ def _axis(problem: Problem, axes: tuple[int, ...], seed: int, without: Sequence[
     if "sensor_noise" not in without:
         left = problem.rows(decision.chosen.solution.residual)
         for axis in range(len(axes)):
+            if noise is not None and noise.top > HIDDEN:
+                continue
             white = noise.white if noise is not None else _white(problem, left, axis)
             # What falls with frequency levels off at the top, which looks white.
             more = excess_noise(white / 1.5 if noise is not None else white, float(stated[axis]), looked, axis, len(left))
@@ -176,15 +183,22 @@ def _axis(problem: Problem, axes: tuple[int, ...], seed: int, without: Sequence[
     return AxisDiagnosis(axes, problem, linearised, found, decision, tuple(looked), noise, null, floor)
 
 
+def stated_noise(model: Model) -> Array:
+    """Rms (A,) of the noise that a model file states, 0 where it does not."""
+    return np.broadcast_to(np.atleast_1d(np.asarray(model.noise.get("sigma", 0.0), dtype=float)), len(model.axes)).copy()
+
+
 def practical_floor(problem: Problem, stated: Array, limits: Thresholds) -> float:
     """The rms (in units of the noise) that an effect must take off to be worth naming.
 
-    A model's stated noise that exceeds the measured one says how far the model itself was off when it was identified.
+    A model's stated noise that exceeds the measured one says how far the model itself was off when it was identified. The
+    rounding of a converter follows the signal: a share of it is no effect.
     """
     measured = np.concatenate([piece.measurement for piece in problem.pieces])
     size = limits.practical_floor * np.ptp(measured, axis=0) / problem.sigma
     excess = np.sqrt(np.maximum((stated / problem.sigma) ** 2 - 1.0, 0.0))
-    return float(np.sqrt(np.mean(size ** 2 + (limits.discrepancy * excess) ** 2)))
+    rounding = np.array([lattice_of(column) for column in measured.T]) / np.sqrt(12.0) / problem.sigma
+    return float(np.sqrt(np.mean(size ** 2 + (limits.discrepancy * excess) ** 2 + (limits.rounding * rounding) ** 2)))
 
 
 def _without_repeats(problem: Problem, found: Sequence[Finding]) -> Problem:

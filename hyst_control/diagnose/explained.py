@@ -9,7 +9,7 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.candidates import Member
-from hyst_control.diagnose.decision import key
+from hyst_control.diagnose.decision import key, thresholds
 from hyst_control.diagnose.diagnosis import AxisDiagnosis, Diagnosis
 from hyst_control.diagnose.search import INFLATION, Scored
 from hyst_control.diagnose.shrink import HeldOut, held_out, shares, shrink
@@ -144,7 +144,8 @@ def _values(part: AxisDiagnosis, scored: Scored, index: int) -> dict[str, tuple[
     found = {}
     for name, value in member.values(centre).items():
         low, high = np.quantile([one[name] for one in drawn], [0.05, 0.95])
-        found[name] = (float(value), (float(min(low, value)), float(max(high, value))), member.units()[name])
+        least = thresholds().form * abs(value)
+        found[name] = (float(value), (float(min(low, value - least)), float(max(high, value + least))), member.units()[name])
     return found
 
 

@@ -25,6 +25,9 @@ from hyst_control.errors import InputError
 STEP = 0.05
 """Difference step for z: a twentieth of a standard deviation."""
 
+LEAST_GAIN = 0.02
+"""Misfit (nats) under which a step is not worth taking; a hundred thousandth of the misfit counts as little."""
+
 
 @dataclass(frozen=True)
 class Unknowns:
@@ -119,6 +122,8 @@ def fit(linearised: Linearised, unknowns: Unknowns | None = None, start: Array |
         step = np.linalg.solve(normal, right)
         if size:
             step = _within(normal, right, step, x, unknowns, count)
+        if right @ step - 0.5 * step @ normal @ step < LEAST_GAIN + 1e-5 * misfit:
+            break  # a linear step would gain next to nothing
         better = False
         for shorter in (1.0, 0.5, 0.25, 0.1, 0.03):
             new_z, new_x = z + shorter * step[:count], x + shorter * step[count:]
@@ -136,7 +141,7 @@ def fit(linearised: Linearised, unknowns: Unknowns | None = None, start: Array |
             break
         gained = misfit - new
         z, x, residual, misfit = new_z, new_x, new_residual, new
-        if gained < 0.02 + 1e-5 * misfit:
+        if gained < LEAST_GAIN + 1e-5 * misfit:
             break
     covariance = np.linalg.inv(normal)
     information = np.linalg.inv(covariance[count:, count:]) if size else np.zeros((0, 0))

@@ -32,6 +32,9 @@ SCREENED = 8
 REFINED = 6
 """How many of the best fits go on with columns of their own."""
 
+REACH, NEAR = 0.1, 50.0
+"""How far behind the best fit, as a share of what that takes off and in nats, another may be to go on."""
+
 SPENT = 0.03
 """Energy beyond the noise's, as a share of it, under which no further effect is looked for: the noise is not known better."""
 
@@ -95,7 +98,7 @@ def search(linearised: Linearised, members: Sequence[Member], threshold: float, 
         progress(candidate.names[0])
         if found is not None:
             fits.append((candidate, found))
-    fits = _refined(linearised, fits, REFINED)
+    fits = _refined(linearised, fits, REFINED, none.solution.misfit)
     best = min([none.solution.misfit, *(solution.misfit for _, solution in fits)])
     combinations: list[tuple[Candidate, Solution]] = []
     parents = sorted(fits, key=lambda item: item[1].misfit)[:beam]
@@ -103,7 +106,7 @@ def search(linearised: Linearised, members: Sequence[Member], threshold: float, 
     for size_reached in range(1, depth):
         if not parents or _spent(parents[0][1], floor, leaves - 1.0 + leaves * SPENT * size_reached ** 2):
             break
-        grown = _grown(linearised, parents, members, 0.5 * threshold, progress)
+        grown = _grown(linearised, parents, members, 0.5 * threshold, none.solution.misfit, progress)
         if not grown:
             break
         gain = best - grown[0][1].misfit
@@ -138,7 +141,7 @@ def _spent(solution: Solution, floor: float, excess: float) -> bool:
 
 
 def _grown(linearised: Linearised, parents: Sequence[tuple[Candidate, Solution]], members: Sequence[Member], least: float,
-           progress: Callable[[str], None]) -> list[tuple[Candidate, Solution]]:
+           before: float, progress: Callable[[str], None]) -> list[tuple[Candidate, Solution]]:
     """The parents with one effect more each, best first."""
     promising = forked(lambda i: _promising(linearised, *parents[i], members, least), len(parents))
     wanted: list[tuple[Candidate, Array]] = []
@@ -153,7 +156,7 @@ def _grown(linearised: Linearised, parents: Sequence[tuple[Candidate, Solution]]
         progress("+".join(pair.names))
         if found is not None:
             grown.append((pair, found))
-    return sorted(_refined(linearised, grown, REFINED // 2), key=lambda item: item[1].misfit)
+    return sorted(_refined(linearised, grown, REFINED // 2, before), key=lambda item: item[1].misfit)
 
 
 def _occam(solution: Solution, temper: float) -> float:
@@ -176,11 +179,16 @@ def settled(linearised: Linearised, z: Array | None = None) -> Solution:
     return refined(linearised, None, fit(linearised, z=z))
 
 
-def _refined(linearised: Linearised, found: Sequence[tuple[Candidate, Solution]], count: int) -> list[tuple[Candidate, Solution]]:
-    """The best fits gone on with; the rest as they are."""
+def _refined(linearised: Linearised, found: Sequence[tuple[Candidate, Solution]], count: int,
+             before: float) -> list[tuple[Candidate, Solution]]:
+    """The best fits gone on with, but for those that are too far behind the first to reach it; the rest as they are."""
     found = sorted(found, key=lambda item: item[1].misfit)
-    better = forked(lambda i: refined(linearised, found[i][0].unknowns(), found[i][1]), min(count, len(found)))
-    return [(candidate, solution) for (candidate, _), solution in zip(found, better, strict=False)] + found[count:]
+    if not found:
+        return found
+    within = found[0][1].misfit + max(REACH * (before - found[0][1].misfit), NEAR)
+    near = sum(solution.misfit <= within for _, solution in found[:count])
+    better = forked(lambda i: refined(linearised, found[i][0].unknowns(), found[i][1]), near)
+    return [(candidate, solution) for (candidate, _), solution in zip(found, better, strict=False)] + found[near:]
 
 
 def _fitted(linearised: Linearised, candidate: Candidate, starts: Sequence[Array]) -> Solution | None:

@@ -42,7 +42,7 @@ def held_out(linearised: Linearised, scored: Scored, none: Scored) -> HeldOut:
     before = (linearised.measured - linearised.simulate(nominal)) ** 2
     after, before_fitted, after_fitted = before.copy(), np.empty(count), np.empty(count)
     without = Linearised(linearised.problem, linearised.scatter, none.solution.z)
-    within = Linearised(linearised.problem, linearised.scatter, scored.solution.z, unknowns, scored.solution.x)
+    within = Linearised(linearised.problem, linearised.scatter, scored.solution.z, unknowns, scored.solution.x) if unknowns else without
     for held in (0, 1):
         weight = (fold != held).astype(float)
         rows = fold == held

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.chain.chain import Averaged
 from hyst_control.chain.stage import Stage, frozen, register
 from hyst_control.effects.effect import Effect
 from hyst_control.effects.lowpass import AtSamples, Lowpass, Rebuilt, cutoff_parameters
@@ -14,7 +15,7 @@ from hyst_control.effects.lowpass import AtSamples, Lowpass, Rebuilt, cutoff_par
 
 @register
 @dataclass(frozen=True)
-class AmplifierLowpass(Lowpass):
+class AmplifierLowpass(Lowpass, Averaged):
     """A low-pass (see `Lowpass`) of a held command.
 
     A hysteresis behind it is followed at the samples, exactly; in between its output is taken to bend as the voltage does, like

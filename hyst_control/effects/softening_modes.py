@@ -96,18 +96,20 @@ class ModesMovedFilter(Filter):
             own, vectors = np.linalg.eig(system.A)
             if len(own) and not np.linalg.cond(vectors) < DEFECTIVE:
                 raise InputError("softening_modes: the mechanics' poles coincide, they have no modes of their own: separate them a little")
-            poles.append((own, np.broadcast_to(np.array(moved), (len(own), 2)), vectors))
-            shares.append((np.linalg.solve(vectors, system.B.astype(complex)) if len(own) else system.B, system.C @ vectors))
+            entering = np.linalg.solve(vectors, system.B.astype(complex)) if len(own) else system.B
+            one = own.imag >= 0.0  # of every conjugate pair, whose sum is twice the real part
+            poles.append((own[one], np.broadcast_to(np.array(moved), (int(one.sum()), 2))))
+            shares.append((entering[one], (system.C @ vectors)[:, one] * np.where(own[one].imag > 0.0, 2.0, 1.0)))
         whole = stacked(systems)
-        self.poles = np.concatenate([own for own, _, _ in poles]).astype(complex)
-        self.change = np.ascontiguousarray(np.concatenate([moved for _, moved, _ in poles]))
+        self.poles = np.concatenate([own for own, _ in poles]).astype(complex)
+        self.change = np.ascontiguousarray(np.concatenate([moved for _, moved in poles]))
         self.inputs, self.outputs = block_diag(*(b for b, _ in shares)), block_diag(*(c for _, c in shares))
         self.static = np.ascontiguousarray(whole.static_gain() / np.array(stage.amplitude)[:, None])
         self.step, self.smooth = sampling.sample_time, 1.0 - np.exp(-sampling.sample_time / MEMORY)
         self.held = sampling.hold == "zoh"
         self.state = np.zeros((2, len(self.poles)), dtype=complex)
         self.mean, self.square, self.last = np.zeros(sampling.axes), np.zeros(len(systems)), np.full(sampling.axes, np.nan)
-        self.whose = np.repeat(np.arange(len(systems)), [len(own) for own, _, _ in poles])
+        self.whose = np.repeat(np.arange(len(systems)), [len(own) for own, _ in poles])
 
     def settle(self, value: Array) -> Array:
         value = np.asarray(value, dtype=float)

@@ -25,6 +25,10 @@ FAMILIES = {
 """Effects of like signature; those not named are a family of their own."""
 
 
+OTHERWISE = ("vibration", "flicker_noise", "dac_hold", "sensor_nonlinearity")
+"""Effects whose parameters are stated otherwise in the plants (a nonlinearity over their stroke instead of the record's range)."""
+
+
 @dataclass(frozen=True)
 class Metric:
     """A share k of n with its Wilson 95 % interval, or a plain value (n cases); the target, and whether more is better."""
@@ -80,8 +84,10 @@ def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric
     share("single sine: truth among the candidates", 0.95, sine, lambda pair: _truth(pair)[0] in _candidates(pair))
     for excitation in ("multisine", "closed_loop"):
         share(f"top-1, {excitation.replace('_', ' ')}", 0.85, [p for p in singles if _label(p)["excitation"] == excitation], _first)
-    none = [pair for pair in pairs if _label(pair)["kind"] == "none"]
+    none = [pair for pair in pairs if _label(pair)["kind"] == "none" and not _label(pair).get("hidden")]
     share("false alarm on records without a gap", 0.02, none, lambda pair: pair[1]["verdict"] in ("effect", "ambiguous", "unknown"), False)
+    share("gap too small to be scored: a wrong name", 0.05, [pair for pair in pairs if _label(pair).get("hidden")],
+          lambda pair: bool(_named(pair)) and not set(_named(pair)) & set(_label(pair)["hidden"]), False)
     share("coefficients beyond tolerance: verdict parameters", 0.90, [p for p in pairs if _label(p)["kind"] == "parameters"],
           lambda pair: pair[1]["verdict"] == "parameters")
     opened = [pair for pair in pairs if _label(pair)["kind"] == "open_set"]
@@ -145,6 +151,8 @@ def _right(pair: Pair) -> bool:
         return _first(pair)
     if kind == "pair":
         return set(_named(pair)) == set(_truth(pair))
+    if kind == "none" and set(_named(pair)) & set(_label(pair).get("hidden", ())):
+        return True  # seen all the same
     return {"none": verdict in ("no_gap", "parameters"), "parameters": verdict == "parameters", "open_set": verdict == "unknown"}[kind]
 
 
@@ -215,7 +223,7 @@ def _covered(pair: Pair) -> bool | None:
     """Whether the true value of the named effect's main parameter lies in its interval; None where it was not named."""
     effect = _label(pair)["effects"][0]
     named = next((row for row in pair[1]["effects"] if row["name"] == effect["name"]), None)
-    if named is None or effect["name"] in ("vibration", "flicker_noise", "dac_hold"):
+    if named is None or effect["name"] in OTHERWISE:
         return None
     for name, row in named["parameters"].items():
         if name in effect and name != "frequency":

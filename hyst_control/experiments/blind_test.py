@@ -22,7 +22,8 @@ from hyst_control.files import write_json
 from hyst_control.tables import Table
 
 NEAR = {"amplifier_lowpass": ("sensor_lowpass", "delay"), "sensor_lowpass": ("amplifier_lowpass", "delay"),
-        "delay": ("amplifier_lowpass", "sensor_lowpass")}
+        "delay": ("amplifier_lowpass", "sensor_lowpass"), "gain": ("hysteresis_width",), "hysteresis_width": ("gain",),
+        "creep": ("offset_drift", "gain_drift"), "offset_drift": ("creep", "gain_drift"), "gain_drift": ("creep", "offset_drift")}
 """Effects of nearly one signature (gap-diagnosis: confusable by nature), left out together."""
 
 
