@@ -5,6 +5,7 @@ it stopped when it is called again with the same folder.
 
 example:
   hyst blind-test --seed 100000 --count 800 --output blind --page docs/blind-test.md
+  hyst blind-test --measured --page docs/blind-test-measured.md     models of measured plants that lost an element
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ JSON = "result table"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seed", type=int, required=True, help="of the cases")
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--seed", type=int, help="of the cases")
+    what.add_argument("--measured", action="store_true", help="diagnose measured records instead, with models that lost an element")
+    parser.add_argument("--without-modes", action="store_true", help="with --measured: leave out the cases that lose one mode")
     parser.add_argument("--count", type=int, default=800, help="number of cases")
     parser.add_argument("--left-out", type=int, default=100, help="how many single effects to diagnose again without them in the catalogue")
     parser.add_argument("--output", default="blind_out", metavar="FOLDER", help="folder to write: cases, labels and reports "
@@ -30,6 +34,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Table:
+    if arguments.measured:
+        from hyst_control.experiments import blind_measured
+
+        return blind_measured.run(arguments.page, modes=not arguments.without_modes)
     from hyst_control.experiments.blind_test import run_all
 
     return run_all(arguments.output, arguments.seed, arguments.count, arguments.left_out, arguments.page)

@@ -19,11 +19,14 @@ MAINS = (50.0, 60.0)
 EXCESS = 1.15
 """How far the noise must exceed the stated one: it is never stated better."""
 
+BY_CHANCE = 3.0
+"""How many times as often as by chance neighbours must coincide to be held samples."""
+
 LINE_RATIO = 40.0
 """How far a line stands out of the spectrum around it, in power, to be a suggestion (chance alone: 1 in e^40 per bin)."""
 
-HARMONIC_WIDTH = 0.05
-"""How near a harmonic counts as one, in fundamentals: amplitudes that change spread it."""
+HARMONIC_WIDTHS = (0.0, 0.05, 0.15)
+"""How near a harmonic counts as one, in fundamentals: amplitudes that change spread it. The first that holds the command counts."""
 
 
 @dataclass(frozen=True)
@@ -66,9 +69,20 @@ def repeated_samples(values: Array, step: float, sigma: float) -> tuple[float, i
     if count < 200:
         return 0.0, count
     share = float(np.mean(same[moving]))
+    if step == 0 and share < BY_CHANCE * _chance(values):
+        return 0.0, count  # numbers of few digits coincide now and then
     if step == 0 and sigma < 1e-12 * max(np.ptp(values), 1e-300):
         return 0.0, count  # a noise-free record at rest repeats itself
     return share, count
+
+
+def _chance(values: Array) -> float:
+    """Share of neighbours that coincide by chance in numbers that are rounded to the smallest step that occurs."""
+    steps = np.abs(np.diff(values))
+    if not steps.any():
+        return 1.0
+    around = np.sqrt(np.convolve(steps ** 2, np.ones(11) / 11, "same"))
+    return float(np.mean(np.minimum(steps[steps > 0].min() / np.maximum(around, 1e-300), 1.0)))
 
 
 def findings(problem: Problem, residuals: Array) -> list[Finding]:
@@ -144,12 +158,16 @@ def lines(problem: Problem, unexplained: Array) -> dict[str, list[float]]:
 
 def _harmonics(frequency: Array, driven: Array) -> Array:
     """Which frequencies are near a harmonic of a command whose power is near those of one fundamental."""
-    fundamental = frequency[int(np.argmax(driven))]
+    fundamental = frequency[int(np.argmax(driven * frequency ** 2))]  # of the rate: a mean that wanders is none
     if fundamental < 10.0 * frequency[1]:  # not resolved: everything would be near a harmonic
         return np.zeros(len(frequency), bool)
     order = np.round(frequency / fundamental)
-    near = (order >= 1) & (np.abs(frequency - order * fundamental) < max(2.0 * frequency[1], HARMONIC_WIDTH * fundamental))
-    return near if driven[near].sum() > 0.9 * driven.sum() else np.zeros(len(frequency), bool)
+    above = driven[frequency > 0.5 * fundamental].sum()
+    for width in HARMONIC_WIDTHS:
+        near = (order >= 1) & (np.abs(frequency - order * fundamental) < max(2.5 * frequency[1], width * fundamental))
+        if driven[near].sum() > 0.9 * above:
+            return near
+    return np.zeros(len(frequency), bool)
 
 
 def _background(power: Array, reach: int = 40) -> Array:
