@@ -30,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--left-out", type=int, default=100, help="how many single effects to diagnose again without them in the catalogue")
     parser.add_argument("--output", default="blind_out", metavar="FOLDER", help="folder to write: cases, labels and reports "
                         "(default blind_out)")
+    parser.add_argument("--so-far", action="store_true", help="score what an interrupted run has diagnosed, and diagnose nothing more")
     parser.add_argument("--page", metavar="OUT.md", help="page to write, with its figure")
 
 
@@ -40,4 +41,4 @@ def run(arguments: argparse.Namespace) -> Table:
         return blind_measured.run(arguments.page, modes=not arguments.without_modes)
     from hyst_control.experiments.blind_test import run_all
 
-    return run_all(arguments.output, arguments.seed, arguments.count, arguments.left_out, arguments.page)
+    return run_all(arguments.output, arguments.seed, arguments.count, arguments.left_out, arguments.page, so_far=arguments.so_far)

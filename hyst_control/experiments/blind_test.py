@@ -28,17 +28,23 @@ NEAR = {"amplifier_lowpass": ("sensor_lowpass", "delay"), "sensor_lowpass": ("am
 
 
 def run_all(out: str, seed: int, count: int, left_out: int = 0, page: str | None = None, json_path: str | None = None,
-            note: Callable[[str], None] = print) -> Table:
-    """The whole test: draw, diagnose, leave out, hold the predictions against fresh records, score, write."""
+            note: Callable[[str], None] = print, so_far: bool = False) -> Table:
+    """The whole test: draw, diagnose, leave out, hold the predictions against fresh records, score, write.
+
+    so_far: score what an earlier call has diagnosed, and diagnose nothing more.
+    """
     from hyst_control.experiments.blind_scores import metrics, table
 
     folder = _folder(out, count)
     labels = make(folder, seed, count, note)
-    diagnose_all(folder, note=note)
-    if left_out:
-        leave_out(folder, left_out, note)
+    if not so_far:
+        diagnose_all(folder, note=note)
+        if left_out:
+            leave_out(folder, left_out, note)
     realise(folder, note)
     pairs = list(load(folder))
+    if not pairs:
+        raise InputError(f"{folder}: no case has been diagnosed yet: call without --so-far")
     others = list(load(folder, "reports_left_out")) if left_out else []
     found = metrics(pairs, others)
     result = table(found, f"blind-test --seed {seed} --count {count}")
@@ -47,7 +53,7 @@ def run_all(out: str, seed: int, count: int, left_out: int = 0, page: str | None
     if page is not None:
         from hyst_control.experiments.blind_page import write_page
 
-        write_page(Path(page), found, pairs, seed, _digest(labels), len(others))
+        write_page(Path(page), found, pairs, seed, count, _digest(labels), len(others))
     return result
 
 
