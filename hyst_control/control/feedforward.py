@@ -30,7 +30,7 @@ from hyst_control.chain.play import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from hyst_control.chain.rate_dependent import RateDependentPrandtlIshlinskii
 from hyst_control.chain.stage import Array, per_axis_scalar
 from hyst_control.chain.static import Gain, Offset, Quantization, Saturation
-from hyst_control.control.inverse_dynamics import invert_dynamics
+from hyst_control.control.inverse_dynamics import invert_dynamics, zero_phase_low_pass
 from hyst_control.control.mhl_inverse import (
     composite,
     constant_removed,
@@ -77,7 +77,7 @@ class Compensator:
 def build_compensator(model: Model, kind: str, *, sample_time: float | None = None, inverse: str = "zpetc",
                       discretisation: str = "zoh", limits: tuple[ArrayLike, ArrayLike] | None = None, preview: bool = True,
                       iterations: int | None = None, inverse_model: Model | None = None,
-                      rate_filter: Sequence[float] | None = RATE_FILTER) -> Compensator:
+                      rate_filter: Sequence[float] | None = RATE_FILTER, smoothing: int = 0) -> Compensator:
     """A compensator of one of `KINDS` for a model; see the module.
 
     sample_time s (the model's by default); inverse: "zpetc", "zmetc", "npz_ignore" or "none" (static gain only), of the
@@ -86,7 +86,8 @@ def build_compensator(model: Model, kind: str, *, sample_time: float | None = No
     form; iterations: steps per sample of the inverse multiplicative structure (default 4; 1 is HAMPI paper Eq. 13, 0
     solves exactly), or passes over the rate correction of `mhl_inverse` (default 6); inverse_model: a model file from the
     measurement to V with inverse curves identified by themselves (`mhl`, `mhl_static`); rate_filter: denominator of N(s), None
-    for none.
+    for none; smoothing: order of a low-pass without phase (`inverse_dynamics.zero_phase_low_pass`) that the reference passes
+    first, 0 for none, for the kinds that look ahead: it looks as many ticks further ahead.
 
     Raises `InputError` when the kind does not fit the model, or the model cannot be inverted within the limits.
     """
@@ -95,6 +96,8 @@ def build_compensator(model: Model, kind: str, *, sample_time: float | None = No
     sample_time = float(sample_time or model.sample_time)
     bounds = drive_limits(model, limits)
     rating = Saturation(bounds[0].tolist(), bounds[1].tolist())
+    if smoothing < 0 or smoothing and kind in ("none", "mhl", "mhl_static"):
+        raise InputError(f"smoothing: {smoothing} for kind {kind}: 0 or more is due, and 0 for kinds that do not look ahead")
     if kind == "none":
         slope, offset = mean_line(model, *bounds)
         stages: list[Stage] = [Offset((-offset).tolist()), Gain((1.0 / slope).tolist())]
@@ -117,6 +120,9 @@ def build_compensator(model: Model, kind: str, *, sample_time: float | None = No
     ahead += further
     if inverse != "none" and not any(isinstance(stage, (LinearStage, Delay)) for stage in (*before, *after)):
         ahead = 1  # Without dynamics the sample still comes one tick after its command.
+    if smoothing:
+        stages.insert(0, zero_phase_low_pass(smoothing, held.axes, sample_time))
+        ahead += smoothing
     return Compensator(stages, model, sample_time, ahead if preview else 0, 0 if preview else ahead, bounds)
 
 

@@ -106,6 +106,25 @@ def tracking(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Ma
                        errors(*(signals[key][part.scored:part.end, index] for key in ("reference", "measurement"))), None)
 
 
+def error_spectrum(table: Table, tracked: Mapping[str, Mapping[str, Array]], part: Any, sample_time: float,
+                   frequency: float = 100.0, highest: int = 10) -> None:
+    """What the error of the single frequency consists of, in % of the range: fundamental, harmonics up to `highest`, and the rest."""
+    for name, signals in tracked.items():
+        wanted, actual = (signals[key][part.scored:part.end, 0] for key in ("reference", "measurement"))
+        spectrum = np.fft.rfft(actual - wanted) / len(wanted)
+        power = 2.0 * np.abs(spectrum) ** 2
+        power[0] /= 2.0
+        if len(wanted) % 2 == 0:
+            power[-1] /= 2.0
+        cycle = int(round(frequency * sample_time * len(wanted)))
+        lines = {"mean": power[:1], "fundamental": power[cycle:cycle + 1], "second harmonic": power[2 * cycle:2 * cycle + 1],
+                 "third harmonic": power[3 * cycle:3 * cycle + 1],
+                 f"harmonics 4 to {highest}": power[4 * cycle:highest * cycle + 1:cycle]}
+        rest = power.sum() - sum(part.sum() for part in lines.values())
+        for quantity, value in (*((key, each.sum()) for key, each in lines.items()), ("rest", max(rest, 0.0))):
+            table.add("MHL Table 4: the error at 100 Hz", "single", name, quantity, "%", 100.0 * float(np.sqrt(value) / np.ptp(wanted)))
+
+
 def response(signals: Mapping[str, Array], part: Any, sample_time: float, period: float = 0.2) -> tuple[Array, Complex]:
     """Frequency response from reference to measurement of axis x: frequencies (F,) Hz and values, from the small multisine."""
     count = int(round(period / sample_time))

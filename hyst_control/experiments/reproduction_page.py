@@ -88,8 +88,7 @@ def hampi_targets(rows: Rows) -> list[Target]:
             worst, where = min((rows.value(table, row.case, f"{name}, paper's sequence", quantity) / row.value, row.case)
                                for row in rows.rows if row.table == table and row.subject == f"{name}, joint" and row.quantity == quantity)
             found.append(Target(f"held out, {what}: NRMSE of {name} by the paper's sequence over the joint one's, at worst ({where})",
-                                worst, 1.0, "", True, "the joint fit minimises the error in um over all records up to 140 V together; "
-                                "single lower and fast loops may fit a little worse for it"))
+                                worst, 1.0, "", True, MEAN_OF_LOOPS))
     return found + margin_targets(rows, "HAMPI model: feedback tuned on it", "")
 
 
@@ -108,7 +107,8 @@ def mhl_targets(rows: Rows) -> list[Target]:
             value = rows.value("MHL Table 4", case, f"{name} against the traditional one", "nrmse lower by")
             found.append(Target(f"{case}: NRMSE lower than the traditional composite's, {name}", value, lower, "%", True,
                                 follows[name]))
-    held_back = "the feedback's integral action, held back to keep its margins with the mode moved, takes this long for what is left over"
+    held_back = ("what the identified model leaves of the plant's relaxation falls to the feedback's integral action, held back to keep "
+                 "its margins with the mode moved")
     for name in names:
         at = ("MHL Fig. 18", "100 Hz", name)
         found += [Target(f"closed loop: bandwidth, {name}", rows.value("MHL Fig. 18", "closed loop", name, "bandwidth"), 1500.0, "Hz",
@@ -127,6 +127,12 @@ def margin_targets(rows: Rows, table: str, cause: str) -> list[Target]:
             Target("tuned feedback on the truth plant, ±10 % gain, ±20 % mode: phase margin", rows.least(table, "phase_margin"), 45.0,
                    "deg", True, cause)]
 
+
+MEAN_OF_LOOPS = (
+    "the mean of the loops, not their shape (rows with the means removed are below): the plant's loops sink as they get faster, and by "
+    "other amounts while the drive has not been higher before. HAPI's mean cannot change with the rate, HAMPI's changes alike at all "
+    "heights; a fit settles it where most of its records are, and the paper's sequence happens to settle it among the faster loops. "
+    "Weighing every loop of the identification by its own range does not change that")
 
 TARGETS: dict[str, tuple[str, Callable[[Rows], list[Target]]]] = {
     "reproduce hampi": ("HAMPI: piezo actuator", hampi_targets), "reproduce mhl": ("MHL: fast steering mirror", mhl_targets)}

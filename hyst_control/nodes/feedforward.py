@@ -34,6 +34,7 @@ class Feedforward(SignalNode):
             Setting("discretisation", "zoh", "", "of the dynamics", choices=("zoh", "tustin")),
             Setting("preview", True, "", "look ahead where the inverse of the dynamics can; otherwise the command is late"),
             Setting("iterations", -1, "", "of the inverse of the hysteresis, -1 for the kind's own", -1, 1000),
+            Setting("smoothing", 0, "", "order of a low-pass without phase of the reference, which looks as many ticks ahead", 0, 20),
             Setting("inverse_model", "", "", "model file with inverse curves identified by themselves"),
             Setting("limits", (0.0, 0.0), "V", "rating of the drive, lower and upper; equal: the model's valid range"),
             Setting("gain", (0.0,), "V per unit", "proportional: gain of all axes or of each"),
@@ -105,7 +106,7 @@ class Feedforward(SignalNode):
             return build_compensator(
                 model, given.kind, sample_time=self.period, inverse=given.inverse, discretisation=given.discretisation,
                 preview=given.preview, limits=given.limits if given.limits[0] != given.limits[-1] else None,
-                iterations=given.iterations if given.iterations >= 0 else None,
+                iterations=given.iterations if given.iterations >= 0 else None, smoothing=given.smoothing,
                 inverse_model=load_model(given.inverse_model) if given.inverse_model else None)
         except InputError as error:
             raise InputError(f"{self.get_name()}: {given.model}: {error}") from None

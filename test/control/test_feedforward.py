@@ -235,6 +235,25 @@ def test_whole_inverse_of_the_mhl_model_tracks_100_hz():
     assert errors[2] < 0.05
 
 
+def test_smoothing_looks_further_ahead_and_softens_jumps_alone():
+    """A sine is followed as before; a step is spread over ticks before and after it, alike."""
+    plain, smooth = (build_compensator(MHL, "mhl_inverse", smoothing=order) for order in (0, 3))
+    assert smooth.preview == plain.preview + 3
+    reference = sine(100, 0.9, 1.0, 2e-4, axes=2, periods=10)
+    assert nrmse(track(MHL, smooth, reference), reference, 100) < 1.05 * nrmse(track(MHL, plain, reference), reference, 100)
+    jump = np.repeat(np.where(np.arange(400) < 200, 0.9, 1.1)[:, None], 2, axis=1)
+    jumps = [np.abs(np.diff(feedforward_rows(jump, each)[150:], axis=0)).max() for each in (plain, smooth)]
+    assert jumps[1] < 0.9 * jumps[0]
+    error = track(MHL, smooth, jump) - jump
+    np.testing.assert_allclose(error[199 - 2:200, 0], -error[200:203, 0][::-1], atol=0.02 * 0.2)
+
+
+def test_smoothing_is_refused_where_nothing_looks_ahead():
+    for kind, order in (("none", 2), ("mhl", 2), ("mhl_inverse", -1)):
+        with pytest.raises(InputError, match="smoothing"):
+            build_compensator(MHL, kind, smoothing=order)
+
+
 @pytest.mark.parametrize("kind", ["mhl", "mhl_static"])
 def test_fitted_inverse_curves_agree_with_the_closed_form_at_rest(kind):
     """The paper's separate inverse curves deviate from the inverse of its model by less than 0.5 % of the drive, slowly driven."""

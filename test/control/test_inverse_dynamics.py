@@ -8,7 +8,14 @@ from scipy import signal
 
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear import Delay, TransferFunction
-from hyst_control.control.inverse_dynamics import METHODS, invert_dynamics, invert_system, sampled_systems, tustin_systems
+from hyst_control.control.inverse_dynamics import (
+    METHODS,
+    invert_dynamics,
+    invert_system,
+    sampled_systems,
+    tustin_systems,
+    zero_phase_low_pass,
+)
 from hyst_control.errors import InputError
 
 FAST_PART = TransferFunction([-340.48, 340.48 * 1.249e4], [1.0, 8602.0, 5.982e7])  # Eq. 7 without the slow pole-zero pair
@@ -164,3 +171,19 @@ def test_axes_share_the_longest_preview():
 def test_what_has_no_inverse_is_refused(system, word):
     with pytest.raises(InputError, match=word):
         invert_dynamics([system], Sampling(1e-4, 2 if system.coupled else 1))
+
+
+@pytest.mark.parametrize("order", [1, 2, 5])
+def test_zero_phase_low_pass_has_the_gain_it_states_and_no_phase(order):
+    """Sines through the running stage, both axes: 1 - ((1 - cos w) / 2)^order, `order` samples late; constants and ramps untouched."""
+    running = Chain((zero_phase_low_pass(order, 2, 1e-3),)).filter(Sampling(1e-3, 2, "foh"))
+    k = np.arange(400)
+    for w in 2 * np.pi * np.array([0.02, 0.2, 0.35, 0.5]):
+        signal_ = np.stack([np.cos(w * k), 3.0 * np.cos(w * k + 0.4)], axis=1)
+        running.settle(signal_[0])
+        passed = running.process(signal_)[2 * order:]
+        expected = (1.0 - ((1.0 - np.cos(w)) / 2.0) ** order) * signal_[order:-order]
+        np.testing.assert_allclose(passed, expected, atol=1e-12)
+    ramp = np.stack([k, 5.0 - 2.0 * k], axis=1).astype(float)
+    np.testing.assert_allclose(running.settle(ramp[0]), ramp[0], atol=1e-12)
+    np.testing.assert_allclose(running.process(ramp)[2 * order:], ramp[order:-order], atol=1e-9)
