@@ -97,6 +97,7 @@ def run(json_path: str | None = None, figures: str | None = None) -> Table:
     mhl_tables.error_spectrum(table, tracked, parts["single"], SAMPLE_TIME)
     mhl_tables.closed_loop(table, tracked, parts, SAMPLE_TIME)
     mhl_tables.robustness(table, tuning)
+    table.notes += mhl_tables.NOTES
     if json_path:
         table.write(json_path)
     if figures:

@@ -14,6 +14,7 @@ import numpy as np
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear import CrossCoupling, TransferFunction
 from hyst_control.chain.stage import Array
+from hyst_control.diagnose.forked import forked
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.windows import before
 from hyst_control.model_file import Model, simulate
@@ -61,13 +62,14 @@ def fit_coupling(model: Model, datasets: Sequence[Dataset], near: Coupling | Non
     """
     simulated = [simulated_rows(model, data) for data in datasets]
     count = len(model.axes)
-    best: tuple[float, Coupling, bool] | None = None
     corners = CORNERS if near is None else (near.corner,)
     if near is not None and near.corner is not None:
         corners = tuple(near.corner * factor for factor in (0.85, 1.0, 1.18))
-    for corner in corners:
-        if corner is not None and corner > 0.4 / max(data.sample_time for data in datasets):
-            continue
+    fastest = 0.4 / max(data.sample_time for data in datasets)
+    slow_enough = [corner for corner in corners if corner is None or corner <= fastest]
+
+    def tried(index: int) -> tuple[float, Coupling, bool]:
+        corner = slow_enough[index]
         others = [low_passed(y, corner, data.sample_time) for y, data in zip(simulated, datasets, strict=True)]
         matrix, errors, share, worthwhile = np.eye(count), np.zeros((count, count)), 0.0, False
         for i in range(count):
@@ -75,9 +77,9 @@ def fit_coupling(model: Model, datasets: Sequence[Dataset], near: Coupling | Non
             matrix[i, np.arange(count) != i], errors[i, np.arange(count) != i] = found, spread
             share += held_out / max(without, 1e-300)
             worthwhile |= held_out < (1.0 - WORTHWHILE) * without
-        if best is None or share < best[0]:
-            best = share, Coupling(matrix, errors, corner), worthwhile
-    assert best is not None
+        return share, Coupling(matrix, errors, corner), worthwhile
+
+    best = min(forked(tried, len(slow_enough)), key=lambda trial: trial[0])
     return best[1] if best[2] else None
 
 
