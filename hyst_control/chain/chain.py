@@ -15,6 +15,7 @@ Before that, stages that change others (`Modifier`) are applied to the stages be
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -65,16 +66,16 @@ class SeriesFilter(Filter):
         return block
 
 
-class Averaged:
+class Averaged(ABC):
     """A stage that bends the held command within a sample: what follows gets the samples it ends at, or the mean over each."""
 
+    @abstractmethod
     def at_samples(self) -> Stage:
         """What the samples go through."""
-        raise NotImplementedError
 
+    @abstractmethod
     def between_samples(self) -> tuple[Stage, ...]:
         """What bends the way from one sample to the next."""
-        raise NotImplementedError
 
 
 class ParallelFilter(Filter):

@@ -37,10 +37,10 @@ def remembered(work: Callable[..., Result]) -> Callable[..., Result]:
 
 def _key(value: Any) -> Hashable:
     if isinstance(value, np.ndarray):
-        return value.shape, value.tobytes()
+        return value.dtype.str, value.shape, value.tobytes()
     if isinstance(value, (list, tuple)):
         return tuple(map(_key, value))
     parts = getattr(value, "__dict__", None)
     if parts is not None and any(isinstance(part, np.ndarray) for part in parts.values()):
-        return tuple(_key(part) for part in parts.values())
+        return type(value), *(_key(part) for part in parts.values())
     return value

@@ -18,8 +18,8 @@ import numpy as np
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.candidates import Candidate, Member
 from hyst_control.diagnose.fit import Linearised, fit
-from hyst_control.diagnose.forked import forked
 from hyst_control.errors import InputError
+from hyst_control.forked import forked
 from hyst_control.model_file import model_to_document
 
 ROUNDS = 4

@@ -20,8 +20,8 @@ from scipy.linalg import cho_factor
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.candidates import Candidate, Member
 from hyst_control.diagnose.fit import Linearised, Solution, Unknowns, fit, refined
-from hyst_control.diagnose.forked import forked
 from hyst_control.errors import InputError
+from hyst_control.forked import forked
 
 FOLLOWED = 2
 """How many of an effect's starts are fitted to the end."""

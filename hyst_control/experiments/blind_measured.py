@@ -9,7 +9,6 @@ one. The stack (`pea_p885`): a model without hysteresis, and one with too few op
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,8 +23,8 @@ from hyst_control.diagnose.report import sentence
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.experiments import fsm_cubespec as mirror
 from hyst_control.experiments import pea_p885 as stack
-from hyst_control.experiments.blind_test import mapped
 from hyst_control.files import write_text
+from hyst_control.forked import forked
 from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.linear import Candidate, error_of, refined
@@ -67,7 +66,7 @@ def run(page: str | None = None, levels: Sequence[int] = mirror.LEVELS, modes: b
     table = Table("blind-test --measured")
     rows = []
     cases = [*stack_cases(), *mirror_cases(levels, modes, note)]
-    for case, report in zip(cases, mapped(diagnosis_of, cases), strict=True):
+    for case, report in zip(cases, forked(lambda i: diagnosis_of(cases[i]), len(cases)), strict=True):
         rows.append((case, report))
         add(table, case, report)
         note(f"{case.plant}, without {case.element}: {sentence(report)}")
@@ -115,10 +114,9 @@ def mirror_cases(levels: Sequence[int], modes: bool, note: Any = print) -> Itera
     """The crippled models of the mirror, and every level's model against a higher level."""
     measured = dict(zip(mirror.LEVELS, mirror.load_levels(), strict=True))
     middle = measured[mirror.LEVELS[1]]
-    with ProcessPoolExecutor(2) as pool:
-        fits = list(pool.map(fit, [middle] * len(DELAYS), DELAYS))
-        delay = DELAYS[int(np.argmin([found.held_out for found in fits]))]
-        whole = dict(zip(levels, pool.map(fit, [measured[level] for level in levels], [delay] * len(levels)), strict=True))
+    fits = list(forked(lambda i: fit(middle, DELAYS[i]), len(DELAYS)))
+    delay = DELAYS[int(np.argmin([found.held_out for found in fits]))]
+    whole = dict(zip(levels, forked(lambda i: fit(measured[levels[i]], delay), len(levels)), strict=True))
     note(f"mirror: input delay of {delay:g} samples, errors on the fifth realisation "
          + ", ".join(f"{100 * found.held_out:.2f} % ({late:g})" for late, found in zip(DELAYS, fits, strict=True)))
     for level, found in whole.items():

@@ -105,7 +105,7 @@ def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = prin
     stated = {key: drawn.stated_noise(*key) for key in sorted({(case.plant, case.noise) for case in cases})}
     documents = []
     jobs = [(case, str(folder / "cases"), stated[case.plant, case.noise]) for case in cases]
-    for case, document in zip(cases, mapped(_make_one, jobs), strict=True):
+    for case, document in zip(cases, _mapped(_make_one, jobs), strict=True):
         documents.append(document)
         if len(documents) % 50 == 0:
             note(f"{len(documents)} of {count} cases recorded ({case.name})")
@@ -128,7 +128,7 @@ def diagnose_all(folder: Path, without: dict[str, Sequence[str]] | None = None, 
                and (without is None or case.name in without)]
     begin = time.monotonic()
     jobs = [(str(case), str(folder / reports / f"{case.name}.json"), tuple((without or {}).get(case.name, ()))) for case in waiting]
-    for done, name in enumerate(mapped(_diagnose_one, jobs), 1):
+    for done, name in enumerate(_mapped(_diagnose_one, jobs), 1):
         if done % 20 == 0 or done == len(jobs):
             spent = time.monotonic() - begin
             note(f"{done} of {len(jobs)} diagnosed ({name}), {spent:.0f} s, {spent / done * (len(jobs) - done):.0f} s to go")
@@ -152,7 +152,7 @@ def realise(folder: Path, note: Callable[[str], None] = print) -> None:
     jobs = [(case, str(folder / "reports" / f"{case['name']}.json"), str(folder / "cases" / case["name"] / "model.yaml"))
             for case, report in load(folder) if "shrink_realised" not in report and report["verdict"] == "effect"
             and any(effect["shrink"] is not None for effect in report["effects"])]
-    for _ in mapped(_realise_one, jobs):
+    for _ in _mapped(_realise_one, jobs):
         pass
     note(f"{len(jobs)} predicted shrinks held against fresh records")
 
@@ -214,7 +214,7 @@ def _realise_one(job: tuple[dict[str, Any], str, str]) -> None:
     write_json(path, report)
 
 
-def mapped(work: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
+def _mapped(work: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
     """In order, over all cores, in processes of their own."""
     workers = min(os.cpu_count() or 1, len(jobs))
     if workers < 2:

@@ -14,7 +14,7 @@ import numpy as np
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear import CrossCoupling, TransferFunction
 from hyst_control.chain.stage import Array
-from hyst_control.diagnose.forked import forked
+from hyst_control.forked import forked
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.windows import before
 from hyst_control.model_file import Model, simulate

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hyst_control.diagnose.forked import forked
 from hyst_control.errors import InputError
+from hyst_control.forked import forked
 from hyst_control.identify.dataset import Dataset, Fit
 from hyst_control.identify.dynamics import Structure
 from hyst_control.identify.gram import Operators, Window

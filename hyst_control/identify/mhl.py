@@ -19,8 +19,8 @@ from hyst_control.chain import Chain, Parallel, Stage
 from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.stage import Array
 from hyst_control.chain.static import Gain
-from hyst_control.diagnose.forked import forked
 from hyst_control.errors import InputError
+from hyst_control.forked import forked
 from hyst_control.identify.coupling import Coupling, fit_coupling, without_coupling
 from hyst_control.identify.dataset import Dataset, Fit
 from hyst_control.identify.dynamics import TAU_UNIT, Structure

@@ -5,7 +5,7 @@ import sys
 
 PROGRAM = """
 import os, signal
-from hyst_control.diagnose.forked import forked
+from hyst_control.forked import forked
 os.sched_getaffinity = lambda process: {0, 1}
 signal.signal(signal.SIGTERM, signal.default_int_handler)
 for _ in range(5):
