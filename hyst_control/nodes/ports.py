@@ -24,8 +24,29 @@ MOST_LOST = 1024  # lost ticks that are remembered, to know them when they come 
 REPEAT_INTERVAL, LONGEST_INTERVAL = 0.02, 0.5
 """s, between two repetitions, and for which nothing new must have come: what goes on lacks nothing, and of two sources of one signal,
 which bring every tick twice, each repetition would cause others. Twice as long after each that brought nothing, up to the longest."""
+LONGEST_JOINING = 2.0  # s, for which a newly heard signal is waited to be repeated
 REPEATED_ROWS = 64
 """In one message, or as many as the node streams: the middleware's queues keep room for the longest message in each of their places."""
+
+
+class Joining:
+    """Whether a newly heard signal is heard from its first row on, in lockstep.
+
+    Who is discovered while rows are being sent hears the later ones only, and would go on without those before. So rows count from
+    tick 0 on, or from where they are repeated from: as long as somebody lacks rows the run stands still, and all are sent again.
+    """
+
+    def __init__(self) -> None:
+        self._first: int | None = None
+        self._since = 0.0  # s, monotonic clock
+
+    def complete(self, tick: int) -> bool:
+        """Whether rows from this tick on, which have just come, may be the first ones."""
+        now = time.monotonic()
+        if self._first is None:
+            self._first, self._since = tick, now
+            return tick == 0
+        return tick <= self._first or now - self._since > LONGEST_JOINING  # of a run that goes on nothing is repeated
 
 
 class Input:
@@ -41,6 +62,7 @@ class Input:
         self._seen_label: str | None = None
         self._newest: tuple[int, Array] | None = None  # rows that came last, and the tick of the first of them
         self._lost: deque[int] = deque(maxlen=MOST_LOST)
+        self._joining = Joining()
         if node.lockstep:
             receive(node, topic, self._receive, self._refused, node.settings.message_objects)
         else:
@@ -73,6 +95,8 @@ class Input:
                                                    f"{node.period:g} s: is rate_hz the same everywhere?")
             return
         due, rows = self.rows.end, block[:, 1:].copy()  # the message is read-only
+        if due is None and self.rows.contiguous and not self._joining.complete(tick):
+            return
         outcome = self.rows.append(tick, rows)
         if outcome is DUPLICATE:
             self._seen_before(tick, rows)
@@ -101,6 +125,7 @@ class Input:
         self.rows.clear()
         self._newest = None
         self._lost.clear()
+        self._joining = Joining()
         self.conflicted = -math.inf
 
     def _seen_before(self, tick: int, rows: Array) -> None:

@@ -13,7 +13,7 @@ from hyst_control.bag_writer import BagWriter
 from hyst_control.errors import InputError
 from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.messages import QUEUE
-from hyst_control.nodes.ports import REPEAT_INTERVAL, tick_of
+from hyst_control.nodes.ports import REPEAT_INTERVAL, Joining, tick_of
 from hyst_control.nodes.rows import DUPLICATE
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.settings import Setting
@@ -71,10 +71,9 @@ class Recorder(SignalNode):
 
     def progress(self, repeat: bool = False) -> None:
         """Tell how far every topic is complete, unless that is little more than what was told last; `repeat`: tell it again."""
-        ends = [topic.end for topic in self._topics]
-        if None in ends:
+        if not all(topic.joined for topic in self._topics):
             return
-        last = min(ends) - 1
+        last = min(topic.end for topic in self._topics) - 1
         wanted = self.settings.ticks
         done = wanted and (last >= wanted - 1 if self.lockstep else all(topic.arrived >= wanted for topic in self._topics))
         now = time.monotonic()
@@ -99,6 +98,7 @@ class Recorder(SignalNode):
         try:
             for topic in self._topics:
                 topic.drain()
+                topic.joined = True
                 topic.store()
             self._writer.close()
         except OSError as error:
@@ -133,11 +133,14 @@ class Recorder(SignalNode):
 
 
 class _Topic:
-    """One recorded topic: which ticks are stored."""
+    """One recorded topic: which ticks are stored. Until it is known to be heard from its first row on, its rows are held back."""
 
     def __init__(self, recorder: Recorder, topic: str) -> None:
         self._recorder, self._encoder = recorder, None
         self.end: int | None = None
+        self.joined = False
+        self._joining = Joining()
+        self._begin = 0  # tick of the first row that was heard
         self.arrived = 0
         self._pending: list[Array] = []
         self._pending_rows = 0
@@ -160,7 +163,7 @@ class _Topic:
     def _take_at_once(self, label: str, block: Array) -> bool:
         """Take a block that is what is due, as it mostly is; False when it is not."""
         recorder = self._recorder
-        if self._encoder is None or label != self._encoder.label or self.end is None:
+        if not self.joined or label != self._encoder.label:
             return False
         ticks = block[:, 0] / recorder.period
         if not np.all(np.abs(ticks - np.arange(self.end, self.end + len(block))) < 1e-3):
@@ -180,6 +183,7 @@ class _Topic:
         try:
             if self._encoder is None or self._encoder.label != label:
                 encoder = Encoder(label)
+                self.joined |= self._encoder is not None
                 self.store()
                 self._encoder = encoder
         except InputError as error:
@@ -194,6 +198,13 @@ class _Topic:
             block = block[:max(recorder.settings.ticks - tick, 0)]
             if not len(block):
                 return
+        if self.end is None:
+            self._begin = tick
+        if not self.joined:
+            self.joined = not recorder.lockstep or self._joining.complete(tick)
+            if tick < self._begin:  # a repetition, in which all that was heard comes again
+                self._begin, self.end, self.arrived = tick, tick, 0
+                self._pending, self._pending_rows = [], 0
         if self.end is not None:
             if tick + len(block) <= self.end:
                 recorder.counts[f"{self.name}: {DUPLICATE}"] += 1
@@ -204,6 +215,7 @@ class _Topic:
                 recorder.counts[f"{self.name}: missed ticks"] += tick - self.end
                 if recorder.lockstep:
                     recorder.warn(self.name, f"{self.name}: ticks {self.end} to {tick - 1} are lost: was their node killed?")
+                self.joined = True
                 self.store()  # the rows of one message are successive
             block = block[max(self.end - tick, 0):]
             tick = max(self.end, tick)
@@ -220,7 +232,7 @@ class _Topic:
 
     def store(self) -> None:
         """Write the rows that wait to be merged."""
-        if self._pending:
+        if self._pending and self.joined:
             rows = self._pending[0] if len(self._pending) == 1 else np.concatenate(self._pending)
             self._pending, self._pending_rows = [], 0
             self._recorder.store(self.name, self._encoder.encode(rows), self._stamp)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import gc
 import signal
 import sys
+import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
@@ -22,7 +23,6 @@ from hyst_control.launch import environment
 from hyst_control.nodes.base import EndingNode, SignalNode
 
 FOREVER = 1e6  # s
-INTERRUPT_LATENCY = 0.01  # s, in which a signal that rclpy has heard reaches Python
 
 
 def spin(executor: Any, future: Future, timeout: float = FOREVER) -> None:
@@ -53,9 +53,34 @@ def run(nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER)
         spin(executor, ended, timeout)
         return ended.result() if ended.done() else None
     finally:
-        gc.unfreeze()
-        close(nodes)
-        executor.shutdown()
+        with uninterrupted():
+            gc.unfreeze()
+            close(nodes)
+            executor.shutdown()
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Let interrupts pass without effect meanwhile.
+
+    rclpy hears a Ctrl-C first, in a thread of its own: Python's own interrupt of the same signal, or a second one, would come while the
+    nodes are being closed and a bag is finished.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    _on_interrupt(lambda number, frame: None)
+    try:
+        yield
+    finally:
+        _on_interrupt(before)
+
+
+def _on_interrupt(handler: Any) -> None:
+    if threading.current_thread() is not threading.main_thread():
+        return  # where Python lets nobody handle signals, and interrupts nobody
+    with suppress(KeyboardInterrupt):  # one that was on its way
+        signal.signal(signal.SIGINT, handler)
+        return
+    signal.signal(signal.SIGINT, handler)
 
 
 def tick_together(nodes: Sequence[EndingNode]) -> None:
@@ -97,7 +122,6 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
     try:
         return _body(factories, args)
     except KeyboardInterrupt:
-        # rclpy hears the signal first, in a thread of its own: Python's interrupt may come while the nodes are being closed.
         return 0
     except RuntimeError:
         # rclpy fails in several ways on an interrupt within a call of its own, and on a message whose context has gone meanwhile.
@@ -105,7 +129,7 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
             return 0
         raise
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C during the shutdown would leave a traceback
+        _on_interrupt(lambda number, frame: None)  # a second Ctrl-C during the shutdown would leave a traceback
         with suppress(RuntimeError):  # rclpy's own signal handler may be faster
             rclpy.try_shutdown()
 
@@ -126,8 +150,6 @@ def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | N
             nodes.append(factory())
         return run(nodes, rclpy.get_default_context()) or 0
     except ExternalShutdownException:
-        # Python's own interrupt of the same Ctrl-C is still to come: let it come here, where it is waited for.
-        time.sleep(INTERRUPT_LATENCY)
         return 0
     except InputError as error:
         close(nodes)
