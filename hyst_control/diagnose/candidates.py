@@ -19,7 +19,10 @@ from hyst_control.effects.effect import Effect, Parameter
 HARMONICS = {"mains_hum": (1, 3, 5), "vibration": (1,)}
 """Effects that are lines in the residual's spectrum: which harmonics are fitted, each with its own amplitude and phase."""
 
-SWELLS = {"mains_hum": 1, "vibration": 10}
+STEP = 0.02
+"""Of difference quotients by scaled parameters."""
+
+SWELLS = {"mains_hum": 1, "vibration": 24}
 """Legendre polynomials over the record by which a line's amplitude and phase may change: a vibration comes and goes."""
 
 
@@ -106,6 +109,14 @@ class Member:
         """What is added to the output, flat, in units of the noise."""
         return self._lines(x) if self.is_line else self._coupled(x)
 
+    def extra_columns(self, x: Array) -> Array:
+        """∂extra/∂x, (M, P)."""
+        if self.is_line:
+            return self._line_columns(x)
+        base, (_, upper, _) = self.extra(x), self.bounds()
+        steps = [STEP if x[p] + STEP <= upper[p] else -STEP for p in range(self.size)]
+        return np.column_stack([(self.extra(x + step * np.eye(self.size)[p]) - base) / step for p, step in enumerate(steps)])
+
     def _coupled(self, x: Array) -> Array:
         values = self.values(x)
         keep = np.exp(-2 * np.pi * values["corner"] * self.problem.sample_time) if np.isfinite(values.get("corner", np.inf)) else 0.0
@@ -121,26 +132,53 @@ class Member:
     def _line_scale(self) -> float:
         return float(np.mean(self.problem.sigma))
 
+    @cached_property
+    def _frequency_step(self) -> float:
+        return 0.2 / max(len(piece.command) for piece in self.problem.pieces) / self.problem.sample_time
+
     def _line_frequency(self, x: Array) -> float:
-        return float(self.frequency + x[-1] * 0.2 / max(len(p.command) for p in self.problem.pieces) / self.problem.sample_time)
+        return float(self.frequency + x[-1] * self._frequency_step)
 
     def _lines(self, x: Array) -> Array:
+        return self._flat([basis @ x[:-1] for _, basis in self._bases(x)])
+
+    def _line_columns(self, x: Array) -> Array:
+        swells, columns = SWELLS[self.name], []
+        turned = np.concatenate([harmonic * np.concatenate([-x[first + swells:first + 2 * swells], x[first:first + swells]])
+                                 for first, harmonic in self._harmonics()])  # by the angle: cos for sin, -sin for cos
+        bases = self._bases(x)
+        for p in range(self.size - 1):
+            columns.append(self._flat([basis[:, p] for _, basis in bases]))
+        columns.append(self._flat([2 * np.pi * self._frequency_step * time * (basis @ turned) for time, basis in bases]))
+        return np.column_stack(columns)
+
+    def _harmonics(self) -> list[tuple[int, int]]:
+        """Of every harmonic: where its coefficients begin, and which it is."""
+        return [(2 * i * SWELLS[self.name], harmonic) for i, harmonic in enumerate(HARMONICS[self.name])]
+
+    def _bases(self, x: Array) -> list[tuple[Array, Array]]:
+        """Of every piece the times (N,) and the signals (N, P - 1) that the line is put together from: sines, then cosines."""
         frequency, found = self._line_frequency(x), []
+        for time, shapes in self._shapes:
+            angles = [2 * np.pi * frequency * harmonic * time[:, None] for _, harmonic in self._harmonics()]
+            found.append((time, np.hstack([shapes * wave(angle) for angle in angles for wave in (np.sin, np.cos)])))
+        return found
+
+    @cached_property
+    def _shapes(self) -> list[tuple[Array, Array]]:
+        """Of every piece the times (N,) and the polynomials (N, K) by which a line swells."""
+        found = []
         for piece in self.problem.pieces:
             time = piece.counted(np.arange(len(piece.command))) * self.problem.sample_time
-            total = np.zeros(len(time))
-            swells = SWELLS[self.name]
             span = max(len(piece.command) * self.problem.sample_time, 1e-12)
-            shapes = np.polynomial.legendre.legvander(2.0 * time / span - 1.0, swells - 1)
-            for i, harmonic in enumerate(HARMONICS[self.name]):
-                angle = 2 * np.pi * frequency * harmonic * time
-                first = 2 * i * swells
-                total += shapes @ x[first:first + swells] * np.sin(angle)
-                total += shapes @ x[first + swells:first + 2 * swells] * np.cos(angle)
-            block = np.zeros((len(time), len(self.problem.model.axes)))
-            block[:, 0 if self.axis is None else self.axis] = total
-            found.append(block.reshape(-1))
-        return np.concatenate(found)
+            found.append((time, np.polynomial.legendre.legvander(2.0 * time / span - 1.0, SWELLS[self.name] - 1)))
+        return found
+
+    def _flat(self, pieces: Sequence[Array]) -> Array:
+        """Signals (N,) of one axis of every piece, as all axes' flat vector."""
+        block = np.zeros((sum(map(len, pieces)), len(self.problem.model.axes)))
+        block[:, 0 if self.axis is None else self.axis] = np.concatenate(pieces)
+        return block.reshape(-1)
 
 
 @dataclass(frozen=True)
@@ -176,8 +214,14 @@ class Candidate:
         def extra(x: Array) -> Array:
             return sum(member.extra(x[part]) for member, part in parts if member.is_extra)
 
+        def extra_columns(x: Array) -> tuple[list[int], Array]:
+            added = [(part, member.extra_columns(x[part])) for member, part in parts if member.is_extra]
+            return [p for part, _ in added for p in range(part.start, part.stop)], np.hstack([columns for _, columns in added])
+
         lower, upper, centre = (np.concatenate([bound[i] for bound in bounds]) for i in range(3))
-        return Unknowns(stages, extra if any(member.is_extra for member in self.members) else None, lower, upper, centre)
+        if not any(member.is_extra for member in self.members):
+            return Unknowns(stages, None, lower, upper, centre)
+        return Unknowns(stages, extra, lower, upper, centre, extra_columns=extra_columns)
 
     def with_member(self, member: Member) -> Candidate:
         """Together with another effect, in signal order."""

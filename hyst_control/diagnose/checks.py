@@ -22,6 +22,12 @@ EXCESS = 1.15
 BY_CHANCE = 3.0
 """How many times as often as by chance neighbours must coincide to be held samples."""
 
+STANDS_OUT = 7.0
+"""Robust standard deviations by which a single sample stands out of its neighbours (by chance: 1 in 4e11)."""
+
+FEW_OUTLIERS, MANY_OUTLIERS = 3, 0.03
+"""Count from which, and share of the samples up to which, those that stand out are outliers."""
+
 LINE_RATIO = 40.0
 """How far a line stands out of the spectrum around it, in power, to be a suggestion (chance alone: 1 in e^40 per bin)."""
 
@@ -61,17 +67,20 @@ def repeated_samples(values: Array, step: float, sigma: float) -> tuple[float, i
         # On a lattice neighbours coincide by chance: only where the signal moves by several steps a sample does a repeat say much.
         smooth = np.convolve(values, np.ones(5) / 5, "same")
         moving = np.abs(np.gradient(smooth)) > 6.0 * step
-        moving[:3] = moving[-3:] = False
+        moving = np.convolve(moving, np.ones(7), "same") == 7.0  # before a step nothing moves yet, though the smoothed signal does
     else:
         moving = np.ones(len(values), bool)
-    same = np.concatenate([[False], np.diff(values) == 0.0])
+    moved = np.diff(values, prepend=np.nan)
     count = int(moving.sum())
     if count < 200:
         return 0.0, count
-    share = float(np.mean(same[moving]))
-    if step == 0 and share < BY_CHANCE * _chance(values):
+    share = float(np.mean(moved[moving] == 0.0))
+    if step > 0:  # by chance a sample repeats the one before as often as it is one step above, or one below
+        share -= 0.5 * float(np.mean(np.abs(np.abs(moved[moving]) - step) < 0.01 * step))
+        return max(share, 0.0), count
+    if share < BY_CHANCE * _chance(values):
         return 0.0, count  # numbers of few digits coincide now and then
-    if step == 0 and sigma < 1e-12 * max(np.ptp(values), 1e-300):
+    if sigma < 1e-12 * max(np.ptp(values), 1e-300):
         return 0.0, count  # a noise-free record at rest repeats itself
     return share, count
 
@@ -116,6 +125,18 @@ def excess_noise(noise: float, stated: float, others: Sequence[Finding], axis: i
     error = 1.645 * bare ** 2 / rms / np.sqrt(bins)
     evidence = bins * (np.log(stated / bare) + 0.5 * (bare / stated) ** 2 - 0.5)
     return Finding("sensor_noise", axis, {"rms": rms}, {"rms": (max(rms - error, 0.0), rms + error)}, rms, float(evidence))
+
+
+def outliers(residual: Array) -> tuple[int, float]:
+    """How many single samples of a residual (N,) stand out of their neighbours as no white noise does, and the rms of all that they bring.
+
+    Against the mean of both neighbours, in robust standard deviations: what is smooth, steps or falls with frequency stands out little.
+    """
+    inner = residual[1:-1] - 0.5 * (residual[:-2] + residual[2:])
+    scale = 1.4826 * float(np.median(np.abs(inner - np.median(inner))))
+    size = np.pad(np.abs(inner), 1)
+    apart = (size > STANDS_OUT * scale) & (size >= np.roll(size, 1)) & (size >= np.roll(size, -1))
+    return int(apart.sum()), float(np.sqrt(np.sum(size[apart] ** 2) / len(residual)))
 
 
 def lines(problem: Problem, unexplained: Array) -> dict[str, list[float]]:

@@ -9,6 +9,8 @@ from importlib.resources import files
 import numpy as np
 import yaml
 
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.leftover import leftover
 from hyst_control.diagnose.search import Found, Scored
 
 
@@ -43,7 +45,7 @@ class Decision:
 
     verdict: no_gap, parameters, effect, ambiguous or unknown. chosen: the best explanation (None: the nominal model as it is).
     listed: explanations that the data cannot tell from it, best first, itself among them. probability: by explanation's names.
-    remainder: share of the gap's energy that the best explanation leaves.
+    remainder: share of the gap's energy that the best explanation leaves, 0 where that is under the floor.
     """
 
     verdict: str
@@ -65,12 +67,15 @@ def key(scored: Scored) -> tuple[str, ...]:
     return PARAMETERS if scored.inflated else scored.names
 
 
-def decide(found: Found, threshold: float, floor: float, limits: Thresholds, stated: float = 1.0) -> Decision:
+def decide(found: Found, threshold: float, floor: float, limits: Thresholds, stated: float = 1.0,
+           lattice: Array | None = None) -> Decision:
     """The verdict.
 
     threshold: 99 % quantile of the simulated null (nats); floor: practical size, rms in units of the noise; stated: energy (in
-    units of the noise's) that the model itself says it leaves.
+    units of the noise's) that the model itself says it leaves; lattice (A,): steps on which the measurement lies, 0 without.
     """
+    problem = found.linearised.problem
+    lattice = np.zeros(len(problem.model.axes)) if lattice is None else lattice
     size = len(found.linearised.measured)
     before = energy(found.none, size)
     # A model that states an error of its own leaves all kinds of it: an effect has to take off what goes beyond.
@@ -96,11 +101,10 @@ def decide(found: Found, threshold: float, floor: float, limits: Thresholds, sta
     for scored, weight in zip(hypotheses, weights, strict=True):
         probability[key(scored)] = probability.get(key(scored), 0.0) + float(weight)
     chosen = hypotheses[0]
-    after = energy(chosen, size)
-    excess = max(before - stated, 1e-12)
-    remainder = float(np.clip((after - stated) / excess, 0.0, 1.0)) if before - stated > floor ** 2 else 0.0
+    after = float(np.mean(leftover(problem, chosen, lattice) ** 2))
     left_over = after - stated > max(floor ** 2, limits.least_excess * stated)
-    if left_over and remainder > limits.unknown:
+    remainder = float(np.clip((after - stated) / max(before - stated, 1e-12), 0.0, 1.0)) if left_over else 0.0
+    if remainder > limits.unknown:
         return Decision("unknown", chosen, (chosen,), probability, remainder)
     if not claims:
         return Decision("no_gap", chosen, (), probability, remainder)

@@ -9,9 +9,9 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.candidates import catalogue
-from hyst_control.diagnose.checks import Finding, excess_noise, findings, lattice_of, lines
+from hyst_control.diagnose.checks import FEW_OUTLIERS, MANY_OUTLIERS, Finding, excess_noise, findings, lattice_of, lines, outliers
 from hyst_control.diagnose.coloured import Flicker, flicker
-from hyst_control.diagnose.decision import Decision, Thresholds, decide, thresholds
+from hyst_control.diagnose.decision import Decision, Thresholds, decide, energy, thresholds
 from hyst_control.diagnose.fit import Linearised, fit
 from hyst_control.diagnose.floor import noise_of
 from hyst_control.diagnose.null import threshold
@@ -26,6 +26,9 @@ LEAST_ROWS = 200
 HIDDEN = 0.3
 """Share of 1/f noise at the top of the spectrum beyond which it hides the white noise."""
 
+OUTWEIGHS = 0.7
+"""Share of excess noise (rms) from which outliers are what it is."""
+
 LEAST_NOISE = 2e-5
 """Share of the range below which noise is not believed: numbers are rounded, and models discretised."""
 
@@ -35,6 +38,7 @@ class AxisDiagnosis:
     """The diagnosis of one problem: an axis, or all axes of a model that mixes them.
 
     axes: indices in the model. floor: practical size (rms, in units of the noise). null: the simulated null's threshold (nats).
+    notes: sentences on what was met that no effect of the catalogue is.
     """
 
     axes: tuple[int, ...]
@@ -46,6 +50,7 @@ class AxisDiagnosis:
     flicker: Flicker | None
     null: float
     floor: float
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,7 @@ def diagnose(records: Sequence[Record], model: Model, seed: int = 0, without: Se
         count = len(part.model.axes)
         parts.append(_axis(part, tuple(range(axis, axis + count)), seed, without, cache, limits, progress))
         axis += count
+    notes += [note for part in parts for note in part.notes]
     return Diagnosis(model, problem, tuple(parts), tuple(notes), seed)
 
 
@@ -149,6 +155,7 @@ def _axis(problem: Problem, axes: tuple[int, ...], seed: int, without: Sequence[
     scatter = scatter_of(model)
     linearised = Linearised(problem, scatter)
     none = fit(linearised)
+    strange: list[str] = []
     looked = [finding for finding in findings(problem, problem.rows(none.residual)) if finding.name not in without]
     suggested = lines(problem, linearised.unexplained(none.residual))
     # The first estimate of the noise still had the gap's own leakage in it.
@@ -163,11 +170,15 @@ def _axis(problem: Problem, axes: tuple[int, ...], seed: int, without: Sequence[
     null = threshold(linearised, members, seed, cache=cache)
     floor = practical_floor(problem, stated, limits)
     leaves = max(float(np.mean((stated / problem.sigma) ** 2)), 1.0)
+    lattice = np.zeros(len(axes))
+    for finding in looked:
+        if finding.name == "quantization":
+            lattice[finding.axis] = finding.values["step"]
     found = search(linearised, members, null + limits.margin, floor, leaves, progress=progress)
-    decision = decide(found, null, floor, limits, leaves)
+    decision = decide(found, null, floor, limits, leaves, lattice)
     noise = _flicker(problem, found, decision, null + limits.margin, floor) if "flicker_noise" not in without else None
     if noise is not None and _outweighs(noise, found, decision):
-        decision = replace(decide(replace(found, singles=(), combinations=()), null, floor, limits, leaves),
+        decision = replace(decide(replace(found, singles=(), combinations=()), null, floor, limits, leaves, lattice),
                            remainder=0.0)
         if decision.verdict == "unknown":
             decision = replace(decision, verdict="no_gap")
@@ -179,8 +190,21 @@ def _axis(problem: Problem, axes: tuple[int, ...], seed: int, without: Sequence[
             white = noise.white if noise is not None else _white(problem, left, axis)
             # What falls with frequency levels off at the top, which looks white.
             more = excess_noise(white / 1.5 if noise is not None else white, float(stated[axis]), looked, axis, len(left))
-            looked += [more] if more is not None else []
-    return AxisDiagnosis(axes, problem, linearised, found, decision, tuple(looked), noise, null, floor)
+            count, rms = outliers(left[:, axis])
+            if more is not None and FEW_OUTLIERS <= count <= MANY_OUTLIERS * len(left) and rms > OUTWEIGHS * more.rms:
+                strange.append(f"{model.axes[axis]}: {count} single samples ({count / len(left):.2%}) stand out of the noise: outliers, "
+                               f"{rms:.3g} {model.units['measurement']} rms")
+                decision = _left_unknown(decision, found, (rms / problem.sigma[axis]) ** 2 / len(axes), limits)
+            elif more is not None:
+                looked.append(more)
+    return AxisDiagnosis(axes, problem, linearised, found, decision, tuple(looked), noise, null, floor, tuple(strange))
+
+
+def _left_unknown(decision: Decision, found: Found, energy_left: float, limits: Thresholds) -> Decision:
+    """The decision when so much energy (in units of the noise's) is known to be left that no effect of the catalogue is."""
+    before = max(energy(found.none, len(found.linearised.measured)) - 1.0, 1e-12)
+    remainder = float(np.clip(energy_left / before, decision.remainder, 1.0))
+    return replace(decision, remainder=remainder, verdict="unknown" if remainder > limits.unknown else decision.verdict)
 
 
 def stated_noise(model: Model) -> Array:

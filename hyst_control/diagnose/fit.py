@@ -33,7 +33,8 @@ LEAST_GAIN = 0.02
 class Unknowns:
     """Parameters that are fitted besides z: `stages(z stages, x)` inserts what they mean, `extra(x)` adds to the output.
 
-    x (P,) within lower … upper; centre: the prior's mean; step: of the difference quotients.
+    x (P,) within lower … upper; centre: the prior's mean; step: of the difference quotients. extra_columns(x): which parameters only
+    add, and ∂extra/∂x of them (M, P'), for which no chain has to run.
     """
 
     stages: Callable[[tuple[Stage, ...], Array], tuple[Stage, ...]]
@@ -42,6 +43,7 @@ class Unknowns:
     upper: Array
     centre: Array
     step: float = 0.02
+    extra_columns: Callable[[Array], tuple[list[int], Array]] | None = None
 
 
 @dataclass(frozen=True)
@@ -70,11 +72,20 @@ class Linearised:
         self.nominal = self.simulate(centre, unknowns, x)
         self.columns = np.empty((len(self.nominal), self.count))
         for k in range(self.count):
-            moved = centre.copy()
-            moved[k] += STEP
-            self.columns[:, k] = (self.simulate(moved, unknowns, x) - self.nominal) / STEP
+            self.columns[:, k] = self._column(centre, k, unknowns, x)
         self.gram = self.columns.T @ self.columns
         self.factor = cho_factor(self.gram + np.eye(self.count)) if self.count else None
+
+    def _column(self, centre: Array, k: int, unknowns: Unknowns | None, x: Array | None) -> Array:
+        """∂ŷ/∂z_k; 0 for a coefficient that can go neither way: a stage may refuse values next to those of the centre."""
+        for step in (STEP, -STEP):
+            moved = centre.copy()
+            moved[k] += step
+            try:
+                return (self.simulate(moved, unknowns, x) - self.nominal) / step
+            except InputError:
+                continue
+        return np.zeros_like(self.nominal)
 
     def unexplained(self, vectors: Array) -> Array:
         """Vectors (M, P) without what the scattered coefficients explain of them, shrunk by their prior."""
@@ -151,7 +162,11 @@ def fit(linearised: Linearised, unknowns: Unknowns | None = None, start: Array |
 def _effect_columns(linearised: Linearised, unknowns: Unknowns, z: Array, x: Array, base: Array, weight: Array | None) -> Array:
     """∂ŷ/∂x (M, P) by differences from `base` (known where weight is not 0), taken inwards at a bound."""
     found = np.empty((len(base), len(x)))
-    for p in range(len(x)):
+    added: list[int] = []
+    if unknowns.extra_columns is not None:
+        added, columns = unknowns.extra_columns(x)
+        found[:, added] = columns
+    for p in sorted(set(range(len(x))) - set(added)):
         step = unknowns.step if x[p] + unknowns.step <= unknowns.upper[p] else -unknowns.step
         moved = x.copy()
         moved[p] += step

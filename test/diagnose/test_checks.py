@@ -9,7 +9,7 @@ import pytest
 
 from hyst_control.chain import Chain
 from hyst_control.chain.linear import StateSpace, TransferFunction
-from hyst_control.diagnose.checks import lines, repeated_samples
+from hyst_control.diagnose.checks import lattice_of, lines, outliers, repeated_samples
 from hyst_control.diagnose.problem import Piece, Problem
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.model_file import Model, simulate
@@ -65,3 +65,30 @@ def test_a_gain_of_all_coupled_axes_is_one_effect():
     assert low < -0.04 < high and high - low < 0.02
     left = measured - simulate(better, command)
     assert np.sqrt(np.mean(left ** 2)) < 1.1 * 2e-3
+
+
+def test_rest_before_a_step_is_no_held_samples_on_a_lattice():
+    time = np.arange(20000) * 1e-4
+    steps = np.cumsum(np.where(np.arange(20000) % 100 == 50, 1.0, 0.0) * np.random.default_rng(3).normal(size=20000))
+    moved = np.convolve(steps, np.exp(-np.arange(200) / 5.0) / 5.0)[:20000] + 0.5 * np.sin(2 * np.pi * 40.0 * time)
+    step = 0.004
+    rounded = step * np.rint(moved / step)
+    share, count = repeated_samples(rounded, lattice_of(rounded), 1e-3)
+    assert count >= 200 and share < 0.005
+    random = np.random.default_rng(4)
+    for k in np.flatnonzero(random.random(20000) < 0.05):
+        rounded[k] = rounded[max(k - 1, 0)]
+    assert repeated_samples(rounded, lattice_of(rounded), 1e-3)[0] == pytest.approx(0.05, abs=0.02)
+
+
+def test_outliers_are_told_from_noise_of_any_colour():
+    random = np.random.default_rng(5)
+    white = random.normal(size=30000)
+    for noise in (white, np.cumsum(white), np.convolve(white, np.ones(10) / 10, "same"), np.sin(np.arange(30000) * 0.3) * 50 + white):
+        assert outliers(noise)[0] == 0
+    spiked = white.copy()
+    at = random.choice(30000, 60, replace=False)
+    spiked[at] += random.choice([-1, 1], 60) * random.uniform(20, 40, 60)
+    count, rms = outliers(spiked)
+    assert 55 <= count <= 60 and rms == pytest.approx(np.sqrt(np.mean((spiked - white) ** 2)), rel=0.1)
+    assert outliers(np.round(white, 0))[0] == 0

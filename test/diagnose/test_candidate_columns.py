@@ -1,0 +1,28 @@
+"""The columns of effects that only add to the output, against difference quotients of what they add."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyst_control.diagnose.candidates import Candidate, catalogue
+from hyst_control.diagnose.diagnosis import problem_of
+from hyst_control.diagnose.problem import split
+from hyst_plant_sim import cases
+
+
+@pytest.mark.parametrize("names", [("vibration",), ("mains_hum",), ("vibration", "gain"), ("cross_coupling", "vibration")])
+def test_columns_of_what_is_added_are_its_derivatives(names):
+    case = cases.Case("case", "fsm_published", "none", "rich", 5e-4, 3, ())
+    problem, _ = problem_of([cases.record_of(case, cases.run(case))], cases.nominal("fsm_published", 5e-4))
+    problem = split(problem)[0]
+    members = catalogue(problem, {"vibration": [123.4], "mains_hum": [50.0]})
+    candidate = Candidate(tuple(next(member for member in members if member.name == name) for name in names))
+    unknowns = candidate.unknowns()
+    x = np.random.default_rng(1).normal(size=len(unknowns.lower)) * 0.1
+    which, columns = unknowns.extra_columns(x)
+    assert len(which) == sum(member.size for member in candidate.members if member.is_extra) == columns.shape[1]
+    for p, column in zip(which, columns.T, strict=True):
+        ahead, behind = (unknowns.extra(x + sign * 1e-4 * np.eye(len(x))[p]) for sign in (1, -1))
+        quotient = (ahead - behind) / 2e-4
+        assert np.abs(column - quotient).max() <= 0.02 * np.abs(quotient).max() + 1e-9
