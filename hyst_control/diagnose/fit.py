@@ -116,7 +116,7 @@ def fit(linearised: Linearised, unknowns: Unknowns | None = None, start: Array |
 
     def residual_of(z: Array, x: Array) -> Array:
         found = y - linearised.simulate(z, unknowns, x)
-        return found if weight is None else found * weight
+        return found if weight is None else np.where(weight > 0, found, 0.0)  # where it ran away, 0 times it were none
 
     def misfit_of(residual: Array, z: Array, x: Array) -> float:
         prior = x - unknowns.centre if size else x

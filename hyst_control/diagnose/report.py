@@ -125,6 +125,10 @@ def in_words(report: dict[str, Any]) -> str:
         following = report["next_experiment"]
         lines.append(f"  next: {following['excitation']} separates {' from '.join(following['separates'])} by {following['distance']:.1f} σ"
                      + (f"; {following['note']}" if following["note"] else ""))
+    if report.get("foreseen"):
+        ahead, unit = report["foreseen"], report["gap"]["unit"]
+        lines.append(f"  on {ahead['command']}: a gap of {ahead['rms_before']:.3g} {unit} rms, with what was found added "
+                     f"{ahead['rms_after']:.3g} {unit}: it will shrink by {100 * ahead['shrink']:.1f} %")
     lines += [f"  note: {note}" for note in report["notes"]]
     return "\n".join(lines)
 

@@ -7,10 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hyst_control.bag_reader import read_bag
 from hyst_control.diagnose.augmented import augmented as augmented_model
 from hyst_control.diagnose.diagnosis import Diagnosis, diagnose
 from hyst_control.diagnose.explained import explain
+from hyst_control.diagnose.foresight import foresee
 from hyst_control.diagnose.replay import replay
 from hyst_control.diagnose.report import gap_report, in_words
 from hyst_control.effects import EFFECTS
@@ -22,8 +26,12 @@ from hyst_control.record import Record
 
 def diagnose_bags(bags: Sequence[str | Path], model: str | Path, json: str | None = None, report: str | None = None,
                   augmented: str | None = None, without: Sequence[str] = (), seed: int = 0, cache: bool = True,
-                  namespace: str | None = None, unit: str = "unknown", progress: bool = False, warm_up: float = 0.0) -> str:
-    """Diagnose bags, write what is asked for, and return the report in words. Raises `InputError`."""
+                  namespace: str | None = None, unit: str = "unknown", progress: bool = False, warm_up: float = 0.0,
+                  on: str | None = None) -> str:
+    """Diagnose bags, write what is asked for, and return the report in words. Raises `InputError`.
+
+    on: a bag or a .npy file with the command (N, A) of a run to come, for which the report then says how far the gap will shrink.
+    """
     for name in without:
         if name not in EFFECTS:
             raise InputError(f"--without {name}: no such effect, one of {', '.join(EFFECTS)} is due")
@@ -32,7 +40,13 @@ def diagnose_bags(bags: Sequence[str | Path], model: str | Path, json: str | Non
             raise InputError(f"{path}: {Path(path).resolve().parent} is no folder: choose one that exists")
     nominal = load_model(model)
     records = [read_bag(bag, namespace, unit) for bag in bags]
+    coming = None if on is None else _command(on, namespace, unit)
     document, diagnosis, better = diagnosed(records, nominal, seed, without, cache, augmented, progress, warm_up)
+    if coming is not None:
+        try:
+            document["foreseen"] = {"command": str(on), **foresee(diagnosis, coming).document()}
+        except InputError as error:
+            raise InputError(f"--on {on}: {error}") from None
     if report is not None:
         from hyst_control.diagnose.page import write_page
 
@@ -61,6 +75,16 @@ def diagnosed(records: Sequence[Record], model: Model, seed: int = 0, without: S
     finally:
         meter.close()
     return document, diagnosis, better
+
+
+def _command(path: str, namespace: str | None, unit: str) -> NDArray[np.float64]:
+    if not path.endswith(".npy"):
+        return read_bag(path, namespace, unit).aligned(("command",))[0].values["command"]
+    try:
+        rows = np.asarray(np.load(path), dtype=np.float64)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--on {path}: cannot be read ({error}): give a bag, or rows by axes in a .npy file") from None
+    return rows[:, None] if rows.ndim == 1 else rows
 
 
 class _Progress:

@@ -105,6 +105,10 @@ def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric
     apart = [pair[1]["shrink_realised"] for pair in pairs if pair[1].get("shrink_realised")]
     value("shrink, predicted - realised: median", 0.02, [abs(a - b) for a, b, _ in apart], False, np.median)
     value("shrink, predicted - realised: 90 % quantile", 0.08, [abs(a - b) for a, b, _ in apart], False, lambda x: np.quantile(x, 0.9))
+    ahead = [abs(pair[1]["foreseen"]["shrink"] - pair[1]["shrink_realised"][1]) for pair in pairs
+             if pair[1].get("shrink_realised") and pair[1].get("foreseen")]
+    value("shrink, foreseen for the fresh command - realised: median", 0.02, ahead, False, np.median)
+    value("shrink, foreseen for the fresh command - realised: 90 % quantile", 0.08, ahead, False, lambda x: np.quantile(x, 0.9))
     share("true parameter within its 90 % interval", 0.85, [p for p in singles if _covered(p) is not None], lambda p: bool(_covered(p)))
     sure = [pair for pair in singles + doubles if pair[1]["effects"] and pair[1]["effects"][0]["probability"] >= 0.95
             and pair[1]["verdict"] == "effect"]

@@ -14,6 +14,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -165,7 +166,14 @@ def load(folder: Path, reports: str = "reports") -> Iterator[tuple[dict[str, Any
             yield case, json.loads(file.read_text(encoding="utf-8"))
 
 
+def _fresh(case: Any) -> Any:
+    """The same plant under another excitation, on which predictions are checked."""
+    return replace(case, excitation="multisine" if case.excitation == "rich" else "rich")
+
+
 def _make_one(job: tuple[Any, str, float]) -> dict[str, Any]:
+    import numpy as np
+
     from hyst_control.importing import write_bag
     from hyst_plant_sim import cases as drawn
 
@@ -174,18 +182,23 @@ def _make_one(job: tuple[Any, str, float]) -> dict[str, Any]:
     shutil.rmtree(bag.parent, ignore_errors=True)
     bag.parent.mkdir(parents=True)
     write_bag(bag, drawn.record_of(case, drawn.run(case)))
+    np.save(bag.parent / "next.npy", drawn.commands(_fresh(case)))
     return drawn.as_document(drawn.labelled(case, stated))
 
 
 def _diagnose_one(job: tuple[str, str, tuple[str, ...]]) -> str:
+    import numpy as np
+
     from hyst_control.bag_reader import read_bag
+    from hyst_control.diagnose.foresight import foresee
     from hyst_control.diagnose.workflow import diagnosed
     from hyst_control.model_file import load_model, save_model
 
     case, report, without = job
     begin = time.monotonic()
-    document, _, better = diagnosed([read_bag(Path(case) / "bag")], load_model(Path(case) / "model.yaml"), without=without)
+    document, diagnosis, better = diagnosed([read_bag(Path(case) / "bag")], load_model(Path(case) / "model.yaml"), without=without)
     document["seconds"] = time.monotonic() - begin
+    document["foreseen"] = foresee(diagnosis, np.load(Path(case) / "next.npy")).document()
     if better is not None:
         save_model(better, Path(report).with_suffix(".yaml"))
     write_json(report, document)
@@ -200,9 +213,8 @@ def _realise_one(job: tuple[dict[str, Any], str, str]) -> None:
 
     document, path, nominal = job
     report = json.loads(Path(path).read_text(encoding="utf-8"))
-    other = "multisine" if document["excitation"] == "rich" else "rich"
-    case = drawn.Case(document["name"], document["plant"], document["kind"], other, document["noise"], document["seed"],
-                      tuple(document["effects"]), document["off"])
+    case = _fresh(drawn.Case(document["name"], document["plant"], document["kind"], document["excitation"], document["noise"],
+                             document["seed"], tuple(document["effects"]), document["off"]))
     signals = drawn.run(case)
     command, measured = signals["command"], signals["measurement"]
     model, better = load_model(nominal), load_model(Path(path).with_suffix(".yaml"))
@@ -210,7 +222,7 @@ def _realise_one(job: tuple[dict[str, Any], str, str]) -> None:
     floor = (case.noise * drawn.SETUPS[case.plant].stroke) ** 2
     realised = 1.0 - (after - floor) / max(before - floor, 1e-300)
     predicted = max(effect["shrink"] for effect in report["effects"] if effect["shrink"] is not None)
-    report["shrink_realised"] = [predicted, float(np.clip(realised, -10.0, 1.0)), other]
+    report["shrink_realised"] = [predicted, float(np.clip(realised, -10.0, 1.0)), case.excitation]
     write_json(path, report)
 
 
