@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any
+
+PARENT_DEATH_SIGNAL = 1  # of prctl(2)
 
 _work: Callable[[int], Any] | None = None
 
@@ -28,9 +32,14 @@ def forked(work: Callable[[int], Any], count: int) -> Iterator[Any]:
 
 
 def _quietly() -> None:
-    """A worker ends when it is told to, without the word that the command line has for the user; Ctrl-C is its parent's to answer."""
+    """A worker ends when it is told to, without the word that the command line has for the user; Ctrl-C is its parent's to answer.
+
+    It ends with its parent, also when that is killed: nobody else would tell it that there is nothing more to do.
+    """
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PARENT_DEATH_SIGNAL, signal.SIGKILL)
 
 
 def _call(index: int) -> Any:

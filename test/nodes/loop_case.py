@@ -9,12 +9,13 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from hyst_control.bag_writer import BagWriter
 from hyst_control.control.feedforward import build_compensator
 from hyst_control.control.loop import run_loop
 from hyst_control.control.pi import PI
-from hyst_control.model_file import Simulator, load_model
+from hyst_control.model_file import Simulator, load_model, simulate
 from hyst_control.share import config_path
-from hyst_control.signal_message import decode
+from hyst_control.signal_message import Encoder, decode
 
 MODEL = str(config_path("models/pea_hampi.yaml"))
 RATE = 20000.0
@@ -48,6 +49,16 @@ def offline(count: int, feedback: bool = True, start: str = "rest") -> dict[str,
     compensator = build_compensator(model, "hampi", sample_time=1 / RATE, limits=(0.0, 150.0))
     controller = PI(0.5, 2000.0, 1 / RATE, 0.0, 150.0, 2e5).start(1)
     return run_loop(reference(count), compensator, controller, Simulator(model, 1 / RATE), feedback, start)
+
+
+def write_record(path):
+    """Nested 20 Hz loops of the published model, sampled at 2 kHz."""
+    time = np.arange(3000) / 2000
+    command = (40 * (1 - np.cos(2 * np.pi * 20 * time)) * np.exp(-time) / 2)[:, None]
+    measurement = simulate(load_model(MODEL), command, sample_time=1 / 2000)
+    with BagWriter(path) as bag:
+        for topic, unit, values in (("/command", "V", command), ("/measurement", "um", measurement)):
+            bag.write(topic, Encoder(f"t[s],x[{unit}]").encode(np.concatenate([time[:, None], values], axis=1)), 10**9)
 
 
 def recorded(bag: Path) -> dict[str, np.ndarray]:

@@ -2,27 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-from loop_case import MODEL
+from loop_case import write_record
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from hyst_control.bag_writer import BagWriter
 from hyst_control.identify.workflow import identify_bags
-from hyst_control.model_file import load_model, simulate
 from hyst_control.nodes.identification import Identification
 from hyst_control.nodes.run import run
-from hyst_control.signal_message import Encoder
-
-
-def write_record(path):
-    """Nested 20 Hz loops of the published model, sampled at 2 kHz."""
-    time = np.arange(3000) / 2000
-    command = (40 * (1 - np.cos(2 * np.pi * 20 * time)) * np.exp(-time) / 2)[:, None]
-    measurement = simulate(load_model(MODEL), command, sample_time=1 / 2000)
-    with BagWriter(path) as bag:
-        for topic, unit, values in (("/command", "V", command), ("/measurement", "um", measurement)):
-            bag.write(topic, Encoder(f"t[s],x[{unit}]").encode(np.concatenate([time[:, None], values], axis=1)), 10**9)
 
 
 def test_once_writes_the_model_that_the_function_writes(tmp_path, ros_context):

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import os
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
-from loop_case import MODEL, RATE, SIGNALS, assert_same_bits, offline, parameters, recorded
+from loop_case import MODEL, RATE, SIGNALS, assert_same_bits, offline, parameters, recorded, write_record
 from rclpy.parameter import Parameter
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
@@ -16,6 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 from hyst_control.bag_reader import read_bag
 from hyst_control.cli import main
 from hyst_control.errors import InputError
+from hyst_control.identify.workflow import identify_bags
 from hyst_control.launch.processes import Processes
 from hyst_control.nodes.pipeline import NODES
 from hyst_control.nodes.run import run
@@ -132,6 +134,43 @@ def test_killed_diagnosis_leaves_the_loop_alone_and_starts_again(tmp_path, domai
         assert again.poll() is None and processes.stop()["diagnosis"] == 0
         assert "Traceback" not in processes.log("diagnosis").read_text()
     assert_same_bits(recorded(tmp_path / "bag"), offline(COUNT))
+
+
+def running():
+    """Every process that runs, with its parent."""
+    found = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, parent = stat.read_text().rpartition(")")[2].split()[:2]
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        if state != "Z":
+            found[int(stat.parent.name)] = int(parent)
+    return found
+
+
+def test_killed_identification_leaves_nothing_half_written_and_starts_again(tmp_path, domain):
+    """Killed in the middle of a fit, while its workers are at it: they end too, and the same call then gives the same model."""
+    write_record(tmp_path / "bag")
+    settings = {"bags": [str(tmp_path / "bag")], "family": "hapi", "output": str(tmp_path / "model.yaml"),
+                "json": str(tmp_path / "fit.json"), "once": True}
+    before = {path.name for path in tmp_path.iterdir()}
+    with Processes(tmp_path / "log", domain) as processes:
+        identification, end = processes.start("identification", settings), time.monotonic() + 60
+        while not (workers := {worker for worker, parent in running().items() if parent == identification.pid}):
+            assert identification.poll() is None and time.monotonic() < end
+            time.sleep(0.002)
+        identification.kill()
+        identification.wait()
+        while workers & running().keys():
+            assert time.monotonic() < end, "a worker outlives the process that it works for"
+            time.sleep(0.01)
+        assert {path.name for path in tmp_path.iterdir()} == before | {"log"}
+        processes.start("identification", settings)
+        processes.wait("identification", timeout=60)
+        assert "Traceback" not in processes.log("identification").read_text()
+    identify_bags([tmp_path / "bag"], "hapi", tmp_path / "again.yaml")
+    assert (tmp_path / "model.yaml").read_text() == (tmp_path / "again.yaml").read_text()
 
 
 SAYS = '"node": "{}"'
