@@ -26,6 +26,7 @@ class Thresholds:
     sure: float
     possible: float
     unknown: float
+    most: float
     further: float
     least_excess: float
     own_error: float
@@ -104,7 +105,7 @@ def decide(found: Found, threshold: float, floor: float, limits: Thresholds, sta
     after = float(np.mean(leftover(problem, chosen, lattice) ** 2))
     left_over = after - stated > max(floor ** 2, limits.least_excess * stated)
     remainder = float(np.clip((after - stated) / max(before - stated, 1e-12), 0.0, 1.0)) if left_over else 0.0
-    if remainder > limits.unknown:
+    if remainder > limits.unknown or len(chosen.names) > limits.most:
         return Decision("unknown", chosen, (chosen,), probability, remainder)
     if not claims:
         return Decision("no_gap", chosen, (), probability, remainder)
