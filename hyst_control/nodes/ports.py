@@ -96,6 +96,7 @@ class Input:
             return
         due, rows = self.rows.end, block[:, 1:].copy()  # the message is read-only
         if due is None and self.rows.contiguous and not self._joining.complete(tick):
+            node.counts[f"{self.topic}: joining"] += 1
             return
         outcome = self.rows.append(tick, rows)
         if outcome is DUPLICATE:
