@@ -89,6 +89,6 @@ EFFECT = Effect(
     "added_mass",
     "mechanics",
     "The moved mass is another one: the main mode is slower or faster, its stiffness and damping constant kept.",
-    lambda around: (Parameter("mass_ratio", "", 0.0, (0.02,), -0.4, 1.0, 0.15),),
+    lambda around: (Parameter("mass_ratio", "", 0.0, (0.02, 0.2, -0.15), -0.4, 1.0, 0.15),),
     lambda values, around: AddedMass(values["mass_ratio"]),
 )
