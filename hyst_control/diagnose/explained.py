@@ -156,10 +156,12 @@ def _joined(values: list[dict[str, Any]]) -> dict[str, tuple[float, tuple[float,
     joined = {}
     for name, (_, _, unit) in values[0].items():
         rows = [one[name] for one in values]
-        widths = np.array([max(row[1][1] - row[1][0], 1e-300) for row in rows])
-        weights = widths ** -2.0 / np.sum(widths ** -2.0)
+        widths = np.array([row[1][1] - row[1][0] for row in rows])
+        widest = widths.max()
+        weights = np.maximum(widths / widest, 1e-6) ** -2.0 if widest > 0 else np.ones(len(rows))
+        half = 0.5 * widest / np.sqrt(weights.sum())
+        weights /= weights.sum()
         centre = float(weights @ np.array([row[0] for row in rows]))
-        half = 0.5 / np.sqrt(np.sum(widths ** -2.0))
         spread = max(abs(row[0] - centre) for row in rows)
         half = max(half, spread if spread > half else 0.0)
         joined[name] = (centre, (centre - half, centre + half), unit)
