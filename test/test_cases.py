@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -106,7 +107,10 @@ def test_nothing_in_a_case_folder_tells_its_label(tmp_path, capsys):
     assert len(labels["cases"]) == 3
     for case in labels["cases"]:
         folder = tmp_path / "out" / "cases" / case["name"]
-        assert sorted(path.name for path in folder.iterdir()) == ["bag", "model.yaml"]
+        assert sorted(path.name for path in folder.iterdir()) == ["bag", "model.yaml", "next.npy"]
+        bare = Case(case["name"], case["plant"], "none", case["excitation"], case["noise"], case["seed"], ())
+        fresh = replace(bare, excitation="multisine" if bare.excitation == "rich" else "rich")
+        np.testing.assert_array_equal(np.load(folder / "next.npy"), commands(fresh))  # the same whatever is in the case
         text = b"".join(path.read_bytes() for path in folder.rglob("*") if path.is_file())
         assert not any(name.encode() in text for name in SEVERITIES if name not in ("delay", "gain", "offset", "saturation"))
 

@@ -1,8 +1,8 @@
 """The blind test: cases drawn from truth plants, diagnosed by processes that never see their labels, then scored.
 
-Folder of a run: cases/NAME/{bag, model.yaml} is all that a diagnosis gets, labels.json stands apart (its SHA-256 is printed before
-anything is diagnosed), reports/NAME.json (and .yaml, the augmented model) is what the diagnosis wrote. A run that was interrupted
-goes on where it stopped.
+Folder of a run: cases/NAME/{bag, model.yaml, next.npy} is all that a diagnosis gets (next.npy is the command of a fresh record, for
+which it foresees the shrink), labels.json stands apart (its SHA-256 is printed before anything is diagnosed), reports/NAME.json (and
+.yaml, the augmented model) is what the diagnosis wrote. A run that was interrupted goes on where it stopped.
 """
 
 from __future__ import annotations
