@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hyst_control.diagnose.budget import budget, stages
+from hyst_control.diagnose.decision import thresholds
 from hyst_control.diagnose.diagnosis import Diagnosis
 from hyst_control.diagnose.explained import Explanation
 from hyst_control.diagnose.next_experiment import next_experiment
@@ -90,6 +91,8 @@ def sentence(report: dict[str, Any]) -> str:
         return f"The gap of {size} is one of parameters: re-identify {worst or 'the nominal model'}."
     if verdict == "unknown":
         near = f"; the nearest, {' and '.join(names)}, leaves {100 * report['unexplained_share']:.0f} % of it" if names else ""
+        if names and report["unexplained_share"] <= thresholds().unknown:
+            near = f"; it would take {' and '.join(names)} at once, and one effect that nobody knows is likelier"
         return f"No known effect explains the gap of {size}{near}."
     shrinks = [effect["shrink_reidentified"] for effect in report["effects"] if effect["shrink_reidentified"] is not None]
     given = [effect["shrink"] for effect in report["effects"] if effect["shrink"] is not None]

@@ -11,6 +11,7 @@ from hyst_control.chain import Chain
 from hyst_control.chain.linear import StateSpace, TransferFunction
 from hyst_control.diagnose.checks import lattice_of, lines, outliers, repeated_samples
 from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.diagnose.report import sentence
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.model_file import Model, simulate
 from hyst_control.record import Record, Signal
@@ -92,3 +93,12 @@ def test_outliers_are_told_from_noise_of_any_colour():
     count, rms = outliers(spiked)
     assert 55 <= count <= 60 and rms == pytest.approx(np.sqrt(np.mean((spiked - white) ** 2)), rel=0.1)
     assert outliers(np.round(white, 0))[0] == 0
+
+
+def test_the_sentence_says_why_nothing_known_explains_a_gap():
+    report = {"verdict": "unknown", "gap": {"rms": 1.0, "nrmse": 2.0, "unit": "um", "floor_rms": 0.1},
+              "effects": [{"name": name} for name in ("offset", "gain_drift", "softening_modes")], "unexplained_share": 0.5}
+    assert "offset and gain drift and softening modes, leaves 50 % of it" in sentence(report)
+    told = sentence(report | {"unexplained_share": 0.001})
+    assert "it would take offset and gain drift and softening modes at once" in told and "leaves" not in told
+    assert sentence(report | {"effects": []}).endswith("noise floor 0.1 um).")
