@@ -64,18 +64,20 @@ def run(table: Table, seconds: float = SECONDS) -> None:
         for subject in ("hyst", "plain rclpy"):
             measured = measure(case, subject, "lockstep", seconds)
             table.add(name, case, subject, "rounds_rate", "rounds/s", measured.rate)
-        with tempfile.TemporaryDirectory() as folder:
-            measured = measure(case, "hyst", "lockstep", seconds, Path(folder) / "bag")
-            table.add(name, f"{case}, recorded", "hyst", "rounds_rate", "rounds/s", measured.rate)
-            table.add(name, f"{case}, recorded", "hyst", "loss", "%", lost(Path(folder) / "bag")[0])
+        for way in ("", " from outside") if case == "composed" else ("",):
+            with tempfile.TemporaryDirectory() as folder:
+                measured = measure(case, "hyst", "lockstep", seconds, Path(folder) / "bag", outside=bool(way))
+                table.add(name, f"{case}, recorded{way}", "hyst", "rounds_rate", "rounds/s", measured.rate)
+                table.add(name, f"{case}, recorded{way}", "hyst", "loss", "%", lost(Path(folder) / "bag")[0])
     for case in ("composed", "processes"):
         for subject in ("hyst", "plain rclpy"):
             _add_timing(table, case, subject, measure(case, subject, "timer", seconds))
-        with tempfile.TemporaryDirectory() as folder:
-            measured = measure(case, "hyst", "timer", seconds, Path(folder) / "bag")
-            _add_timing(table, f"{case}, recorded", "hyst", measured)
-            loss, count = lost(Path(folder) / "bag")
-            table.add("wall clock, 1 kHz", f"{case}, recorded", "hyst", "loss", "%", loss, n=count)
+        for way in ("", " from outside") if case == "composed" else ("",):
+            with tempfile.TemporaryDirectory() as folder:
+                measured = measure(case, "hyst", "timer", seconds, Path(folder) / "bag", outside=bool(way))
+                _add_timing(table, f"{case}, recorded{way}", "hyst", measured)
+                loss, count = lost(Path(folder) / "bag")
+                table.add("wall clock, 1 kHz", f"{case}, recorded{way}", "hyst", "loss", "%", loss, n=count)
 
 
 def _add_timing(table: Table, case: str, subject: str, measured: Run) -> None:
@@ -103,15 +105,17 @@ def soak(table: Table, minutes: float) -> None:
             table.add(name, case, "hyst", "loss", "%", loss, n=count)
 
 
-def measure(case: str, subject: str, schedule: str, seconds: float, bag: Path | None = None, block: int = 1) -> Run:
+def measure(case: str, subject: str, schedule: str, seconds: float, bag: Path | None = None, block: int = 1,
+            outside: bool = False) -> Run:
     """One run of the loop; `case`: "composed" or "processes"; `subject`: "hyst" or "plain rclpy"; `bag`: recorded to it.
 
     block: rows of the reference, which is known ahead, in one message, and so of the feedforward; all else goes tick by tick.
+    outside: the recorder is a process of its own beside the composed nodes, so that the middleware carries all messages.
 
     Raises `InputError` when a node fails or the loop does not start.
     """
-    progress.step(f"{schedule}, {case}, {subject}{', recorded' if bag else ''}: {seconds:g} s")
-    with _running(case, subject, schedule, bag, block) as (processes, plant):
+    progress.step(f"{schedule}, {case}, {subject}{', recorded' if bag else ''}{' from outside' if outside else ''}: {seconds:g} s")
+    with _running(case, subject, schedule, bag, block, outside) as (processes, plant):
         pids = [process.pid for name, process in processes.running.items() if name != "monitor"]
         log = _Diagnostics(processes.log("monitor"))
         _until(lambda: int(log.read().get(plant, {}).get("ticks", 0)) > 0, processes, START_TIMEOUT)
@@ -160,12 +164,15 @@ def settings(schedule: str, bag: Path | None, block: int = 1) -> dict[str, dict[
 
 
 @contextmanager
-def _running(case: str, subject: str, schedule: str, bag: Path | None, block: int) -> Iterator[tuple[Processes, str]]:
+def _running(case: str, subject: str, schedule: str, bag: Path | None, block: int,
+             outside: bool) -> Iterator[tuple[Processes, str]]:
     """The processes of a run, and the name of its plant."""
     with tempfile.TemporaryDirectory() as folder, own_domain() as domain, Processes(Path(folder), domain) as processes:
         processes.start("monitor", {})
         each = settings(schedule, bag, block)
         if subject == "hyst":
+            if outside:
+                processes.start("recorder", each.pop("recorder"))
             if case == "composed":
                 processes.compose(each)
             else:

@@ -26,7 +26,7 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from hyst_control.errors import InputError
-from hyst_control.nodes.messages import Intake
+from hyst_control.nodes.messages import Intake, Reception, Sender
 from hyst_control.nodes.ports import Input, Output
 from hyst_control.nodes.settings import Setting, declare
 from hyst_control.nodes.timing import Durations
@@ -103,6 +103,8 @@ class SignalNode(EndingNode):
 
     def __init__(self, name: str, **options: Any) -> None:
         self.polled: list[Intake] = []
+        self.receptions: list[Reception] = []
+        self.senders: list[Sender] = []
         super().__init__(name, **options)
         self.settings = declare(self, (*COMMON, *self.SETTINGS), self.changed)
         self.lockstep = self.settings.schedule == LOCKSTEP
@@ -303,7 +305,8 @@ class SignalNode(EndingNode):
         values = {"schedule": self.settings.schedule, "rate [Hz]": f"{(ticks - ticks_before) / (now - before):.1f}",
                   "ticks": ticks, "jitter [us]": f"{self._jitter.take() * 1e6:.1f}", "stale": ", ".join(stale) or "none",
                   "several sources": ", ".join(rivals) or "none",
-                  "enabled": self.enabled, **{f"age of {signal.topic} [s]": f"{signal.age:.4f}" for signal in self.inputs},
+                  "enabled": self.enabled, "handed over": ", ".join(sender.topic for sender in self.senders if sender.within) or "none",
+                  **{f"age of {signal.topic} [s]": f"{signal.age:.4f}" for signal in self.inputs},
                   **self._intervals.entries("period"), **faults, **self.status()}
         trouble = self.trouble() or (f"stale: {', '.join(stale)}" if stale else
                                      f"several sources: {', '.join(rivals)}" if rivals else "")

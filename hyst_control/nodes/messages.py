@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import array
 import time
-from collections.abc import Callable
-from typing import Any
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,60 +22,119 @@ Array = NDArray[np.float64]
 QUEUE = QoSProfile(history=QoSHistoryPolicy.KEEP_LAST, depth=5000, reliability=QoSReliabilityPolicy.RELIABLE)
 
 
+class Receiver(Protocol):
+    """What a message may be handed to within a process, instead of being sent to its subscription."""
+
+    topic: str
+    raw: bool
+
+    def hand(self, raw: bytes) -> None:
+        """Take over a serialized message; what it means is looked at later."""
+
+
 class Sender:
-    """Publishes blocks (N, C) of one topic."""
+    """Publishes blocks (N, C) of one topic.
+
+    Once it is `linked`, its messages are handed to the receivers within the process for as long as these are the only ones. When
+    somebody else has been seen to listen all go through the middleware, for good: its messages and those handed over would overtake
+    each other.
+    """
 
     def __init__(self, node: Node, topic: str, label: str, objects: bool = False) -> None:
         self.publisher = node.create_publisher(Float64MultiArray, topic, QUEUE)
+        self.topic = self.publisher.topic_name
+        self.within = False
+        """Whether messages are handed over."""
         self._encoder = Encoder(label)
         self._objects = objects
+        self._receivers: Sequence[Receiver] = ()
+
+    def link(self, receivers: Sequence[Receiver]) -> None:
+        """Hand messages over to these, which are all subscribers of this topic within the process."""
+        self._receivers, self.within = receivers, not self._objects and all(receiver.raw for receiver in receivers)
 
     def send(self, block: Array) -> None:
         """Publish a block (N, C), column 0 the sample time in s."""
         if not self._objects:
+            message = self._encoder.encode(block)
+            if self.within:
+                self.within = self.publisher.get_subscription_count() <= len(self._receivers)
+                if self.within:
+                    for receiver in self._receivers:
+                        receiver.hand(message)
+                    return
             try:
-                self.publisher.publish(self._encoder.encode(block))
+                self.publisher.publish(message)
                 return
             except (TypeError, NotImplementedError):  # a middleware that takes message objects only
                 self._objects = True
         self.publisher.publish(to_message(self._encoder.label, block))
 
 
-def receive(node: Node, topic: str, callback: Callable[[str, Array], None], refused: Callable[[str], None],
-            objects: bool = False) -> Any:
-    """Subscribe to a topic: `callback(label, block (N, C))` for a message, `refused(reason)` for what is none."""
-    decoder = Decoder()
+class Reception:
+    """A subscription that calls back for every message: `callback(label, block (N, C))`, or `refused(reason)` for what is none."""
 
-    def on_bytes(raw: bytes) -> None:
+    def __init__(self, node: Node, topic: str, callback: Callable[[str, Array], None], refused: Callable[[str], None],
+                 objects: bool = False) -> None:
+        self._callback, self._refused, self._decoder = callback, refused, Decoder()
+        self.raw = not objects
+        self.post: Callable[[Reception], None] | None = None
+        """Told of every message that was handed over: `take` is due."""
+        self._handed: deque[bytes] = deque()
+        if self.raw:
+            try:
+                self.subscription = node.create_subscription(Float64MultiArray, topic, self._on_bytes, QUEUE, raw=True)
+            except (TypeError, NotImplementedError):
+                self.raw = False
+        if not self.raw:
+            self.subscription = node.create_subscription(Float64MultiArray, topic, self._on_message, QUEUE)
+        self.topic = self.subscription.topic_name
+
+    def hand(self, raw: bytes) -> None:
+        """Take over a message of a sender in this process."""
+        self._handed.append(raw)
+        if self.post is not None:
+            self.post(self)
+
+    def take(self) -> None:
+        """Call back for the oldest message that was handed over, if there is one."""
+        if self._handed:
+            self._decode(self._handed.popleft())
+
+    def _on_bytes(self, raw: bytes) -> None:
+        while self._handed:  # they were sent before
+            self.take()
+        self._decode(raw)
+
+    def _decode(self, raw: bytes) -> None:
         try:
-            label, block = decoder.decode(raw)
+            label, block = self._decoder.decode(raw)
         except ValueError as error:
-            refused(str(error))
+            self._refused(str(error))
             return
-        callback(label, block)
+        self._callback(label, block)
 
-    def on_message(message: Float64MultiArray) -> None:
+    def _on_message(self, message: Float64MultiArray) -> None:
         try:
             label, block = from_message(message)
         except ValueError as error:
-            refused(str(error))
+            self._refused(str(error))
             return
-        callback(label, block)
-
-    if not objects:
-        try:
-            return node.create_subscription(Float64MultiArray, topic, on_bytes, QUEUE, raw=True)
-        except (TypeError, NotImplementedError):
-            pass
-    return node.create_subscription(Float64MultiArray, topic, on_message, QUEUE)
+        self._callback(label, block)
 
 
 class Intake:
     """A subscription whose messages are taken when it suits the owner, many at a time, instead of one callback for each."""
 
     def __init__(self, node: Node, topic: str, objects: bool = False) -> None:
-        self._decoder, self._objects = Decoder(), objects
-        self.subscription = node.create_subscription(Float64MultiArray, topic, lambda message: None, QUEUE, raw=not objects)
+        self._decoder, self.raw = Decoder(), not objects
+        self.subscription = node.create_subscription(Float64MultiArray, topic, lambda message: None, QUEUE, raw=self.raw)
+        self.topic = self.subscription.topic_name
+        self._handed: deque[tuple[Any, int]] = deque(maxlen=QUEUE.depth)  # as many as the middleware would keep
+
+    def hand(self, raw: bytes) -> None:
+        """Take over a message of a sender in this process."""
+        self._handed.append((raw, time.time_ns()))
 
     def take(self, refused: Callable[[str], None], merge: bool = False) -> list[tuple[str, Array, int]]:
         """(label, block (N, C), time of reception in ns) of every message that has arrived; `refused(reason)` for what is none.
@@ -82,8 +142,9 @@ class Intake:
         At most as many messages as the queue holds: a source that sends faster than this takes must not keep the owner here.
         merge: successive messages of one form become one block, received when the last of them was.
         """
-        handle, raw = self.subscription.handle, not self._objects
-        found: list[tuple[Any, int]] = []
+        handle, raw = self.subscription.handle, self.raw
+        found = list(self._handed)  # before those that the middleware carried: they were sent before
+        self._handed.clear()
         with handle:
             while len(found) < QUEUE.depth and (message := handle.take_message(Float64MultiArray, raw)) is not None:
                 found.append((message[0], message[1]["received_timestamp"] or time.time_ns()))

@@ -1,4 +1,4 @@
-"""The pipeline: the nodes of the loop composed in one process on one executor, which is several times as fast."""
+"""The pipeline: the nodes of the loop composed in one process on one executor, which hand their messages to each other."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.nodes.messages import Sender, receive
+from hyst_control.nodes.messages import Reception, Sender
 from hyst_control.nodes.rows import DUPLICATE, FULL, GAP, Rows
 from hyst_control.signal_message import label_for
 
@@ -64,7 +64,7 @@ class Input:
         self._lost: deque[int] = deque(maxlen=MOST_LOST)
         self._joining = Joining()
         if node.lockstep:
-            receive(node, topic, self._receive, self._refused, node.settings.message_objects)
+            node.receptions.append(Reception(node, topic, self._receive, self._refused, node.settings.message_objects))
         else:
             self._intake = node.intake(topic)
 
@@ -171,6 +171,7 @@ class Output:
         self._kept: deque[Array] = deque()
         self._kept_rows = 0
         self._end = 0
+        node.senders.append(self._sender)
         self.publisher = self._sender.publisher
 
     def block(self, tick: int, rows: Array) -> Array:

@@ -21,6 +21,7 @@ from rclpy.task import Future
 from hyst_control.errors import InputError
 from hyst_control.launch import environment
 from hyst_control.nodes.base import EndingNode, SignalNode
+from hyst_control.nodes.handover import hand_over
 
 FOREVER = 1e6  # s
 
@@ -42,12 +43,17 @@ def run(nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER)
         if all(node.finished.done() for node in waiting):
             ended.set_result(max(node.finished.result() for node in waiting))
 
+    def failed(error: BaseException) -> None:
+        if not ended.done():
+            ended.set_exception(error)
+
     try:
         tick_together(nodes)
         for node in nodes:
             executor.add_node(node)
         for node in waiting:
             node.finished.add_done_callback(one_ended)
+        hand_over(nodes, executor, failed)
         gc.collect()
         gc.freeze()  # what is there now stays: to look through it again and again would cost ticks
         spin(executor, ended, timeout)
