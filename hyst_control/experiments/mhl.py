@@ -50,6 +50,8 @@ BLOCK = 500
 VERIFIED = (500.0, 1000.0, 1500.0, 2000.0, 3000.0, 4000.0)
 STEP = 0.2
 """mrad, of the step whose settling time is measured."""
+OTHER_STEPS = (-0.2, 0.5, -0.5)
+"""mrad; the paper does not say how high its step was."""
 KINDS = {"traditional composite": "mhl_static", "proposed composite": "mhl"}
 SMOOTHING = 4
 """Order of the whole inverse's low-pass without phase: -3 dB at 1.65 kHz, 10 % above the bandwidth that is asked for."""
@@ -166,6 +168,8 @@ def tracking_reference() -> tuple[Array, dict[str, Part]]:
     add("spiral", spiral[:, 0], spiral[:, 1])
     add("step", excitation.step(ts, STEP, CENTRE, 0.02, 0.08))
     add("response", excitation.multisine(ts, 0.2, 5.0, 2495.0, 0.02, 1, CENTRE, 6, seed=SEED)[:, 0], skipped=0.4)
+    for height in OTHER_STEPS:
+        add(f"step of {height:g} mrad", excitation.step(ts, height, CENTRE, 0.02, 0.08))
     pieces.append(np.repeat(pieces[-1][-1:], int(0.02 / ts), axis=0))
     return np.concatenate(pieces), parts
 

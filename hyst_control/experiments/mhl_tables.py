@@ -177,6 +177,8 @@ def closed_loop(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts:
         table.add("MHL Fig. 18", "100 Hz", name, "lag", "deg", -np.degrees(np.angle(at)), published=0.69 if composite else None)
         table.add("MHL Fig. 18", "step", name, "settling_time", "ms", 1e3 * settling_time(signals, parts["step"], sample_time),
                   published=2.0 if composite else None)
+        for case in (case for case in parts if case.startswith("step of")):
+            table.add("MHL Fig. 18", case, name, "settling_time", "ms", 1e3 * settling_time(signals, parts[case], sample_time))
 
 
 def robustness(table: Table, tuning: Tuning, plant: str = "fsm", title: str = "MHL robustness") -> None:
