@@ -7,6 +7,7 @@ number of samples is exact too, because the held input is known between the samp
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -446,6 +447,47 @@ def advance_linear(block, a, reach, b, late, c, d, bias, whole, state, scratch, 
     return position
 
 
+@njit(cache=True, error_model="numpy")
+def advance_single(block, a, reach, b, late, c, d, bias, whole, state, scratch, history, position, output):
+    """As `advance_linear` for systems of one input each (m = 1), one after the other; two to three times as fast."""
+    length = history.shape[0]
+    systems, n = state.shape
+    begin = position
+    for s in range(systems):
+        position = begin
+        delay, older, apart, offset = whole[s], late[s], n > CLOSE, bias[s]
+        matrix, x, columns, past = a[s], state[s], reach[s], history[:, s]
+        newest_b, middle_b, oldest_b, gain = b[s, 0, :, 0], b[s, 1, :, 0], b[s, 2, :, 0], c[s, 0]
+        newest_d, middle_d = d[s, 0, 0, 0], d[s, 1, 0, 0]
+        for row in range(block.shape[0]):
+            past[position] = block[row, s]
+            first = position - delay
+            first = first + length if first < 0 else first
+            second = first - 1 if first > 0 else length - 1
+            third = second - 1 if second > 0 else length - 1
+            newest, middle, oldest = past[first], past[second], past[third]
+            for i in range(n):
+                value = 0.0
+                if apart:
+                    for j in range(columns[i, 0], columns[i, 1]):
+                        value += matrix[i, j] * x[j]
+                else:
+                    for j in range(n):
+                        value += matrix[i, j] * x[j]
+                if older:
+                    value += newest_b[i] * newest + middle_b[i] * middle + oldest_b[i] * oldest
+                else:
+                    value += newest_b[i] * newest
+                scratch[i] = value
+            value = offset
+            for i in range(n):
+                x[i] = scratch[i] if abs(scratch[i]) > TINY else 0.0
+                value += gain[i] * x[i]
+            output[row, s] = value + (newest_d * newest + middle_d * middle)
+            position = position + 1 if position + 1 < length else 0
+    return position
+
+
 class LinearFilter(Filter):
     """Streaming linear systems: one per axis, or one for all axes."""
 
@@ -469,9 +511,19 @@ class LinearFilter(Filter):
         self.rest = np.stack([np.linalg.solve(np.eye(n) - a, b.sum(axis=0)) for a, b in zip(self.a, self.b, strict=True)])
         self.static_gain = self.c @ self.rest + self.d.sum(axis=1)
         self.whole = whole.astype(np.int64)
+        self._begin()
+
+    def _begin(self) -> None:
+        count, _, n, m = self.b.shape
         self.state, self.scratch, self.taps = np.zeros((count, n)), np.zeros(n), np.zeros((3, m))
         self.history = np.zeros((int(self.whole.max()) + 3, count * m))
         self.position = 0
+
+    def another(self) -> LinearFilter:
+        """A filter of the same systems with a state of its own."""
+        found = copy(self)
+        found._begin()
+        return found
 
     def settle(self, value: Array) -> Array:
         value = np.asarray(value, dtype=float)
@@ -483,23 +535,11 @@ class LinearFilter(Filter):
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
-        self.position = advance_linear(
-            block,
-            self.a,
-            self.reach,
-            self.b,
-            self.late,
-            self.c,
-            self.d,
-            self.bias,
-            self.whole,
-            self.state,
-            self.scratch,
-            self.taps,
-            self.history,
-            self.position,
-            output,
-        )
+        system = (block, self.a, self.reach, self.b, self.late, self.c, self.d, self.bias, self.whole, self.state, self.scratch)
+        if self.c.shape[1] == 1:
+            self.position = advance_single(*system, self.history, self.position, output)
+        else:
+            self.position = advance_linear(*system, self.taps, self.history, self.position, output)
         return output
 
 
@@ -519,6 +559,11 @@ def linear_filter(run: list[Stage], sampling: Sampling, averaged: bool = False) 
     (`chain.arrange`). Where it holds delays only, the filter is a pure delay. With `averaged` the output is held at its mean
     over each interval, exactly, instead of known at its ends.
     """
+    return _prepared(tuple(run), sampling, averaged).another()
+
+
+@remembered
+def _prepared(run: tuple[Stage, ...], sampling: Sampling, averaged: bool) -> LinearFilter:
     axes = sampling.axes
     late = np.zeros(axes)
     systems: list[LinearSystem] | None = None
@@ -555,6 +600,7 @@ def linear_filter(run: list[Stage], sampling: Sampling, averaged: bool = False) 
         ) from None
     if pure_delay or averaged:
         result.hold = sampling.hold
+    result.history = np.zeros((0, axes))  # what is kept needs no room for a long delay
     return result
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from numba import njit
 
 from hyst_control.chain.curves import Curve, evaluate_curve, knot_curve, polynomial_curve, solve_curve
+from hyst_control.chain.remembered import remembered
 from hyst_control.chain.stage import (
     Array,
     Filter,
@@ -121,7 +122,7 @@ class MadelungFilter(Filter):
         self.rising = [(up.breaks, up.coefficients) for up, _ in curves]
         falling = [mirrored(down) for _, down in curves]
         self.falling = [(curve.breaks, curve.coefficients) for curve in falling]
-        self.full = [float(up(np.ones(1))[0]) for up, _ in curves]
+        self.full = [full_output(up) for up, _ in curves]
         # Beyond the ends: the ascending curve's slope above 1, the descending curve's slope below 0.
         self.end_slope = [np.array([end_slope(down, 0.0), end_slope(up, 1.0)]) for up, down in curves]
         self.stack = [np.zeros((64, 2)) for _ in curves]
@@ -162,10 +163,17 @@ class MadelungFilter(Filter):
         return output * self.to_outside
 
 
+@remembered
+def full_output(curve: Curve) -> float:
+    """Value of a curve at the end of the normalised input."""
+    return float(curve(np.ones(1))[0])
+
+
+@remembered
 def mirrored(down: Curve) -> Curve:
     """φ_dn(d) = F - g0(1 - d) as a curve of its own."""
     count, order = down.coefficients.shape
-    full = float(down(np.ones(1))[0])
+    full = full_output(down)
     coefficients = np.empty((count, order))
     for piece in range(count):
         # A piece of g0 in the distance from its right end, by repeated synthetic division, with the sign of odd powers changed.
@@ -180,11 +188,12 @@ def mirrored(down: Curve) -> Curve:
     return Curve(np.ascontiguousarray(1.0 - down.breaks[::-1]), coefficients)
 
 
+@remembered
 def end_slope(curve: Curve, x: float) -> float:
     """Slope dy/du of a curve at its end x = 0 or 1; never less than a thousandth of the mean slope, so that an inverse exists."""
     piece = 0 if x == 0.0 else len(curve.breaks) - 2
     slope = np.polyval(np.polyder(curve.coefficients[piece]), x - curve.breaks[piece])
-    return max(float(slope), 1e-3 * float(curve(np.ones(1))[0]))
+    return max(float(slope), 1e-3 * full_output(curve))
 
 
 @register
@@ -225,7 +234,7 @@ class Madelung(Stage):
                 pair = polynomial_curve(up, "ascending"), polynomial_curve(down, "descending")
             else:
                 pair = knot_curve(self.knots, up, "ascending"), knot_curve(self.knots, down, "descending")
-            ends = [float(curve(np.ones(1))[0]) for curve in pair]
+            ends = [full_output(curve) for curve in pair]
             if abs(ends[0] - ends[1]) > 1e-6 * abs(ends[0]):
                 raise InputError(
                     f"descending: ends at {ends[1]:.6g} where ascending ends at {ends[0]:.6g}: scale the curves to meet"

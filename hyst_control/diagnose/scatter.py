@@ -7,12 +7,13 @@ A nominal model whose coefficients are 1 % off looks like every effect at once; 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
 from hyst_control.chain import Parallel, Stage
+from hyst_control.chain.remembered import KEPT
 from hyst_control.chain.stage import Array, depth
 from hyst_control.model_file import Model
 
@@ -41,9 +42,18 @@ class Scatter:
 
     model: Model
     coefficients: tuple[Coefficient, ...]
+    _known: dict[bytes, tuple[Stage, ...]] = field(default_factory=dict, compare=False, repr=False)
 
     def at(self, z: Array) -> tuple[Stage, ...]:
         """The stages for nuisance values z (K,)."""
+        key = z.tobytes()
+        if key not in self._known:
+            if len(self._known) >= KEPT:
+                self._known.clear()
+            self._known[key] = self._stages(z)
+        return self._known[key]
+
+    def _stages(self, z: Array) -> tuple[Stage, ...]:
         changes: dict[tuple[int, ...], dict[str, Any]] = {}
         for coefficient, value in zip(self.coefficients, z, strict=True):
             if value:
@@ -68,10 +78,10 @@ def scatter_of(model: Model) -> Scatter:
 def _named(stage: Stage, tolerance: Any) -> dict[str, float]:
     """Tolerance by field of a stage."""
     found = {}
-    for field in fields(stage):
-        value = tolerance.get(f"{stage.name}.{field.name}", tolerance.get(field.name))
+    for parameter in fields(stage):
+        value = tolerance.get(f"{stage.name}.{parameter.name}", tolerance.get(parameter.name))
         if value:
-            found[field.name] = float(np.max(value))
+            found[parameter.name] = float(np.max(value))
     return found
 
 

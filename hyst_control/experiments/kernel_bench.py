@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from hyst_control.chain import Sampling
-from hyst_control.chain.linear import TransferFunction, advance_linear
+from hyst_control.chain.linear import TransferFunction, advance_single
 from hyst_control.chain.madelung import Madelung, madelung_branches
 from hyst_control.chain.play import ModifiedPrandtlIshlinskii, dynamic_prandtl_ishlinskii
 from hyst_control.chain.stage import Array
@@ -64,7 +64,7 @@ def compiled_library(folder: Path) -> ctypes.CDLL:
     source = Path(__file__).with_name("kernels.c")
     subprocess.run(["gcc", "-O3", "-shared", "-fPIC", "-o", str(target), str(source)], check=True)
     library = ctypes.CDLL(str(target))
-    library.advance_linear.restype = ctypes.c_long
+    library.advance_single.restype = ctypes.c_long
     return library
 
 
@@ -100,16 +100,16 @@ def linear(library: ctypes.CDLL) -> tuple[str, Callable[[], Array], Callable[[],
     block = np.ascontiguousarray(np.sin(0.01 * np.arange(ROWS))).reshape(-1, 1)
     output = np.empty_like(block)
     arrays = (running.a, running.b, running.c, running.d, running.bias, running.whole, running.state, running.scratch,
-              running.taps, running.history)
+              running.history)
 
     def own() -> Array:
         running.settle(block[0])
-        advance_linear(block, running.a, running.reach, running.b, running.late, *arrays[2:], 0, output)
+        advance_single(block, running.a, running.reach, running.b, running.late, *arrays[2:], 0, output)
         return output.copy()
 
     def other() -> Array:
         running.settle(block[0])
-        library.advance_linear(_long(ROWS), _long(1), _long(running.a.shape[1]), _long(1), _long(len(running.history)), _at(block),
+        library.advance_single(_long(ROWS), _long(1), _long(running.a.shape[1]), _long(len(running.history)), _at(block),
                                *(_at(array) for array in arrays), _long(0), _at(output))
         return output.copy()
 

@@ -28,46 +28,40 @@ void dynamic_prandtl_ishlinskii(long rows, long axes, long count, const double *
     }
 }
 
-long advance_linear(long rows, long systems, long n, long m, long length, const double *block, const double *a, const double *b,
-                    const double *c, const double *d, const double *bias, const long *whole, double *state, double *scratch,
-                    double *taps, double *history, long position, double *output)
+long advance_single(long rows, long systems, long n, long length, const double *restrict block, const double *restrict a,
+                    const double *restrict b, const double *restrict c, const double *restrict d, const double *restrict bias,
+                    const long *restrict whole, double *restrict state, double *restrict scratch, double *restrict history,
+                    long position, double *restrict output)
 {
     const double tiny = 1e-80;
-    long columns = systems * m;
-    for (long row = 0; row < rows; row++) {
-        for (long column = 0; column < columns; column++)
-            history[position * columns + column] = block[row * columns + column];
-        for (long s = 0; s < systems; s++) {
-            for (long j = 0; j < m; j++) {
-                long first = position - whole[s * m + j];
-                first = first < 0 ? first + length : first;
-                long second = first > 0 ? first - 1 : length - 1;
-                long third = second > 0 ? second - 1 : length - 1;
-                taps[j] = history[first * columns + s * m + j];
-                taps[m + j] = history[second * columns + s * m + j];
-                taps[2 * m + j] = history[third * columns + s * m + j];
-            }
+    long begin = position;
+    for (long s = 0; s < systems; s++) {
+        const double *matrix = a + s * n * n, *newest_b = b + s * 3 * n, *middle_b = newest_b + n, *oldest_b = middle_b + n;
+        const double *gain = c + s * n;
+        double *x = state + s * n;
+        position = begin;
+        for (long row = 0; row < rows; row++) {
+            history[position * systems + s] = block[row * systems + s];
+            long first = position - whole[s];
+            first = first < 0 ? first + length : first;
+            long second = first > 0 ? first - 1 : length - 1;
+            long third = second > 0 ? second - 1 : length - 1;
+            double newest = history[first * systems + s], middle = history[second * systems + s];
+            double oldest = history[third * systems + s];
             for (long i = 0; i < n; i++) {
                 double value = 0.0;
                 for (long j = 0; j < n; j++)
-                    value += a[(s * n + i) * n + j] * state[s * n + j];
-                for (long j = 0; j < m; j++)
-                    value += b[((s * 3 + 0) * n + i) * m + j] * taps[j] + b[((s * 3 + 1) * n + i) * m + j] * taps[m + j]
-                           + b[((s * 3 + 2) * n + i) * m + j] * taps[2 * m + j];
-                scratch[i] = value;
+                    value += matrix[i * n + j] * x[j];
+                scratch[i] = value + (newest_b[i] * newest + middle_b[i] * middle + oldest_b[i] * oldest);
             }
-            for (long i = 0; i < n; i++)
-                state[s * n + i] = fabs(scratch[i]) > tiny ? scratch[i] : 0.0;
-            for (long p = 0; p < m; p++) {
-                double value = bias[s * m + p];
-                for (long j = 0; j < n; j++)
-                    value += c[(s * m + p) * n + j] * state[s * n + j];
-                for (long j = 0; j < m; j++)
-                    value += d[((s * 2 + 0) * m + p) * m + j] * taps[j] + d[((s * 2 + 1) * m + p) * m + j] * taps[m + j];
-                output[row * columns + s * m + p] = value;
+            double value = bias[s];
+            for (long i = 0; i < n; i++) {
+                x[i] = fabs(scratch[i]) > tiny ? scratch[i] : 0.0;
+                value += gain[i] * x[i];
             }
+            output[row * systems + s] = value + (d[2 * s] * newest + d[2 * s + 1] * middle);
+            position = position + 1 < length ? position + 1 : 0;
         }
-        position = position + 1 < length ? position + 1 : 0;
     }
     return position;
 }
