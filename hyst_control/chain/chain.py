@@ -25,7 +25,7 @@ import numpy as np
 
 from hyst_control.chain.linear import Delay, linear_filter
 from hyst_control.chain.stage import Array, Filter, Modifier, Sampling, Stage, register
-from hyst_control.chain.static import Gain
+from hyst_control.chain.static import Gain, Offset
 from hyst_control.errors import InputError
 
 
@@ -248,13 +248,16 @@ def _cut_before_uneven_delays(run: Sequence[Stage]) -> list[list[Stage]]:
 
 
 def _gains_last(stages: Sequence[Stage]) -> list[Stage]:
-    """A gain between parallel branches and a linear stage that does not mix axes would part them: it changes places with that."""
+    """A gain or an offset behind a linear stage or parallel branches changes places with a linear stage that follows it, where that is
+    the same: it would part the two.
+    """
     ordered = list(stages)
     for index in range(1, len(ordered) - 1):
-        before, gain, after = ordered[index - 1 : index + 2]
-        in_between = isinstance(gain, Gain) and (isinstance(before, Parallel) or _in_linear_run(before))
-        if in_between and _in_linear_run(after) and not _couples(after):
-            ordered[index], ordered[index + 1] = after, gain
+        before, static, after = ordered[index - 1 : index + 2]
+        in_between = isinstance(before, Parallel) or _in_linear_run(before)
+        commutes = isinstance(static, Gain) or isinstance(static, Offset) and getattr(after, "unit_gain", False)
+        if in_between and commutes and _in_linear_run(after) and not _couples(after):
+            ordered[index], ordered[index + 1] = after, static
     return ordered
 
 

@@ -114,6 +114,8 @@ class LinearStage(Stage):
     """A stage that is a linear continuous-time system; `systems` gives one per axis, or a single one that couples the axes."""
 
     linear: ClassVar[bool] = True
+    unit_gain: ClassVar[bool] = False
+    """Whether a constant passes unchanged, whatever the parameters."""
 
     def systems(self, axes: int) -> list[LinearSystem]:
         """One single-input system per axis, or one system for all axes where the stage couples them."""

@@ -11,7 +11,7 @@ import yaml
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.leftover import leftover
-from hyst_control.diagnose.search import Found, Scored
+from hyst_control.diagnose.search import Found, Scored, strain, strained
 
 
 @dataclass(frozen=True)
@@ -81,11 +81,11 @@ def decide(found: Found, threshold: float, floor: float, limits: Thresholds, sta
     before = energy(found.none, size)
     # A model that states an error of its own leaves all kinds of it: an effect has to take off what goes beyond.
     least = max(floor ** 2, limits.own_error * (stated - 1.0))
-    strain = 0.5 * float(found.none.solution.z @ found.none.solution.z)
+    before_strain = strain(found.none.solution)
 
     def worth_naming(scored: Scored) -> bool:
         """It takes off more than the practical size, or relieves coefficients that had to leave their tolerance for it."""
-        relief = strain - 0.5 * float(scored.solution.z @ scored.solution.z)
+        relief = before_strain - strain(scored.solution)
         return before - energy(scored, size) > least or stated < 1.5 and found.temper * relief > threshold + limits.margin
 
     claims = [scored for scored in (*found.singles, *found.combinations)
@@ -126,13 +126,21 @@ def energy(scored: Scored, size: int) -> float:
 
 
 def _without_idle_members(claims: list[Scored], gain: float, temper: float, before: float, further: float) -> list[Scored]:
-    """Combinations count only where they are better than each of their parts by what a claim needs."""
+    """Combinations count only where they are better than each of their parts by what a claim needs.
+
+    And by a share of all that they take off: beside a great effect what its stage and the physics differ by is many times the noise.
+    But not where the coefficients had to leave their tolerance for a part, and need not for the combination.
+    """
     kept = []
     for scored in claims:
         names = set(scored.names)
         parts = [other for other in claims if set(other.names) < names]
-        better = min((other.solution.misfit for other in parts), default=np.inf) - scored.solution.misfit
-        idle = temper * better <= gain or better <= further * (before - scored.solution.misfit)
-        if len(scored.names) <= 1 or not parts or not idle:
-            kept.append(scored)
+        if len(scored.names) > 1 and parts:
+            best = min(parts, key=lambda other: other.solution.misfit)
+            better = best.solution.misfit - scored.solution.misfit
+            relieved = strained(best.solution) and not strained(scored.solution)
+            if temper * better <= gain or (better <= further * (before - scored.solution.misfit) and not relieved):
+                continue
+        kept.append(scored)
     return kept
+

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor
+from scipy.optimize import minimize_scalar
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.candidates import Candidate, Member
@@ -28,6 +29,9 @@ FOLLOWED = 2
 
 SCREENED = 8
 """How many of an effect's starts are looked at on top of another effect."""
+
+SCANNED = 12
+"""Values of a parameter that are tried, and then as many between the best of them and its neighbours."""
 
 REFINED = 6
 """How many of the best fits go on with columns of their own."""
@@ -98,6 +102,7 @@ def search(linearised: Linearised, members: Sequence[Member], threshold: float, 
         progress(candidate.names[0])
         if found is not None:
             fits.append((candidate, found))
+    fits = _freed(linearised, fits, none.solution.misfit)
     fits = _refined(linearised, fits, REFINED, none.solution.misfit)
     best = min([none.solution.misfit, *(solution.misfit for _, solution in fits)])
     combinations: list[tuple[Candidate, Solution]] = []
@@ -109,12 +114,15 @@ def search(linearised: Linearised, members: Sequence[Member], threshold: float, 
         grown = _grown(linearised, parents, members, 0.5 * threshold, none.solution.misfit, progress)
         if not grown:
             break
-        gain = best - grown[0][1].misfit
-        if gain * _temper(grown[0][1].residual) < threshold or 2.0 * gain / size < floor ** 2:
+        gain, weight = best - grown[0][1].misfit, _temper(grown[0][1].residual)
+        relieved = strained(parents[0][1]) and not strained(grown[0][1])
+        if gain * weight < threshold or (2.0 * gain / size < floor ** 2 and not relieved):
             break
         best = grown[0][1].misfit
         combinations += grown[:2 * beam]
         parents = grown[:beam]
+    for candidate, solution in _pruned(linearised, combinations):
+        (combinations if len(candidate.members) > 1 else fits).append((candidate, solution))
     everything = [solution for _, solution in fits + combinations] + [none.solution]
     temper = _temper(min(everything, key=lambda solution: solution.misfit).residual)
     alternatives = np.log(max(len(members), 1))
@@ -135,9 +143,19 @@ def search(linearised: Linearised, members: Sequence[Member], threshold: float, 
 
 def _spent(solution: Solution, floor: float, excess: float) -> bool:
     """Whether a fit leaves nothing but noise, and did not strain its coefficients for it."""
-    size, count = len(solution.residual), len(solution.z)
-    left = float(solution.residual @ solution.residual) / size - 1.0
-    return left < max(excess, 0.5 * floor ** 2) and float(solution.z @ solution.z) < count + 4.0 * np.sqrt(2.0 * count)
+    left = float(solution.residual @ solution.residual) / len(solution.residual) - 1.0
+    return left < max(excess, 0.5 * floor ** 2) and not strained(solution)
+
+
+def strained(solution: Solution) -> bool:
+    """Whether a fit's coefficients are further from the nominal ones than chance would have them: χ² four deviations above its mean."""
+    count = len(solution.z)
+    return 2.0 * strain(solution) >= count + 4.0 * np.sqrt(2.0 * count)
+
+
+def strain(solution: Solution) -> float:
+    """Misfit (nats) that is the coefficients' distance from the nominal ones."""
+    return 0.5 * float(solution.z @ solution.z)
 
 
 def _grown(linearised: Linearised, parents: Sequence[tuple[Candidate, Solution]], members: Sequence[Member], least: float,
@@ -157,6 +175,27 @@ def _grown(linearised: Linearised, parents: Sequence[tuple[Candidate, Solution]]
         if found is not None:
             grown.append((pair, found))
     return sorted(_refined(linearised, grown, REFINED // 2, before), key=lambda item: item[1].misfit)
+
+
+def _pruned(linearised: Linearised, found: Sequence[tuple[Candidate, Solution]]) -> list[tuple[Candidate, Solution]]:
+    """The best combination without each of its effects: what was grown step by step may have come to do without one of the first."""
+    if not found:
+        return []
+    candidate, solution = min(found, key=lambda item: item[1].misfit)
+    parts = list(zip(candidate.members, candidate.slices(), strict=True))
+    smaller = [parts[:dropped] + parts[dropped + 1:] for dropped in range(len(parts))]
+    candidates = [Candidate(tuple(member for member, _ in kept)) for kept in smaller]
+
+    def solved(index: int) -> Solution | None:
+        unknowns = candidates[index].unknowns()
+        start = np.concatenate([solution.x[place] for _, place in smaller[index]])
+        try:
+            return refined(linearised, unknowns, fit(linearised, unknowns, start, solution.z))
+        except InputError:
+            return None
+
+    solutions = forked(solved, len(candidates))
+    return [(one, found) for one, found in zip(candidates, solutions, strict=True) if found is not None]
 
 
 def _occam(solution: Solution, temper: float) -> float:
@@ -187,8 +226,29 @@ def _refined(linearised: Linearised, found: Sequence[tuple[Candidate, Solution]]
         return found
     within = found[0][1].misfit + max(REACH * (before - found[0][1].misfit), NEAR)
     near = sum(solution.misfit <= within for _, solution in found[:count])
-    better = forked(lambda i: refined(linearised, found[i][0].unknowns(), found[i][1]), near)
+    better = forked(lambda i: _finished(linearised, *found[i]), near)
     return [(candidate, solution) for (candidate, _), solution in zip(found, better, strict=False)] + found[near:]
+
+
+def _finished(linearised: Linearised, candidate: Candidate, solution: Solution) -> Solution:
+    """A fit gone on with; where it strains the coefficients, also begun again from where the effects do best without them."""
+    unknowns = candidate.unknowns()
+    best = refined(linearised, unknowns, solution)
+    if not strained(best):
+        return best
+    try:
+        alone = fit(_held(linearised), unknowns, best.x)
+        again = refined(linearised, unknowns, fit(linearised, unknowns, alone.x))
+    except InputError:
+        return best
+    return min(best, again, key=lambda one: one.misfit)
+
+
+def _held(linearised: Linearised) -> Linearised:
+    """The same problem with coefficients that a fit leaves where they are."""
+    held = copy(linearised)
+    held.columns, held.gram = np.zeros_like(linearised.columns), np.zeros_like(linearised.gram)
+    return held
 
 
 def _fitted(linearised: Linearised, candidate: Candidate, starts: Sequence[Array]) -> Solution | None:
@@ -210,6 +270,36 @@ def _fitted(linearised: Linearised, candidate: Candidate, starts: Sequence[Array
         except InputError:
             continue
     return min(tried, key=lambda solution: solution.misfit, default=None)
+
+
+def _freed(linearised: Linearised, fits: list[tuple[Candidate, Solution]], without: float) -> list[tuple[Candidate, Solution]]:
+    """The fits, of which those of one parameter that are worse than no effect at all begin again, where it alone does best.
+
+    Beside a great gap the columns of the coefficients promise too much: a step in all of them leads astray, and the fit ends there.
+    """
+    stuck = [i for i, (candidate, solution) in enumerate(fits) if solution.misfit > without and len(candidate.unknowns().lower) == 1]
+    again = forked(lambda i: _fitted(linearised, fits[stuck[i]][0], [_best_alone(linearised, fits[stuck[i]][0])]), len(stuck))
+    freed = dict(zip(stuck, again, strict=True))
+    return [(candidate, min((solution, freed.get(i) or solution), key=lambda one: one.misfit))
+            for i, (candidate, solution) in enumerate(fits)]
+
+
+def _best_alone(linearised: Linearised, candidate: Candidate) -> Array:
+    """The value (1,) of a candidate's one parameter that comes closest to the record with the nominal coefficients."""
+    unknowns, nominal = candidate.unknowns(), np.zeros(linearised.count)
+
+    def misfit(value: float) -> float:
+        try:
+            residual = linearised.measured - linearised.simulate(nominal, unknowns, np.array([value]))
+        except InputError:
+            return np.inf
+        size = float(residual @ residual)
+        return size if np.isfinite(size) else np.inf
+
+    values = np.linspace(unknowns.lower[0], unknowns.upper[0], SCANNED)
+    best = int(np.argmin([misfit(value) for value in values]))
+    bounds = values[max(best - 1, 0)], values[min(best + 1, SCANNED - 1)]
+    return np.array([minimize_scalar(misfit, bounds=bounds, method="bounded", options={"maxiter": SCANNED}).x])
 
 
 def _promising(linearised: Linearised, candidate: Candidate, solution: Solution, members: Sequence[Member], least: float,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from hyst_control.errors import InputError
 class Lowpass(LinearStage):
     """1 / (1 + s / (2π cutoff))^order; cutoff Hz, infinite: none on that axis. Exact: it merges with its linear neighbours."""
 
+    unit_gain: ClassVar[bool] = True
     cutoff: Any
     order: Any = 1
 

@@ -51,8 +51,11 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
 
 def stage(values: Values, around: Surroundings) -> SensorNonlinearity:
-    """Over the record's range of measurement, unless `lower` and `upper` are among the values."""
-    lower, upper = around.measurement
+    """Over the model's reach, the record's range where that is not known, unless `lower` and `upper` are among the values.
+
+    Over a part of the range the same bend has other terms, a constant among them, which no coefficient of a model takes up.
+    """
+    lower, upper = around.reach or around.measurement
     upper = max(upper, lower + 1e-9)
     return SensorNonlinearity(values["second"], values["third"], values.get("lower", lower), values.get("upper", upper))
 
