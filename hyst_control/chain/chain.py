@@ -248,8 +248,9 @@ def _cut_before_uneven_delays(run: Sequence[Stage]) -> list[list[Stage]]:
 
 
 def _gains_last(stages: Sequence[Stage]) -> list[Stage]:
-    """A gain or an offset behind a linear stage or parallel branches changes places with a linear stage that follows it, where that is
-    the same: it would part the two.
+    """A gain or an offset behind linear stages or parallel branches would part them from a linear stage that follows.
+
+    Where that changes nothing, they change places.
     """
     ordered = list(stages)
     for index in range(1, len(ordered) - 1):
