@@ -14,6 +14,7 @@ from hyst_control.chain.linear import CrossCoupling, Delay, RateCorrection, Stat
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.play import PlayOperator
 from hyst_control.chain.static import Gain, Offset
+from hyst_control.effects.sensor_lowpass import SensorLowpass
 from hyst_control.errors import InputError
 
 TS = 1e-4
@@ -221,6 +222,15 @@ def test_arranging_leaves_nothing_linear_behind_a_parallel():
         ["delay", "gain", "transfer_function"],
         ["delay", "rate_correction", "transfer_function"],
     ]
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_an_offset_does_not_part_dynamics_from_a_low_pass_behind_it(hold):
+    """The product of both, and the offset."""
+    u, corner = command(), 2 * np.pi * 2500.0
+    product = corner * np.asarray(MODE[0]), np.polymul([1.0, corner], MODE[1])
+    np.testing.assert_allclose(run([TransferFunction(*MODE), Offset(0.3), SensorLowpass(2500.0)], u, hold)[:, 0],
+                               simulated(*product, u[:, 0], hold, 0.0) + 0.3, rtol=1e-8, atol=1e-8)
 
 
 def test_a_madelung_stage_between_dynamics_keeps_the_delay_exact():

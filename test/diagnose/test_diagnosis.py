@@ -69,6 +69,15 @@ def test_two_effects_are_both_named(answer):
     assert sum(row["share"] for row in document["effects"]) == pytest.approx(1.0)
 
 
+def test_a_second_effect_is_named_beside_one_that_takes_off_a_thousand_times_as_much(answer):
+    """The slew limit alone leaves some noise and coefficients far off; creep brings them back."""
+    document, found, _ = answer(PEA, (("name", "slew_limit"), ("rate", 34000.0)), (("name", "creep"), ("gamma", 0.032)))
+    assert document["verdict"] == "effect"
+    assert {row["name"] for row in document["effects"]} == {"slew_limit", "creep"}
+    z = found.parts[0].decision.chosen.solution.z
+    assert z @ z < len(z) + 4.0 * np.sqrt(2.0 * len(z))
+
+
 def test_a_withheld_effect_is_not_replaced_with_certainty(answer):
     """With backlash out of the catalogue nothing in it may be called the cause for sure and explain the gap away."""
     document, _, _ = answer(PEA, BACKLASH, without=("backlash",))
