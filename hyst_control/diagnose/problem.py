@@ -74,16 +74,7 @@ class Problem:
         slew = max(float(np.max(np.abs(np.diff(piece.command, axis=0)), initial=0.0)) for piece in self.pieces) / self.sample_time
         return Surroundings(self.sample_time, max(len(piece.command) for piece in self.pieces) * self.sample_time,
                             (float(command.min()), float(command.max())), slew,
-                            (float(measurement.min()), float(measurement.max())), len(self.model.axes), self._reach())
-
-    def _reach(self) -> tuple[float, float] | None:
-        """The measurement at rest at either end of the commands that the model is valid for."""
-        if "command" not in self.model.valid:
-            return None
-        running = self.model.chain.filter(Sampling(self.sample_time, len(self.model.axes), self.hold))
-        ends = np.array([running.settle(np.full(len(self.model.axes), end)) for end in self.model.valid["command"]])
-        lower, upper = float(ends.min()), float(ends.max())
-        return (lower, upper) if np.isfinite(upper - lower) and lower < upper else None
+                            (float(measurement.min()), float(measurement.max())), len(self.model.axes))
 
 
 def mixes_axes(stages: Sequence[Stage]) -> bool:

@@ -182,13 +182,12 @@ def _pruned(linearised: Linearised, found: Sequence[tuple[Candidate, Solution]])
     if not found:
         return []
     candidate, solution = min(found, key=lambda item: item[1].misfit)
-    parts = list(zip(candidate.members, candidate.slices(), strict=True))
-    smaller = [parts[:dropped] + parts[dropped + 1:] for dropped in range(len(parts))]
-    candidates = [Candidate(tuple(member for member, _ in kept)) for kept in smaller]
+    places = candidate.slices()
+    candidates = [candidate.without(dropped) for dropped in range(len(places))]
 
-    def solved(index: int) -> Solution | None:
-        unknowns = candidates[index].unknowns()
-        start = np.concatenate([solution.x[place] for _, place in smaller[index]])
+    def solved(dropped: int) -> Solution | None:
+        unknowns = candidates[dropped].unknowns()
+        start = np.concatenate([solution.x[place] for place in places[:dropped] + places[dropped + 1:]])
         try:
             return refined(linearised, unknowns, fit(linearised, unknowns, start, solution.z))
         except InputError:

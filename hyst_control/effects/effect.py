@@ -23,8 +23,7 @@ class Surroundings:
     """What the size of an effect is judged by.
 
     sample_time s; duration s of the record; command (lower, upper) V of the record; slew V/s, the largest of the command;
-    stroke, peak to peak of the measurement; measurement (lower, upper) of the record; axes, their number; reach (lower, upper), the
-    measurement at rest at either end of the commands that the model is valid for, None where the model does not say.
+    stroke, peak to peak of the measurement; measurement (lower, upper) of the record; axes, their number.
     """
 
     sample_time: float
@@ -33,7 +32,6 @@ class Surroundings:
     slew: float
     measurement: tuple[float, float]
     axes: int
-    reach: tuple[float, float] | None = None
 
     @property
     def stroke(self) -> float:

@@ -12,6 +12,9 @@ from hyst_control.chain.static import StaticFilter
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.errors import InputError
 
+WIDER, NARROWER = 1.0, 0.3
+"""By how many times the stroke of a record the sensor's range may reach beyond it at either end, or fall short of it."""
+
 
 @register
 @dataclass(frozen=True)
@@ -43,20 +46,27 @@ class SensorNonlinearity(Stage):
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """second, third: up to 5 % of the stroke."""
-    size = around.stroke
-    return tuple(
-        Parameter(name, "unit", 0.0, (0.002 * size,), -0.05 * size, 0.05 * size, 0.01 * size) for name in ("second", "third")
+    """second, third: up to 5 % of the stroke; lower, upper: about the ends of the record.
+
+    The terms belong to a range that nobody tells. Over another one the same bend has other terms, a constant among them, which would
+    look like an offset.
+    """
+    size, (lower, upper) = around.stroke, _range(around)
+    return (
+        *(Parameter(name, "unit", 0.0, (0.002 * size,), -0.05 * size, 0.05 * size, 0.01 * size) for name in ("second", "third")),
+        Parameter("lower", "unit", lower, (lower,), lower - WIDER * size, lower + NARROWER * size, 0.3 * size),
+        Parameter("upper", "unit", upper, (upper,), upper - NARROWER * size, upper + WIDER * size, 0.3 * size),
     )
 
 
-def stage(values: Values, around: Surroundings) -> SensorNonlinearity:
-    """Over the model's reach, the record's range where that is not known, unless `lower` and `upper` are among the values.
+def _range(around: Surroundings) -> tuple[float, float]:
+    lower, upper = around.measurement
+    return lower, max(upper, lower + 1e-9)
 
-    Over a part of the range the same bend has other terms, a constant among them, which no coefficient of a model takes up.
-    """
-    lower, upper = around.reach or around.measurement
-    upper = max(upper, lower + 1e-9)
+
+def stage(values: Values, around: Surroundings) -> SensorNonlinearity:
+    """Over the record's range of measurement, unless `lower` and `upper` are among the values."""
+    lower, upper = _range(around)
     return SensorNonlinearity(values["second"], values["third"], values.get("lower", lower), values.get("upper", upper))
 
 
