@@ -45,7 +45,8 @@ class Parameter:
 
     unit: "" (a share), "s", "Hz", "V", "V/s", or "unit" for that of the measurement. absent: the value at which the effect is
     not there. starts: where fits begin. lower, upper: its bounds. scale: a usual deviation from `absent` (of its natural
-    logarithm where `logarithmic`): the standard deviation of a broad prior.
+    logarithm where `logarithmic`): the standard deviation of a broad prior. told: whether the gap report has it; otherwise it only
+    stands in the augmented model.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Parameter:
     upper: float
     scale: float
     logarithmic: bool = False
+    told: bool = True
 
 
 @dataclass(frozen=True)

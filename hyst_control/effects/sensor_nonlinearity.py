@@ -54,8 +54,8 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     size, (lower, upper) = around.stroke, _range(around)
     return (
         *(Parameter(name, "unit", 0.0, (0.002 * size,), -0.05 * size, 0.05 * size, 0.01 * size) for name in ("second", "third")),
-        Parameter("lower", "unit", lower, (lower,), lower - WIDER * size, lower + NARROWER * size, 0.3 * size),
-        Parameter("upper", "unit", upper, (upper,), upper - NARROWER * size, upper + WIDER * size, 0.3 * size),
+        Parameter("lower", "unit", lower, (lower,), lower - WIDER * size, lower + NARROWER * size, 0.3 * size, told=False),
+        Parameter("upper", "unit", upper, (upper,), upper - NARROWER * size, upper + WIDER * size, 0.3 * size, told=False),
     )
 
 
