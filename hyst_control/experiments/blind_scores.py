@@ -101,6 +101,8 @@ def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric
         found.append(Metric("leave-one-out: AUROC", area, len(left_out) + len(singles), None, 0.90))
     doubles = [pair for pair in pairs if _label(pair)["kind"] == "pair"]
     share("pairs: exactly both", 0.75, doubles, lambda pair: set(_named(pair)) == set(_truth(pair)))
+    share("pairs: exactly both, where each shows beside the other", 0.75,
+          [pair for pair in doubles if len(_label(pair).get("shown", ())) == 2], lambda pair: set(_named(pair)) == set(_truth(pair)))
     share("pairs: at least one", 0.97, doubles, lambda pair: bool(set(_named(pair)) & set(_truth(pair))))
     apart = [pair[1]["shrink_realised"] for pair in pairs if pair[1].get("shrink_realised")]
     value("shrink, predicted - realised: median", 0.02, [abs(a - b) for a, b, _ in apart], False, np.median)
