@@ -13,7 +13,7 @@ from hyst_control.chain.stage import Array
 SEGMENTS = 24
 PER_OCTAVE = 3
 MISFIT = 0.5
-"""Most that band means may scatter about a + b/f (natural logarithm, rms): another shape is no flicker noise."""
+"""Most that bands may be off a + b/f (natural logarithm, rms), beyond what chance does: another shape is no flicker noise."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,8 @@ def flicker(residual: Array, command: Array) -> Flicker:
     share = b * inverse / (a + b * inverse)
     spread = min(1.645 * 0.5 / np.sqrt(max(float(np.sum(bins * share ** 2)), 1e-9)), 3.0)
     coloured = share > 0.3
-    fits = bool(coloured.sum() >= 4 and np.sqrt(np.mean(np.log(level / (a + b * inverse))[coloured] ** 2)) < MISFIT)
+    scatter = np.log(level / (a + b * inverse))[coloured] ** 2 - 1.0 / bins[coloured]
+    fits = bool(coloured.sum() >= 4 and np.mean(scatter) < MISFIT ** 2)
     return Flicker(rms, (rms * float(np.exp(-spread)), rms * float(np.exp(spread))), float(np.sqrt(a)), alone - float(best.fun),
                    fits and _stationary(residual, command), float(share[-1]))
 

@@ -246,13 +246,15 @@ def _white(problem: Problem, residuals: Array, axis: int, rests: bool = True) ->
 
 
 def _flicker(problem: Problem, found: Found, decision: Decision, threshold: float, floor: float) -> Flicker | None:
-    """1/f noise in what the coefficients leave, or in what the chosen explanation leaves; in the measurement's unit."""
+    """1/f noise in what the coefficients leave, if it explains more than the chosen effect, or in what that leaves; measurement unit."""
     if len(problem.model.axes) > 1 or any(piece.keep is not None for piece in problem.pieces):
         return None
     command = np.concatenate([piece.command[:, 0] for piece in problem.pieces])
     for solution in (found.none.solution, decision.chosen.solution):
         seen = flicker(solution.residual, command)
         if seen.plausible and seen.gain > threshold + 5.0 and seen.rms > max(floor, 0.1):
+            if solution is found.none.solution and not _outweighs(seen, found, decision):
+                continue
             scale = float(problem.sigma[0])
             return replace(seen, rms=seen.rms * scale, ci90=(seen.ci90[0] * scale, seen.ci90[1] * scale), white=seen.white * scale)
     return None
