@@ -10,6 +10,7 @@ import pytest
 from hyst_control.chain import Chain
 from hyst_control.chain.linear import StateSpace, TransferFunction
 from hyst_control.diagnose.checks import lattice_of, lines, outliers, repeated_samples
+from hyst_control.diagnose.coloured import flicker
 from hyst_control.diagnose.problem import Piece, Problem
 from hyst_control.diagnose.report import sentence
 from hyst_control.diagnose.workflow import diagnosed
@@ -102,3 +103,20 @@ def test_the_sentence_says_why_nothing_known_explains_a_gap():
     told = sentence(report | {"unexplained_share": 0.001})
     assert "it would take offset and gain drift and softening modes at once" in told and "leaves" not in told
     assert sentence(report | {"effects": []}).endswith("noise floor 0.1 um).")
+
+
+def test_flicker_noise_has_its_shape_in_most_draws():
+    """1/f noise of three times the white noise's rms, made in the spectrum: its few lowest lines scatter widely."""
+    rows = 16950
+    lines = np.arange(1, rows // 2)
+
+    def drawn(seed: int) -> np.ndarray:
+        random = np.random.default_rng(seed)
+        spectrum = np.zeros(rows // 2 + 1, complex)
+        spectrum[1:rows // 2] = (random.normal(size=len(lines)) + 1j * random.normal(size=len(lines))) / np.sqrt(lines)
+        noise = np.fft.irfft(spectrum, rows)
+        return 3.0 * noise / noise.std() + random.normal(size=rows)
+
+    seen = [flicker(drawn(seed), np.ones(rows)) for seed in range(40)]
+    assert sum(one.plausible for one in seen) >= 36
+    assert np.median([one.rms for one in seen]) == pytest.approx(3.0, rel=0.05)
