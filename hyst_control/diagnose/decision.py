@@ -143,4 +143,3 @@ def _without_idle_members(claims: list[Scored], gain: float, temper: float, befo
                 continue
         kept.append(scored)
     return kept
-
