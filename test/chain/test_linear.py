@@ -10,7 +10,16 @@ from scipy.signal import lsim
 
 from hyst_control.chain import Chain, Parallel, Sampling
 from hyst_control.chain.chain import arrange
-from hyst_control.chain.linear import CrossCoupling, Delay, RateCorrection, StateSpace, TransferFunction
+from hyst_control.chain.linear import (
+    CrossCoupling,
+    Delay,
+    Discretised,
+    LinearFilter,
+    RateCorrection,
+    StateSpace,
+    TransferFunction,
+    advance_linear,
+)
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.play import PlayOperator
 from hyst_control.chain.static import Gain, Offset
@@ -273,3 +282,29 @@ def test_states_that_decay_reach_zero():
     running.settle(np.ones(1))
     y = running.process(np.zeros((1200, 1)))
     assert 0 < y[100, 0] < 1e-40 and np.all(y[400:] == 0.0)
+
+
+@pytest.mark.parametrize("order", [0, 1, 3, 9])
+@pytest.mark.parametrize("late", [0, 1])
+def test_systems_of_one_input_are_advanced_to_the_same_bits_as_coupled_ones(order, late):
+    """Both kernels, two systems with delays of their own, in blocks of any length; 9 states leave empty columns out."""
+    random = np.random.default_rng(order)
+
+    def started() -> LinearFilter:
+        draw = np.random.default_rng(7)
+        systems = []
+        for _ in range(2):
+            a = np.triu(0.4 * draw.normal(size=(order, order)) / max(order, 1))
+            b, d = draw.normal(size=(3, order, 1)), draw.normal(size=(2, 1, 1))
+            b[1:] *= late
+            systems.append(Discretised(a, b, draw.normal(size=(1, order)), d, draw.normal(size=1)))
+        return LinearFilter(systems, np.array([0.0, 5.0]))
+
+    one, other = started(), started()
+    for length in (1, 7, 300):
+        block = random.normal(size=(length, 2))
+        expected = np.empty_like(block)
+        other.position = advance_linear(block, other.a, other.reach, other.b, other.late, other.c, other.d, other.bias, other.whole,
+                                        other.state, other.scratch, other.taps, other.history, other.position, expected)
+        np.testing.assert_array_equal(one.process(block), expected)
+        np.testing.assert_array_equal(one.state, other.state)
