@@ -170,7 +170,10 @@ class PlantNode(SignalNode):
             return
         if self._seen == (self.command.rows.end, self._tick):
             self._repeats += 1
-            self.measurement.repeat_newest()
+            if self._repeats < 2:
+                self.measurement.repeat_newest()
+            else:
+                self.measurement.repeat()  # somebody lacks earlier rows, its own or those that followed from them
         else:
             self._repeats = 0
         self._seen = (self.command.rows.end, self._tick)

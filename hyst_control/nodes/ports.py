@@ -58,6 +58,7 @@ class Input:
         self.rows = Rows(contiguous, node.settings.most_waiting)
         self.arrived, self._repeated = time.monotonic(), -math.inf  # s, monotonic clock
         self._patience = REPEAT_INTERVAL
+        self._again = math.inf  # oldest tick that came again since new rows came or a repetition
         self.conflicted = -math.inf  # s, monotonic clock: when two sources disagreed last
         self._seen_label: str | None = None
         self._newest: tuple[int, Array] | None = None  # rows that came last, and the tick of the first of them
@@ -111,7 +112,7 @@ class Input:
                                                       "the time of this one ahead? A lead may be longer with a greater most_waiting")
             return
         self.arrived = time.monotonic()
-        self._patience = REPEAT_INTERVAL
+        self._patience, self._again = REPEAT_INTERVAL, math.inf
         self._newest = tick, rows
         if node.lockstep:
             node.advance()
@@ -143,9 +144,11 @@ class Input:
             self.conflicted = time.monotonic()
             node.drop(self.topic, "conflict", f"tick {tick} came twice, with other values: do two nodes publish it?")
         now = time.monotonic()
-        if node.lockstep and now - max(self._repeated, self.arrived) > self._patience:
+        self._again = min(tick, self._again)
+        if node.lockstep and now - max(self._repeated, self.arrived) > self._patience:  # in the middle of a burst, maybe
             self._repeated, self._patience = now, min(2 * self._patience, LONGEST_INTERVAL)
-            node.repeat(self, tick)
+            oldest, self._again = int(self._again), math.inf
+            node.repeat(self, oldest)
 
     def _contradicts(self, tick: int, rows: Array) -> bool:
         """Whether these rows differ from those that came last in a tick that both have."""
@@ -198,10 +201,10 @@ class Output:
         while self._kept_rows - len(self._kept[0]) >= KEPT_ROWS and len(self._kept) > KEPT_BLOCKS:
             self._kept_rows -= len(self._kept.popleft())
 
-    def repeat(self, first: int) -> None:
-        """Publish the rows from this tick on again; the newest message where what is kept does not reach back so far."""
-        begin = first - (self._end - self._kept_rows)
-        if not 0 <= begin < self._kept_rows:
+    def repeat(self, first: int = 0) -> None:
+        """Publish the rows from this tick on again, as far back as they are kept; the newest message when there are none."""
+        begin = max(first - (self._end - self._kept_rows), 0)
+        if begin >= self._kept_rows:
             self.repeat_newest()
         else:
             self.send_again(np.concatenate(self._kept)[begin:])

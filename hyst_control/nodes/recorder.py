@@ -23,12 +23,17 @@ Array = NDArray[np.float64]
 
 SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
 PROGRESS_INTERVAL = 64  # ticks
+PATIENCE = 5.0
+"""s, for which rows that are missing in lockstep are waited for: the plant repeats what it sent long before that."""
 DRAIN_INTERVAL = {"lockstep": 0.005, "timer": 0.02}
 """s, between two looks at what has arrived: the queues hold far more, and a callback for every message would cost ten times as much."""
 
 
 class Recorder(SignalNode):
     """Stores every row of `topics` once, by tick; rows repeated by the lockstep protocol are left out.
+
+    In lockstep rows behind missing ones are held until these are sent again: the middleware may lose a message, while a signal is
+    being discovered above all. What does not come for `PATIENCE` s is a gap in the bag.
 
     Publishes on `recorded` the last tick up to which every topic is complete, for a plant that waits for it. With `ticks`
     it stores that many rows of every topic and ends. Values are stored as they come, a NaN too: it is evidence. `merge`
@@ -98,8 +103,7 @@ class Recorder(SignalNode):
         try:
             for topic in self._topics:
                 topic.drain()
-                topic.joined = True
-                topic.store()
+                topic.close()
             self._writer.close()
         except OSError as error:
             self._failed(error)
@@ -133,7 +137,10 @@ class Recorder(SignalNode):
 
 
 class _Topic:
-    """One recorded topic: which ticks are stored. Until it is known to be heard from its first row on, its rows are held back."""
+    """One recorded topic: which ticks are stored.
+
+    Until it is known to be heard from its first row on, its rows are held back; and those behind a gap until it is filled.
+    """
 
     def __init__(self, recorder: Recorder, topic: str) -> None:
         self._recorder, self._encoder = recorder, None
@@ -144,6 +151,8 @@ class _Topic:
         self.arrived = 0
         self._pending: list[Array] = []
         self._pending_rows = 0
+        self._behind: dict[int, Array] = {}  # rows behind a gap, by the tick of the first of them
+        self._gap_since = 0.0  # s, monotonic clock
         self._stamp = 0  # ns, of the reception of the newest rows
         self._intake = recorder.intake(topic)
         self.name = self._intake.subscription.topic_name
@@ -156,6 +165,8 @@ class _Topic:
             self._stamp = stamp
             if not self._take_at_once(label, block):
                 self._receive(label, block)
+        if self._behind:
+            self._go_on_behind_the_gap()
 
     def _refused(self, reason: str) -> None:
         self._recorder.drop(self.name, "unreadable", reason)
@@ -183,8 +194,8 @@ class _Topic:
         try:
             if self._encoder is None or self._encoder.label != label:
                 encoder = Encoder(label)
-                self.joined |= self._encoder is not None
-                self.store()
+                if self._encoder is not None:
+                    self.close()
                 self._encoder = encoder
         except InputError as error:
             recorder.drop(self.name, "wrong label", str(error))
@@ -212,15 +223,40 @@ class _Topic:
                     recorder.progress(repeat=True)
                 return
             if tick > self.end:
-                recorder.counts[f"{self.name}: missed ticks"] += tick - self.end
                 if recorder.lockstep:
-                    recorder.warn(self.name, f"{self.name}: ticks {self.end} to {tick - 1} are lost: was their node killed?")
-                self.joined = True
-                self.store()  # the rows of one message are successive
+                    self._hold(tick, block)
+                    return
+                self._leave_gap(tick)
             block = block[max(self.end - tick, 0):]
             tick = max(self.end, tick)
         self.end = tick
         self._append(block)
+
+    def _hold(self, tick: int, block: Array) -> None:
+        if not self._behind:
+            self._gap_since = time.monotonic()
+        self._behind[tick] = max(block, self._behind.get(tick, block), key=len)
+
+    def _go_on_behind_the_gap(self, give_up: bool = False) -> None:
+        """Take the rows behind a gap once it is filled, or was waited for long enough, or too many rows wait."""
+        recorder = self._recorder
+        give_up |= time.monotonic() - self._gap_since > PATIENCE or sum(map(len, self._behind.values())) > recorder.settings.most_waiting
+        for tick in sorted(self._behind):
+            if tick > self.end:
+                if not give_up:
+                    return
+                recorder.warn(self.name, f"{self.name}: ticks {self.end} to {tick - 1} are lost: was their node killed?")
+                self._leave_gap(tick)
+            rows = self._behind.pop(tick)[self.end - tick:]
+            if len(rows):
+                self._append(rows)
+
+    def _leave_gap(self, tick: int) -> None:
+        """Go on with this tick; those before it are missing in the bag."""
+        self._recorder.counts[f"{self.name}: missed ticks"] += tick - self.end
+        self.joined = True
+        self.store()  # the rows of one message are successive
+        self.end = tick
 
     def _append(self, block: Array) -> None:
         self._pending.append(block)
@@ -229,6 +265,13 @@ class _Topic:
         self.arrived += len(block)
         if self._pending_rows >= self._recorder.settings.merge:
             self.store()
+
+    def close(self) -> None:
+        """Write all that has been heard, whatever it waits for."""
+        if self._behind:
+            self._go_on_behind_the_gap(give_up=True)
+        self.joined = True
+        self.store()
 
     def store(self) -> None:
         """Write the rows that wait to be merged."""

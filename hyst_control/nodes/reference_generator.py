@@ -71,7 +71,7 @@ class ReferenceGenerator(SignalNode):
             self._publish()
 
     def repeat(self, source: Input, tick: int) -> None:
-        self._send_again(max(0, (source.rows.end or 0) - 2 * self.settings.block))
+        self._send_again(max(0, min(tick, (source.rows.end or 0) - 2 * self.settings.block)))
 
     def tick(self, tick: int) -> None:
         self.measurement.rows.skip_to(tick)  # only lockstep is paced by it

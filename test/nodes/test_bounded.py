@@ -140,13 +140,30 @@ def test_repetitions_do_not_multiply_while_the_loop_goes_on(bench, monkeypatch):
     assert repeated == [2000]
 
 
+def test_a_repetition_begins_where_the_burst_began_that_caused_it(bench, monkeypatch):
+    """Not at its last message, when the interval is over just then: who joins there would go on without the rows before."""
+    node = bench.add(MAKES["feedforward"][0], rate_hz=1 / PERIOD, kind="proportional", gain=[1.0])
+    repeated = []
+    node.repeat = lambda source, tick: repeated.append(tick)
+    clock = Clock()
+    monkeypatch.setattr(ports, "time", clock)
+    bring(node.reference, range(200))
+    for interval in (REPEAT_INTERVAL, 2 * REPEAT_INTERVAL, 4 * REPEAT_INTERVAL):
+        clock.now += 0.9 * interval
+        for tick in range(100, 200):
+            bring(node.reference, [tick])
+            clock.now += 0.002 * interval
+    assert repeated == [100, 100, 100]
+
+
 def test_what_is_repeated_is_what_may_be_lacking_in_messages_of_bounded_size(bench):
     """The middleware keeps room for the longest message in each of its 5000 places of a queue, for ever."""
     node = bench.add(MAKES["feedforward"][0], rate_hz=1 / PERIOD, kind="proportional", gain=[1.0])
     sent = []
     bring(node.reference, range(2 * KEPT_ROWS))
     node.feedforward._sender.send = lambda block: sent.append(np.rint(block[:, 0] / PERIOD).astype(int))
-    for tick, expected in ((2 * KEPT_ROWS - 3, range(2 * KEPT_ROWS - 3, 2 * KEPT_ROWS)), (5, [2 * KEPT_ROWS - 1]),
+    for tick, expected in ((2 * KEPT_ROWS - 3, range(2 * KEPT_ROWS - 3, 2 * KEPT_ROWS)), (2 * KEPT_ROWS, [2 * KEPT_ROWS - 1]),
+                           (5, range(KEPT_ROWS, 2 * KEPT_ROWS)),
                            (KEPT_ROWS + 10, range(KEPT_ROWS + 10, 2 * KEPT_ROWS))):
         sent.clear()
         node.repeat(node.reference, tick)
