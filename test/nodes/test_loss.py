@@ -8,7 +8,7 @@ from loop_case import assert_same_bits, offline, parameters, recorded
 from rclpy.parameter import Parameter
 
 from hyst_control.nodes import recorder as recorder_module
-from hyst_control.nodes.pipeline import DEFAULT, NODES
+from hyst_control.nodes.pipeline import NODES
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.run import run
 
