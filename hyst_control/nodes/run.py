@@ -14,6 +14,7 @@ from typing import Any
 
 import rclpy
 from rclpy.context import Context
+from rclpy.exceptions import NotInitializedException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.task import Future
@@ -126,10 +127,10 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
 
     signal.signal(signal.SIGINT, on_interrupt)
     try:
-        return _body(factories, args)
+        return _body(factories, args, heard)
     except KeyboardInterrupt:
         return 0
-    except RuntimeError:
+    except (RuntimeError, NotInitializedException):
         # rclpy fails in several ways on an interrupt within a call of its own, and on a message whose context has gone meanwhile.
         if heard or not rclpy.ok():
             return 0
@@ -148,12 +149,15 @@ def _initialise(args: Sequence[str] | None) -> None:
         raise InputError(f"ROS arguments: {text}: in a parameter file quote texts such as 'y', 'on' or 'no'") from None
 
 
-def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | None) -> int:
+def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | None, heard: Sequence[int]) -> int:
     nodes: list[EndingNode] = []
     try:
         _initialise(args)
         for factory in factories:
             nodes.append(factory())
+        if heard:  # and yet we are here: some library has swallowed the interrupt
+            close(nodes)
+            return 0
         return run(nodes, rclpy.get_default_context()) or 0
     except ExternalShutdownException:
         return 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import os
 import subprocess
 import sys
 import time
@@ -23,6 +24,7 @@ from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.ports import REPEAT_INTERVAL
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
+from hyst_control.share import config_folders
 from hyst_plant_sim.node import PlantNode
 from hyst_plant_sim.physics import load_plant
 
@@ -251,6 +253,30 @@ def test_interrupt_and_terminate_end_a_node_without_a_traceback(tmp_path, domain
             process.send_signal(number)
             assert process.wait(10) == 0
             assert "Traceback" not in processes.log(name).read_text()
+
+
+SWALLOWED = """
+import signal
+from hyst_control.nodes.pi_feedback import PiFeedback
+from hyst_control.nodes.run import main
+
+def make():
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt:
+        pass
+    return PiFeedback()
+
+raise SystemExit(main(make))
+"""
+
+
+def test_interrupt_that_a_library_swallows_ends_the_node_all_the_same(tmp_path, domain, monkeypatch):
+    (tmp_path / "swallowed.py").write_text(SWALLOWED)
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}:{config_folders()[0].parent}")
+    with Processes(tmp_path / "log", domain) as processes:
+        process = processes.run("swallowed", "swallowed")
+        assert process.wait(30) == 0, processes.log("swallowed").read_text()
 
 
 WAIT_FOR_NODE = """
