@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from types import FrameType
 from typing import Any
 
@@ -23,6 +23,7 @@ from hyst_control.errors import InputError
 from hyst_control.launch import environment
 from hyst_control.nodes.base import EndingNode, SignalNode
 from hyst_control.nodes.handover import hand_over
+from hyst_control.nodes.leaving import leave_within
 
 FOREVER = 1e6  # s
 
@@ -32,10 +33,12 @@ def spin(executor: Any, future: Future, timeout: float = FOREVER) -> None:
     executor.spin_until_future_complete(future, timeout_sec=timeout)
 
 
-def run(nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER) -> int | None:
+def run(nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER,
+        leaving: Callable[[int], None] = lambda status: None) -> int | None:
     """Spin the nodes on one executor until all that end by themselves have ended; the greatest of their exit statuses.
 
-    None when that took longer than the timeout (s). The nodes are closed and destroyed whatever happens.
+    None when that took longer than the timeout (s). The nodes are closed and destroyed whatever happens. `leaving` is told the status,
+    0 after an interrupt, when nothing is left to do but to destroy them.
     """
     executor = EventsExecutor(context=context)
     ended, waiting = Future(), [node for node in nodes if node.ends or len(nodes) == 1]  # alone, a node may also fail
@@ -60,9 +63,10 @@ def run(nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER)
         spin(executor, ended, timeout)
         return ended.result() if ended.done() else None
     finally:
+        expected = isinstance(sys.exc_info()[1], (type(None), KeyboardInterrupt, ExternalShutdownException))
         with uninterrupted():
             gc.unfreeze()
-            close(nodes)
+            close(nodes, lambda: leaving(ended.result() if ended.done() else 0) if expected else None)
             executor.shutdown()
 
 
@@ -107,13 +111,14 @@ def _tick(group: Sequence[SignalNode]) -> None:
         node.on_timer(now)
 
 
-def close(nodes: Sequence[EndingNode]) -> None:
-    """Close and destroy nodes, also when one of them fails to."""
-    for node in nodes:
-        try:
-            node.close()
-        finally:
-            node.destroy_node()
+def close(nodes: Sequence[EndingNode], closed: Callable[[], None] = lambda: None) -> None:
+    """Close the nodes, call `closed`, then destroy them; each also when another one fails to."""
+    with ExitStack() as last_first:
+        for node in nodes:
+            last_first.callback(node.destroy_node)
+        last_first.callback(closed)
+        for node in nodes:
+            last_first.callback(node.close)
 
 
 def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None) -> int:
@@ -156,12 +161,12 @@ def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | N
         for factory in factories:
             nodes.append(factory())
         if heard:  # and yet we are here: some library has swallowed the interrupt
-            close(nodes)
+            close(nodes, lambda: leave_within(0))
             return 0
-        return run(nodes, rclpy.get_default_context()) or 0
+        return run(nodes, rclpy.get_default_context(), leaving=leave_within) or 0
     except ExternalShutdownException:
         return 0
     except InputError as error:
-        close(nodes)
         print(error, file=sys.stderr)
+        close(nodes, lambda: leave_within(2))
         return 2

@@ -271,6 +271,30 @@ raise SystemExit(main(make))
 """
 
 
+STUCK = """
+import ctypes
+from hyst_control.nodes.recorder import Recorder
+from hyst_control.nodes.run import main
+
+class Stuck(Recorder):
+    def destroy_node(self):
+        print("stuck", flush=True)
+        ctypes.PyDLL(None).sleep(1000)  # holds the interpreter's lock, as the middleware's call does
+
+raise SystemExit(main(Stuck))
+"""
+
+
+def test_middleware_that_never_comes_back_does_not_keep_a_node_from_ending(tmp_path, domain, monkeypatch):
+    (tmp_path / "stuck.py").write_text(STUCK)
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}:{config_folders()[0].parent}")
+    with Processes(tmp_path / "log", domain) as processes:
+        process = processes.run("stuck", "stuck", "--ros-args", "-p", f"output:={tmp_path / 'bag'}", "-p", "duration:=0.1")
+        assert process.wait(40) == 0
+        assert processes.log("stuck").read_text() == "stuck\n"
+    assert (tmp_path / "bag" / "metadata.yaml").exists()
+
+
 def test_interrupt_that_a_library_swallows_ends_the_node_all_the_same(tmp_path, domain, monkeypatch):
     (tmp_path / "swallowed.py").write_text(SWALLOWED)
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}:{config_folders()[0].parent}")
