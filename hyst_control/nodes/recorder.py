@@ -16,6 +16,7 @@ from hyst_control.nodes.messages import QUEUE
 from hyst_control.nodes.ports import REPEAT_INTERVAL, Joining, tick_of
 from hyst_control.nodes.rows import DUPLICATE
 from hyst_control.nodes.run import main as run_main
+from hyst_control.nodes.run import undivided
 from hyst_control.nodes.settings import Setting
 from hyst_control.signal_message import Encoder
 
@@ -110,16 +111,18 @@ class Recorder(SignalNode):
 
     def _drain(self) -> None:
         if not self.finished.done():
-            for topic in self._topics:
-                topic.drain()
+            with undivided():  # what was taken from the queues would be missing in the bag
+                for topic in self._topics:
+                    topic.drain()
             self.progress()
 
     def _flush(self) -> None:
         if not self.finished.done():
             try:
-                for topic in self._topics:
-                    topic.store()
-                self._writer.flush()
+                with undivided():
+                    for topic in self._topics:
+                        topic.store()
+                    self._writer.flush()
             except OSError as error:
                 self._failed(error)
 

@@ -85,6 +85,19 @@ def uninterrupted() -> Iterator[None]:
         _on_interrupt(before)
 
 
+@contextmanager
+def undivided() -> Iterator[None]:
+    """Let an interrupt wait until the block has ended: what is half done would be lost."""
+    before, heard = signal.getsignal(signal.SIGINT), []
+    _on_interrupt(lambda number, frame: heard.append((number, frame)))
+    try:
+        yield
+    finally:
+        _on_interrupt(before)
+        if heard and callable(before):
+            before(*heard[0])
+
+
 def _on_interrupt(handler: Any) -> None:
     if threading.current_thread() is not threading.main_thread():
         return  # where Python lets nobody handle signals, and interrupts nobody

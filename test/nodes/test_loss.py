@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+
 import numpy as np
 import pytest
 from loop_case import assert_same_bits, offline, parameters, recorded
@@ -10,7 +12,7 @@ from rclpy.parameter import Parameter
 from hyst_control.nodes import recorder as recorder_module
 from hyst_control.nodes.pipeline import NODES
 from hyst_control.nodes.recorder import Recorder
-from hyst_control.nodes.run import run
+from hyst_control.nodes.run import run, uninterrupted
 
 PERIOD = 1e-3
 LISTENERS = [("reference_generator", "measurement"), ("hampi_feedforward", "reference"), ("pi_feedback", "feedforward"),
@@ -109,3 +111,22 @@ def test_rows_behind_a_gap_are_kept_when_the_recorder_is_closed(bench, tmp_path)
         command._receive("t[s],x[V]", rows(first, last))
     node.close()
     np.testing.assert_array_equal(recorded(tmp_path / "bag")["command"], np.concatenate([rows(0, 10), rows(12, 25)]))
+
+
+def test_an_interrupt_while_messages_are_taken_loses_none_of_them(bench, tmp_path):
+    node = bench.add(Recorder, output=str(tmp_path / "bag"), topics=["command", "measurement"], rate_hz=1 / PERIOD)
+    arriving = [rows(0, 10), rows(10, 20), rows(20, 30), rows(30, 40)]
+
+    def take(refused, merge):
+        signal.raise_signal(signal.SIGINT)
+        return [("t[s],x[V]", arriving.pop(0), 0)]
+
+    for topic in node._topics:
+        topic._intake.take = take
+    with pytest.raises(KeyboardInterrupt):
+        node._drain()
+    with uninterrupted():
+        node.close()
+    found = recorded(tmp_path / "bag")
+    np.testing.assert_array_equal(found["command"], np.concatenate([rows(0, 10), rows(20, 30)]))
+    np.testing.assert_array_equal(found["measurement"], np.concatenate([rows(10, 20), rows(30, 40)]))
