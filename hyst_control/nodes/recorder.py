@@ -253,6 +253,7 @@ class _Topic:
             rows = self._behind.pop(tick)[self.end - tick:]
             if len(rows):
                 self._append(rows)
+                self._gap_since = time.monotonic()  # of the next one
 
     def _leave_gap(self, tick: int) -> None:
         """Go on with this tick; those before it are missing in the bag."""
