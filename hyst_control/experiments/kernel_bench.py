@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from hyst_control.chain import Sampling
-from hyst_control.chain.linear import TransferFunction, advance_single
+from hyst_control.chain.linear import TransferFunction
+from hyst_control.chain.linear_kernels import advance_single
 from hyst_control.chain.madelung import Madelung, madelung_branches
 from hyst_control.chain.play import ModifiedPrandtlIshlinskii, dynamic_prandtl_ishlinskii
 from hyst_control.chain.stage import Array

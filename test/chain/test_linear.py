@@ -18,8 +18,8 @@ from hyst_control.chain.linear import (
     RateCorrection,
     StateSpace,
     TransferFunction,
-    advance_linear,
 )
+from hyst_control.chain.linear_kernels import advance_linear
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.play import PlayOperator
 from hyst_control.chain.static import Gain, Offset

@@ -1,0 +1,103 @@
+"""Kernels of the linear stages: systems advanced over a block, row by row."""
+
+from __future__ import annotations
+
+from numba import njit
+
+TINY = 1e-80
+"""States below this are 0: a decaying state would else end in subnormal numbers, which processors handle a hundred times slower."""
+CLOSE = 8
+"""States up to which empty entries of a matrix are computed too: leaving them out costs more than it saves."""
+
+
+@njit(cache=True, error_model="numpy")
+def advance_linear(block, a, reach, b, late, c, d, bias, whole, state, scratch, taps, history, position, output):
+    """Run S systems of m inputs each over a block (N, S m); see `Discretised`.
+
+    a (S, n, n), reach (S, n, 2) first and past-the-last nonzero column of its rows, b (S, 3, n, m), late (S,) whether any but the
+    newest input acts, c (S, m, n), d (S, 2, m, m), bias (S m,), whole (S m,) delay in samples, state (S, n), scratch (n,) and taps
+    (3, m) work space, history (L, S m) ring of past inputs with its write position; returns the new position.
+    """
+    length = history.shape[0]
+    systems, n = state.shape
+    m = c.shape[1]
+    for row in range(block.shape[0]):
+        for column in range(block.shape[1]):
+            history[position, column] = block[row, column]
+        for s in range(systems):
+            for j in range(m):
+                first = position - whole[s * m + j]
+                first = first + length if first < 0 else first
+                second = first - 1 if first > 0 else length - 1
+                third = second - 1 if second > 0 else length - 1
+                taps[0, j] = history[first, s * m + j]
+                taps[1, j] = history[second, s * m + j]
+                taps[2, j] = history[third, s * m + j]
+            older, apart = late[s], n > CLOSE
+            for i in range(n):
+                value = 0.0
+                if apart:
+                    for j in range(reach[s, i, 0], reach[s, i, 1]):
+                        value += a[s, i, j] * state[s, j]
+                else:
+                    for j in range(n):
+                        value += a[s, i, j] * state[s, j]
+                if older:
+                    for j in range(m):
+                        value += b[s, 0, i, j] * taps[0, j] + b[s, 1, i, j] * taps[1, j] + b[s, 2, i, j] * taps[2, j]
+                else:
+                    for j in range(m):
+                        value += b[s, 0, i, j] * taps[0, j]
+                scratch[i] = value
+            for i in range(n):
+                state[s, i] = scratch[i] if abs(scratch[i]) > TINY else 0.0
+            for p in range(m):
+                value = bias[s * m + p]
+                for j in range(n):
+                    value += c[s, p, j] * state[s, j]
+                for j in range(m):
+                    value += d[s, 0, p, j] * taps[0, j] + d[s, 1, p, j] * taps[1, j]
+                output[row, s * m + p] = value
+        position = position + 1 if position + 1 < length else 0
+    return position
+
+
+@njit(cache=True, error_model="numpy")
+def advance_single(block, a, reach, b, late, c, d, bias, whole, state, scratch, history, position, output):
+    """As `advance_linear` for systems of one input each (m = 1), one after the other: with fewer indices it is faster."""
+    length = history.shape[0]
+    systems, n = state.shape
+    begin = position
+    for s in range(systems):
+        position = begin
+        delay, older, apart, offset = whole[s], late[s], n > CLOSE, bias[s]
+        matrix, x, columns, past = a[s], state[s], reach[s], history[:, s]
+        newest_b, middle_b, oldest_b, gain = b[s, 0, :, 0], b[s, 1, :, 0], b[s, 2, :, 0], c[s, 0]
+        newest_d, middle_d = d[s, 0, 0, 0], d[s, 1, 0, 0]
+        for row in range(block.shape[0]):
+            past[position] = block[row, s]
+            first = position - delay
+            first = first + length if first < 0 else first
+            second = first - 1 if first > 0 else length - 1
+            third = second - 1 if second > 0 else length - 1
+            newest, middle, oldest = past[first], past[second], past[third]
+            for i in range(n):
+                value = 0.0
+                if apart:
+                    for j in range(columns[i, 0], columns[i, 1]):
+                        value += matrix[i, j] * x[j]
+                else:
+                    for j in range(n):
+                        value += matrix[i, j] * x[j]
+                if older:
+                    value += newest_b[i] * newest + middle_b[i] * middle + oldest_b[i] * oldest
+                else:
+                    value += newest_b[i] * newest
+                scratch[i] = value
+            value = offset
+            for i in range(n):
+                x[i] = scratch[i] if abs(scratch[i]) > TINY else 0.0
+                value += gain[i] * x[i]
+            output[row, s] = value + (newest_d * newest + middle_d * middle)
+            position = position + 1 if position + 1 < length else 0
+    return position
