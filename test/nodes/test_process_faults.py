@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,19 @@ def wait_for_size(processes, bag, size):
         time.sleep(0.02)
 
 
+def wait_for_rows(processes, bag, least):
+    """Until so many rows of every topic can be read: under load the middleware may keep one of them back for seconds."""
+    end = time.monotonic() + 60
+    while True:
+        assert time.monotonic() < end
+        processes.check()
+        with suppress(InputError):
+            signals = read_bag(bag).signals
+            if set(SIGNALS) <= set(signals) and min(len(signals[topic].time) for topic in SIGNALS) >= least:
+                return
+        time.sleep(0.05)
+
+
 def assert_prefix(bag, least):
     """What `hyst` reads from a bag: every topic from tick 0 without a gap, equal to the run that was not disturbed."""
     record, expected = read_bag(bag), offline(COUNT)
@@ -58,13 +72,11 @@ def test_killed_recorder_leaves_what_was_flushed_and_a_new_one_goes_on(tmp_path,
     with Processes(tmp_path / "log", domain) as processes:
         processes.compose({name: own for name, own in settings.items() if name != "recorder"})
         recorder = processes.start("recorder", settings["recorder"])
-        wait_for_size(processes, tmp_path / "bag", 60_000)
+        wait_for_rows(processes, tmp_path / "bag", 100)
         recorder.kill()
         recorder.wait()
-        flushed = (tmp_path / "bag" / "bag_0.mcap").stat().st_size
         processes.start("recorder", {**settings["recorder"], "output": str(tmp_path / "second")})
         processes.wait("pipeline", "recorder", timeout=60)
-    assert flushed > 60_000
     assert_prefix(tmp_path / "bag", 100)
     assert_rosbags_reads_the_repaired(tmp_path / "bag", tmp_path / "repaired")
     second = read_bag(tmp_path / "second").signals["measurement"]
