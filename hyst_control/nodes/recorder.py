@@ -33,8 +33,8 @@ DRAIN_INTERVAL = {"lockstep": 0.005, "timer": 0.02}
 class Recorder(SignalNode):
     """Stores every row of `topics` once, by tick; rows repeated by the lockstep protocol are left out.
 
-    In lockstep rows behind missing ones are held until these are sent again: the middleware may lose a message, while a signal is
-    being discovered above all. What does not come for `PATIENCE` s is a gap in the bag.
+    In lockstep rows behind missing ones are held until these are sent again: under load the middleware may lose a message. What does
+    not come for `PATIENCE` s is a gap in the bag.
 
     Publishes on `recorded` the last tick up to which every topic is complete, for a plant that waits for it. With `ticks`
     it stores that many rows of every topic and ends. Values are stored as they come, a NaN too: it is evidence. `merge`

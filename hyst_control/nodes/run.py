@@ -66,7 +66,8 @@ def run(nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER,
         expected = isinstance(sys.exc_info()[1], (type(None), KeyboardInterrupt, ExternalShutdownException))
         with uninterrupted():
             gc.unfreeze()
-            close(nodes, lambda: leaving(ended.result() if ended.done() else 0) if expected else None)
+            status = ended.result() if ended.done() and ended.exception() is None else 0
+            close(nodes, lambda: leaving(status) if expected else None)
             executor.shutdown()
 
 

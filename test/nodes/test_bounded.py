@@ -114,13 +114,20 @@ class Clock:
         return self.now
 
 
-def test_repetitions_do_not_multiply_while_the_loop_goes_on(bench, monkeypatch):
-    """Each tick comes twice, as from two loops: to repeat what is known would bring more of the same to both."""
+@pytest.fixture
+def repeating(bench, monkeypatch):
+    """A feedforward node, the ticks that it repeats from, and its clock."""
     node = bench.add(MAKES["feedforward"][0], rate_hz=1 / PERIOD, kind="proportional", gain=[1.0])
     repeated = []
     node.repeat = lambda source, tick: repeated.append(tick)
     clock = Clock()
     monkeypatch.setattr(ports, "time", clock)
+    return node, repeated, clock
+
+
+def test_repetitions_do_not_multiply_while_the_loop_goes_on(repeating):
+    """Each tick comes twice, as from two loops: to repeat what is known would bring more of the same to both."""
+    node, repeated, clock = repeating
     for tick in range(2000):
         clock.now += 0.9 * REPEAT_INTERVAL
         bring(node.reference, [tick, tick])
@@ -140,13 +147,9 @@ def test_repetitions_do_not_multiply_while_the_loop_goes_on(bench, monkeypatch):
     assert repeated == [2000]
 
 
-def test_a_repetition_begins_where_the_burst_began_that_caused_it(bench, monkeypatch):
+def test_a_repetition_begins_where_the_burst_began_that_caused_it(repeating):
     """Not at its last message, when the interval is over just then: who joins there would go on without the rows before."""
-    node = bench.add(MAKES["feedforward"][0], rate_hz=1 / PERIOD, kind="proportional", gain=[1.0])
-    repeated = []
-    node.repeat = lambda source, tick: repeated.append(tick)
-    clock = Clock()
-    monkeypatch.setattr(ports, "time", clock)
+    node, repeated, clock = repeating
     bring(node.reference, range(200))
     for interval in (REPEAT_INTERVAL, 2 * REPEAT_INTERVAL, 4 * REPEAT_INTERVAL):
         clock.now += 0.9 * interval

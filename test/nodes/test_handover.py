@@ -89,7 +89,9 @@ def test_what_was_handed_over_is_taken_before_what_the_middleware_brings(ros_con
         node.destroy_node()
 
 
-def test_what_a_node_raises_in_a_callback_ends_the_run_with_it(tmp_path, ros_context):
+@pytest.mark.parametrize("error, statuses", [(ZeroDivisionError, []), (KeyboardInterrupt, [0])])
+def test_what_a_node_raises_in_a_callback_ends_the_run_with_it(tmp_path, ros_context, error, statuses):
+    """An interrupt among it: all that is left then is to destroy the nodes."""
     settings = parameters(tmp_path, 200)
     nodes = [make(ros_context, NODES[name], settings[name]) for name in DEFAULT]
     plant = nodes[DEFAULT.index("plant")]
@@ -97,9 +99,10 @@ def test_what_a_node_raises_in_a_callback_ends_the_run_with_it(tmp_path, ros_con
 
     def broken():
         if plant.status()["tick"] > 20:
-            raise ZeroDivisionError("in a callback")
+            raise error("in a callback")
         advance()
 
-    plant.advance = broken
-    with pytest.raises(ZeroDivisionError, match="in a callback"):
-        run(nodes, ros_context, timeout=60.0)
+    plant.advance, told = broken, []
+    with pytest.raises(error, match="in a callback"):
+        run(nodes, ros_context, timeout=60.0, leaving=told.append)
+    assert told == statuses
