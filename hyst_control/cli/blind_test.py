@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> Table:
     if arguments.measured:
         from hyst_control.experiments import blind_measured
 
-        return blind_measured.run(arguments.page, modes=not arguments.without_modes)
+        return blind_measured.run(arguments.output, arguments.page, modes=not arguments.without_modes)
     from hyst_control.experiments.blind_test import run_all
 
     return run_all(arguments.output, arguments.seed, arguments.count, arguments.left_out, arguments.page, so_far=arguments.so_far)

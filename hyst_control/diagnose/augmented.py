@@ -64,10 +64,8 @@ def _stage(diagnosis: Diagnosis, name: str, values: Mapping[str, list[float]]) -
 
 def _absent(diagnosis: Diagnosis, effect: str, parameter: str) -> float:
     """The value on an axis that the effect is not on."""
-    if parameter == "phase":
-        return 0.0
     known = {p.name: p.absent for p in EFFECTS[effect].parameters(diagnosis.problem.surroundings)}
-    return known[parameter]
+    return known.get(parameter, 0.0)  # a line's phase, an entry of a matrix
 
 
 def _phase(member: Member, x: np.ndarray) -> dict[str, float]:

@@ -87,7 +87,8 @@ class Member:
             # Mean square of the swelling amplitude: that of a Legendre polynomial of degree i is 1 / (2 i + 1).
             square = sum((x[i] ** 2 + x[swells + i] ** 2) / (2 * i + 1) for i in range(swells))
             return {"amplitude": float(np.sqrt(square)) * self._line_scale, "frequency": self._line_frequency(x)}
-        return {**{p.name: _natural(p, value) for p, value in zip(self.parameters, x, strict=True)}, **dict(self.fixed)}
+        found = {**{p.name: _natural(p, value) for p, value in zip(self.parameters, x, strict=True)}, **dict(self.fixed)}
+        return {**found, **self.effect.summary(found)}
 
     def units(self) -> dict[str, str]:
         """Units by parameter name."""
@@ -259,7 +260,9 @@ def catalogue(problem: Problem, lines: Mapping[str, Sequence[float]], without: S
             step = replace(step, starts=tuple(sorted({value for value in step.starts if value > 0.0})))
             found += [Member(effect, (step,), problem, axis, fixed=((samples.name, samples.absent),)) for axis in axes]
         else:
-            found += [Member(effect, parameters, problem, axis) for axis in ([None] if effect.shared else axes)]
+            together = effect.coupled_parameters(problem.surroundings) if count > 1 and effect.coupled_parameters else parameters
+            found += [Member(effect, together if axis is None else parameters, problem, axis)
+                      for axis in ([None] if effect.shared else axes)]
     return found
 
 

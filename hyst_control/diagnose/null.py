@@ -109,7 +109,7 @@ def _cache_file(linearised: Linearised, members: Sequence[Member], seed: int, co
         digest.update(np.ascontiguousarray(piece.command).tobytes())
     sigma = [float(f"{value:.1g}") for value in problem.sigma]  # a noise that is a little different has the same threshold
     names = [(member.name, member.axis, round(member.frequency)) for member in members]
-    digest.update(json.dumps([sigma, problem.hold, seed, count, ROUNDS, STARTS, QUANTILE, 2, names]).encode())
+    digest.update(json.dumps([sigma, problem.hold, seed, count, ROUNDS, STARTS, QUANTILE, 3, names]).encode())
     return folder / f"{digest.hexdigest()}.json"
 
 

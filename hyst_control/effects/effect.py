@@ -69,6 +69,8 @@ class Effect:
     record could show the effect at all. waveform: whether it has one that a simulation can be compared with; noise, lattices
     and repeated samples have none and are found by looking at the record. couples: whether it needs a second axis. shared: whether
     coupled axes have it in common, as they have their modes.
+    coupled_parameters: on all axes of a plant that mixes them, where these are others; summary: what the gap report has of parameters
+    that are not told.
     """
 
     name: str
@@ -80,3 +82,5 @@ class Effect:
     waveform: bool = True
     couples: bool = False
     shared: bool = False
+    coupled_parameters: Callable[[Surroundings], tuple[Parameter, ...]] | None = None
+    summary: Callable[[Values], dict[str, float]] = lambda _: {}

@@ -23,7 +23,7 @@ from hyst_control.chain.stage import (
     require_finite,
     require_positive,
 )
-from hyst_control.chain.static import Gain
+from hyst_control.chain.static import Gain, Offset
 from hyst_control.effects.effect import Effect, Parameter
 from hyst_control.effects.modifying import Memoryless, numbers, replaced, scaled
 from hyst_control.effects.places import hysteresis_index
@@ -40,36 +40,41 @@ class HysteresisWidth(Modifier):
     The mean curve of a play operator H[u] is u, also under the dynamic weights of the modified Prandtl-Ishlinskii model; that of
     Madelung hysteresis is the mean of the two major branches.
 
-    A chain without hysteresis gets one behind what is before: u + c (mean of H_r[u] - u) over the play operators of `OPERATORS`
-    thresholds r up to half of `span` (V), denser toward 0, with c such that a drive over the span from end to end gives a loop
-    that opens by width span at its middle.
+    A chain without hysteresis gets one behind what is before: u + c (mean of H_r[u] - u + 2 mean of r (u - centre) / span) over the
+    play operators of `OPERATORS` thresholds r up to half of `span` (V), denser toward 0, with c such that a drive over the span, up
+    and down about `centre` (V), gives a loop that opens by width span at its middle. Its ends stay where they were: they are what a
+    model without hysteresis was fitted to.
     """
 
     name: ClassVar[str] = "hysteresis_width"
     width: Any
     span: Any = 100.0
+    centre: Any = 0.0
 
     def check(self) -> None:
         require_finite(self.width, "width")
         require_positive(self.span, "span", "V")
+        require_finite(self.centre, "centre")
 
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
         width = per_axis_scalar(self.width, axes, "width")
         changed = replaced(before, lambda stage: _widened(stage, width))
         if changed is None and hysteresis_index(before) is None:
-            changed = (*before, _memory(width, per_axis_scalar(self.span, axes, "span")))
+            span, centre = (per_axis_scalar(getattr(self, name), axes, name) for name in ("span", "centre"))
+            changed = (*before, *_memory(width, span, centre))
         if changed is None:
             raise InputError("hysteresis_width: no hysteresis before it whose width could change: put it behind one")
         return changed if np.any(width) else before
 
 
-def _memory(width: Array, span: Array) -> PrandtlIshlinskii:
-    """What a chain without hysteresis gets."""
+def _memory(width: Array, span: Array, centre: Array) -> tuple[Stage, ...]:
+    """What a chain without hysteresis gets: u + c (mean of H_r[u] - u + 2 mean of r (u - centre)), r in units of the span."""
     threshold = 0.5 * ((np.arange(OPERATORS) + 0.5) / OPERATORS) ** DENSER
     opening = np.mean(np.minimum(2.0 * threshold, 1.0 - 2.0 * threshold))  # of the operators' mean, at the middle of a span of 1
-    share = width / opening
+    share, lost = width / opening, 2.0 * np.mean(threshold)  # of the span, where it is driven from end to end
     weights = np.repeat(share[:, None] / OPERATORS, OPERATORS, axis=1)
-    return PrandtlIshlinskii(frozen(span[:, None] * threshold), frozen(weights), frozen(1.0 - share))
+    return (PrandtlIshlinskii(frozen(span[:, None] * threshold), frozen(weights), frozen(1.0 - share * (1.0 - lost))),
+            Offset(frozen(-share * lost * centre)))
 
 
 def _widened(stage: Stage, width: Array) -> Stage | None:
@@ -124,5 +129,5 @@ EFFECT = Effect(
     "hysteresis",
     "The loops are wider or narrower than the model's, about the same mean curve.",
     lambda around: (Parameter("width", "", 0.0, (0.02,), -0.6, 0.6, 0.1),),
-    lambda values, around: HysteresisWidth(values["width"], max(around.command[1] - around.command[0], 1e-300)),
+    lambda values, around: HysteresisWidth(values["width"], max(around.command[1] - around.command[0], 1e-300), sum(around.command) / 2),
 )

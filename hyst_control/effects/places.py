@@ -23,7 +23,7 @@ HYSTERESES = (
 FOLLOWERS = {
     "hysteresis": ("hysteresis_width", "hysteresis_shape", "hysteresis_rate"),
     "piezo": ("creep",),
-    "mechanics": ("added_mass", "resonance"),
+    "mechanics": ("added_mass", "resonance", "coupled_resonance"),
     "motion": ("backlash", "softening_modes", "vibration"),
     "adc": ("sensor_noise", "flicker_noise", "quantization"),
     "transport": ("held_samples",),

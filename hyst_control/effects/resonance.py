@@ -10,7 +10,8 @@ from scipy.linalg import block_diag
 
 from hyst_control.chain.linear import LinearSystem, TransferFunction
 from hyst_control.chain.stage import Modifier, Stage, per_axis_scalar, register, require_finite, require_positive
-from hyst_control.effects.effect import Effect, Parameter, Surroundings
+from hyst_control.effects.coupled_resonance import CoupledResonance
+from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.modifying import Changed
 from hyst_control.effects.places import mechanics_index
 
@@ -81,10 +82,48 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     )
 
 
+def coupled_parameters(around: Surroundings) -> tuple[Parameter, ...]:
+    """On all axes of a plant that mixes them: from every input to every sensor a share of the stroke over the command's span.
+
+    In phase with the mode's position, and in quadrature.
+    """
+    frequency, damping, _ = parameters(around)
+    return (frequency, damping, *(Parameter(name, "", 0.0, (0.0,), -1.0, 1.0, 0.1, told=False) for part in PARTS
+                                  for name in np.ravel(names(part, around.axes))))
+
+
+PARTS = ("in_phase", "quadrature")
+
+
+def names(part: str, axes: int) -> list[list[str]]:
+    """Of the entries [output][input] of one part."""
+    return [[f"{part}_{output}_{source}" for source in range(axes)] for output in range(axes)]
+
+
+def stage(values: Values, around: Surroundings) -> Stage:
+    """The mode of an axis, or of all together."""
+    if "gain" in values and "in_phase_0_0" not in values:
+        return Resonance(values["frequency"], values["damping"], values["gain"])
+    size = around.stroke / max(around.command[1] - around.command[0], 1e-300)
+    matrices = [[[size * values[name] for name in row] for row in names(part, around.axes)] for part in PARTS]
+    return CoupledResonance(values["frequency"], values["damping"], *matrices)
+
+
+def gain(values: Values) -> dict[str, float]:
+    """That of a mode of all axes: its greatest, of motions of one size that differ in their pattern over the inputs."""
+    axes = round(np.sqrt(sum(name.startswith(PARTS[0]) for name in values)))
+    if not axes:
+        return {}
+    in_phase, quadrature = (np.array([[values[name] for name in row] for row in names(part, axes)]) for part in PARTS)
+    return {"gain": float(np.linalg.norm(in_phase + 1j * quadrature, 2))}
+
+
 EFFECT = Effect(
     "resonance",
     "mechanics",
     "The mechanics have a further mode.",
     parameters,
-    lambda values, around: Resonance(values["frequency"], values["damping"], values["gain"]),
+    stage,
+    coupled_parameters=coupled_parameters,
+    summary=gain,
 )

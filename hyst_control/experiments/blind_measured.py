@@ -8,6 +8,10 @@ one. The stack (`pea_p885`): a model without hysteresis, and one with too few op
 
 from __future__ import annotations
 
+import hashlib
+import json
+import re
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,13 +27,13 @@ from hyst_control.diagnose.report import sentence
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.experiments import fsm_cubespec as mirror
 from hyst_control.experiments import pea_p885 as stack
-from hyst_control.files import write_text
+from hyst_control.files import write_json, write_text
 from hyst_control.forked import forked
 from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.linear import Candidate, error_of, refined
 from hyst_control.identify.modal_fit import subspace
-from hyst_control.model_file import Model, simulate
+from hyst_control.model_file import Model, model_to_document, simulate
 from hyst_control.record import Record, Signal
 from hyst_control.tables import Table
 
@@ -60,13 +64,24 @@ class Withheld:
     warm_up: float
     floor: float
 
+    def digest(self) -> str:
+        """SHA-256 of all that is diagnosed."""
+        signals = (self.record.signals[name] for name in sorted(self.record.signals))
+        head = json.dumps([model_to_document(self.model), self.warm_up])
+        return hashlib.sha256(head.encode() + b"".join(s.time.tobytes() + s.values.tobytes() for s in signals)).hexdigest()
 
-def run(page: str | None = None, levels: Sequence[int] = mirror.LEVELS, modes: bool = True, note: Any = print) -> Table:
-    """Every case diagnosed; the table, and the page where asked for. Raises `InputError` when the measurements are absent."""
+
+def run(out: str, page: str | None = None, levels: Sequence[int] = mirror.LEVELS, modes: bool = True, note: Any = print) -> Table:
+    """Every case diagnosed; the table, and the page where asked for. Raises `InputError` when the measurements are absent.
+
+    out: folder of the reports. A case whose report is there already is not diagnosed again: a run goes on where it stopped.
+    """
+    folder = Path(out) / "measured"
+    folder.mkdir(parents=True, exist_ok=True)
     table = Table("blind-test --measured")
     rows = []
     cases = [*stack_cases(), *mirror_cases(levels, modes, note)]
-    for case, report in zip(cases, forked(lambda i: diagnosis_of(cases[i]), len(cases)), strict=True):
+    for case, report in zip(cases, forked(lambda i: report_on(cases[i], folder), len(cases)), strict=True):
         rows.append((case, report))
         add(table, case, report)
         note(f"{case.plant}, without {case.element}: {sentence(report)}")
@@ -76,9 +91,18 @@ def run(page: str | None = None, levels: Sequence[int] = mirror.LEVELS, modes: b
     return table
 
 
-def diagnosis_of(case: Withheld) -> dict[str, Any]:
-    """The report on a case."""
-    return diagnosed([case.record], case.model, warm_up=case.warm_up)[0]
+def report_on(case: Withheld, folder: Path) -> dict[str, Any]:
+    """The report on a case: the one in the folder where it is of this model and record, else diagnosed now and kept there."""
+    path = folder / (re.sub(r"[^a-z0-9]+", "_", f"{case.plant} {case.element}".lower()).strip("_") + ".json")
+    digest = case.digest()
+    if path.exists():
+        kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if kept["case"] == digest:
+            return kept
+    begin = time.monotonic()
+    report = {**diagnosed([case.record], case.model, warm_up=case.warm_up)[0], "case": digest}
+    write_json(path, {**report, "seconds": time.monotonic() - begin})
+    return report
 
 
 def add(table: Table, case: Withheld, report: dict[str, Any]) -> None:

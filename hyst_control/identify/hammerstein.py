@@ -22,6 +22,8 @@ from hyst_control.identify.windows import largest_drift, stretches, whole_record
 
 FAMILIES = ("pi", "hapi", "rdpi", "hampi")
 SELECTION_ROWS = 60_000
+FEW = 6
+"""Operators, below which none is spent on the first loading."""
 WORTHWHILE = 0.03
 """A factor of G is kept when it lowers the held-out mean square error by more than this share."""
 
@@ -93,7 +95,10 @@ def fit_axis(datasets: Sequence[Dataset], axis: int, family: str, options: Optio
 
 
 def default_operators(windows: Sequence[Window], family: str, options: Options) -> Operators:
-    """Thresholds from 0, closer together where most reversals engage them; up to half the drive, and two for the first loading."""
+    """Thresholds from 0, closer together where most reversals engage them; up to half the drive, and two for the first loading.
+
+    Few operators are all for the reversals.
+    """
     highest = max(float(np.max(np.abs(window.command))) for window in windows)
     span = max(float(np.ptp(window.command)) for window in windows)
     if options.thresholds is not None:
@@ -104,9 +109,9 @@ def default_operators(windows: Sequence[Window], family: str, options: Options) 
         if options.operators < 3:
             raise InputError(f"operators: {options.operators}, at least 3 are due")
         reach = span if options.one_sided else span / 2
-        inner = options.operators - 2
-        thresholds = np.concatenate([0.98 * reach * (np.arange(inner) / (inner - 0.5)) ** 1.4, np.array([0.5, 0.85]) * highest
-                                     if highest > 1.4 * reach else reach * np.array([0.9, 0.97])])
+        loading = np.array([0.5, 0.85]) * highest if highest > 1.4 * reach else reach * np.array([0.9, 0.97])
+        inner = options.operators - len(loading) if options.operators >= FEW else options.operators
+        thresholds = np.concatenate([0.98 * reach * (np.arange(inner) / (inner - 0.5)) ** 1.4, loading[:options.operators - inner]])
         thresholds = np.unique(np.round(thresholds, 9))
     return Operators(thresholds, options.one_sided, family == "hampi", center=0.5 * highest)
 

@@ -12,11 +12,11 @@ from std_msgs.msg import Int64
 from hyst_control.bag_writer import BagWriter
 from hyst_control.errors import InputError
 from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.interrupts import undivided
 from hyst_control.nodes.messages import QUEUE
 from hyst_control.nodes.ports import REPEAT_INTERVAL, Joining, tick_of
 from hyst_control.nodes.rows import DUPLICATE
 from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.run import undivided
 from hyst_control.nodes.settings import Setting
 from hyst_control.signal_message import Encoder
 

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import gc
-import signal
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
-from types import FrameType
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import rclpy
@@ -21,6 +18,7 @@ from rclpy.task import Future
 
 from hyst_control.errors import InputError
 from hyst_control.launch import environment
+from hyst_control.nodes import interrupts
 from hyst_control.nodes.base import EndingNode, SignalNode
 from hyst_control.nodes.handover import hand_over
 from hyst_control.nodes.leaving import leave_within
@@ -64,48 +62,11 @@ def run(nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER,
         return ended.result() if ended.done() else None
     finally:
         expected = isinstance(sys.exc_info()[1], (type(None), KeyboardInterrupt, ExternalShutdownException))
-        with uninterrupted():
+        with interrupts.uninterrupted():
             gc.unfreeze()
             status = ended.result() if ended.done() and ended.exception() is None else 0
             close(nodes, lambda: leaving(status) if expected else None)
             executor.shutdown()
-
-
-@contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Let interrupts pass without effect meanwhile.
-
-    rclpy hears a Ctrl-C first, in a thread of its own: Python's own interrupt of the same signal, or a second one, would come while the
-    nodes are being closed and a bag is finished.
-    """
-    before = signal.getsignal(signal.SIGINT)
-    _on_interrupt(lambda number, frame: None)
-    try:
-        yield
-    finally:
-        _on_interrupt(before)
-
-
-@contextmanager
-def undivided() -> Iterator[None]:
-    """Let an interrupt wait until the block has ended: what is half done would be lost."""
-    before, heard = signal.getsignal(signal.SIGINT), []
-    _on_interrupt(lambda number, frame: heard.append((number, frame)))
-    try:
-        yield
-    finally:
-        _on_interrupt(before)
-        if heard and callable(before):
-            before(*heard[0])
-
-
-def _on_interrupt(handler: Any) -> None:
-    if threading.current_thread() is not threading.main_thread():
-        return  # where Python lets nobody handle signals, and interrupts nobody
-    with suppress(KeyboardInterrupt):  # one that was on its way
-        signal.signal(signal.SIGINT, handler)
-        return
-    signal.signal(signal.SIGINT, handler)
 
 
 def tick_together(nodes: Sequence[EndingNode]) -> None:
@@ -138,24 +99,18 @@ def close(nodes: Sequence[EndingNode], closed: Callable[[], None] = lambda: None
 def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None) -> int:
     """Body of an executable: 0 when it ended by itself or was interrupted, 2 on bad input, told in one line."""
     environment.prepare()
-    heard: list[int] = []
-
-    def on_interrupt(number: int, frame: FrameType | None) -> None:
-        heard.append(number)
-        signal.default_int_handler(number, frame)
-
-    signal.signal(signal.SIGINT, on_interrupt)
+    interrupts.listen()
     try:
-        return _body(factories, args, heard)
+        return _body(factories, args)
     except KeyboardInterrupt:
         return 0
     except (RuntimeError, NotInitializedException):
         # rclpy fails in several ways on an interrupt within a call of its own, and on a message whose context has gone meanwhile.
-        if heard or not rclpy.ok():
+        if interrupts.heard() or not rclpy.ok():
             return 0
         raise
     finally:
-        _on_interrupt(lambda number, frame: None)  # a second Ctrl-C during the shutdown would leave a traceback
+        interrupts.ignore()  # a second Ctrl-C during the shutdown would leave a traceback
         with suppress(RuntimeError):  # rclpy's own signal handler may be faster
             rclpy.try_shutdown()
 
@@ -168,13 +123,13 @@ def _initialise(args: Sequence[str] | None) -> None:
         raise InputError(f"ROS arguments: {text}: in a parameter file quote texts such as 'y', 'on' or 'no'") from None
 
 
-def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | None, heard: Sequence[int]) -> int:
+def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | None) -> int:
     nodes: list[EndingNode] = []
     try:
         _initialise(args)
         for factory in factories:
             nodes.append(factory())
-        if heard:  # and yet we are here: some library has swallowed the interrupt
+        if interrupts.heard():  # and yet we are here: some library has swallowed the interrupt
             close(nodes, lambda: leave_within(0))
             return 0
         return run(nodes, rclpy.get_default_context(), leaving=leave_within) or 0

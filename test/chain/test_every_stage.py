@@ -88,6 +88,12 @@ EXAMPLES = {
     "dac_hold": lambda n: {"samples": spread(n, 3, 1), "step": spread(n, 0.5, 0.0)},
     "softening_modes": lambda n: {"softening": spread(n, 0.02, 0.01), "damping": spread(n, 0.3, 0.1), "amplitude": 2.0},
     "resonance": lambda n: {"frequency": spread(n, 900.0, 300.0), "damping": 0.1, "gain": spread(n, 0.05, -0.1)},
+    "coupled_resonance": lambda n: {
+        "frequency": 900.0,
+        "damping": 0.1,
+        "in_phase": (0.05 * np.eye(n) - 0.02).tolist(),
+        "quadrature": np.full((n, n), 0.01).tolist(),
+    },
     "added_mass": lambda n: {"mass_ratio": spread(n, 0.3, -0.2)},
     "backlash": lambda n: {"half_width": spread(n, 2.0, 0.0)},
     "vibration": lambda n: {"amplitude": spread(n, 0.5, 0.0), "frequency": 170.0, "phase": 1.0},
@@ -113,7 +119,8 @@ PLANT = (
     PrandtlIshlinskii([1.0, 9.0], [0.5, 0.4]),
     TransferFunction([4e7], [1.0, 900.0, 4e7]),
 )
-BEFORE = dict.fromkeys(("hysteresis_width", "hysteresis_shape", "hysteresis_rate", "resonance", "added_mass", "softening_modes"), PLANT)
+MODIFIERS = ("hysteresis_width", "hysteresis_shape", "hysteresis_rate", "resonance", "coupled_resonance", "added_mass", "softening_modes")
+BEFORE = dict.fromkeys(MODIFIERS, PLANT)
 """What stands before a stage that changes others."""
 
 RESTLESS = ("creep", "vibration", "gain_drift", "offset_drift", "mains_hum", "sensor_noise", "flicker_noise")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -265,6 +266,23 @@ def test_a_resonance_is_a_transfer_function_more():
     np.testing.assert_allclose(found, run([Parallel(((base,), (mode,)))], u), rtol=1e-9)
 
 
+def test_a_mode_of_all_axes_is_a_matrix_of_transfer_functions_more():
+    """Asked for by name as the diagnosis does; entry [output][input] is what `in_phase_OUTPUT_INPUT` says."""
+    w, random = 2 * np.pi * 700.0, np.random.default_rng(4)
+    record = replace(around("fsm_mhl"), axes=2)
+    values = {"frequency": 700.0, "damping": 0.02}
+    values |= {p.name: random.normal() for p in EFFECTS["resonance"].coupled_parameters(record) if not p.told}
+    size = record.stroke / (record.command[1] - record.command[0])
+    base = TransferFunction([6e6], [1.0, 300.0, 3e6])
+    mode = TransferFunction([[[size * values[f"quadrature_{i}_{j}"] * w, size * values[f"in_phase_{i}_{j}"] * w**2] for j in range(2)]
+                             for i in range(2)], [1.0, 0.04 * w, w**2], coupled=True)
+    u = command("fsm_mhl")
+    found = run([base, EFFECTS["resonance"].stage(values, record)], u)
+    np.testing.assert_allclose(found, run([Parallel(((base,), (mode,)))], u), rtol=1e-9, atol=1e-9 * np.abs(found).max())
+    matrix = np.array([[values[f"in_phase_{i}_{j}"] + 1j * values[f"quadrature_{i}_{j}"] for j in range(2)] for i in range(2)])
+    assert EFFECTS["resonance"].summary(values) == {"gain": pytest.approx(np.sqrt(np.linalg.eigvalsh(matrix.conj().T @ matrix)[-1]))}
+
+
 def test_play_is_half_as_wide_as_its_loop():
     u = np.concatenate([np.linspace(0, 10, 50), np.linspace(10, 0, 50), [0.0]])[:, None]
     found = run([Backlash(0.5)], u, hold="foh")
@@ -334,10 +352,11 @@ def test_a_model_file_with_nothing_to_change_is_refused(tmp_path):
 
 def test_a_chain_without_hysteresis_gets_a_loop_of_the_stated_width():
     u = 50.0 - 50.0 * np.cos(2 * np.pi * np.arange(4001) / 2000)[:, None]
-    y = run([HysteresisWidth(0.1, 100.0)], u, hold="foh")[:, 0]
+    y = run([HysteresisWidth(0.1, 100.0, 50.0)], u, hold="foh")[:, 0]
     assert y[3500] - y[2500] == pytest.approx(0.1 * 100.0)  # falling over rising, at the middle of the span
     forth_and_back = y[2000:] + y[2000:][::-1]
     assert forth_and_back[500] == pytest.approx(2 * u[2500, 0])  # about the same mean curve
+    np.testing.assert_allclose(y[[2000, 3000, 4000]], [0.0, 100.0, 0.0], atol=1e-9)  # between the same ends
 
 
 def test_mass_without_a_mode_is_refused():

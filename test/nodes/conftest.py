@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import signal
+
 import pytest
 from nodes_bench import Bench
+
+from hyst_control.nodes import interrupts
 
 
 @pytest.fixture
@@ -13,3 +17,14 @@ def bench(ros_context):
         yield bench
     finally:
         bench.close()
+
+
+@pytest.fixture
+def listening():
+    """Interrupts are heard as in a process of nodes."""
+    before = signal.getsignal(signal.SIGINT)
+    interrupts.listen()
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -11,9 +11,9 @@ from loop_case import recorded
 
 from hyst_control.nodes import ports
 from hyst_control.nodes.feedforward import Feedforward
+from hyst_control.nodes.interrupts import uninterrupted
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
-from hyst_control.nodes.run import uninterrupted
 
 PERIOD = 1e-3
 
@@ -120,12 +120,14 @@ def test_the_recorder_closed_before_it_knew_keeps_what_it_heard(bench, tmp_path)
     np.testing.assert_array_equal(recorded(tmp_path / "bag")["command"], rows(700, 705))
 
 
-def test_an_interrupt_while_nodes_are_closed_changes_nothing():
+def test_an_interrupt_while_nodes_are_closed_changes_nothing(listening):
     before = signal.getsignal(signal.SIGINT)
     with uninterrupted():
         for _ in range(3):
             signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is before
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
     threads = []
 
     def elsewhere():

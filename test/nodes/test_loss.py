@@ -10,9 +10,10 @@ from loop_case import assert_same_bits, offline, parameters, recorded
 from rclpy.parameter import Parameter
 
 from hyst_control.nodes import recorder as recorder_module
+from hyst_control.nodes.interrupts import uninterrupted
 from hyst_control.nodes.pipeline import NODES
 from hyst_control.nodes.recorder import Recorder
-from hyst_control.nodes.run import run, uninterrupted
+from hyst_control.nodes.run import run
 
 PERIOD = 1e-3
 LISTENERS = [("reference_generator", "measurement"), ("hampi_feedforward", "reference"), ("pi_feedback", "feedforward"),
@@ -113,7 +114,7 @@ def test_rows_behind_a_gap_are_kept_when_the_recorder_is_closed(bench, tmp_path)
     np.testing.assert_array_equal(recorded(tmp_path / "bag")["command"], np.concatenate([rows(0, 10), rows(12, 25)]))
 
 
-def test_an_interrupt_while_messages_are_taken_loses_none_of_them(bench, tmp_path):
+def test_an_interrupt_while_messages_are_taken_loses_none_of_them(bench, tmp_path, listening):
     node = bench.add(Recorder, output=str(tmp_path / "bag"), topics=["command", "measurement"], rate_hz=1 / PERIOD)
     arriving = [rows(0, 10), rows(10, 20), rows(20, 30), rows(30, 40)]
 

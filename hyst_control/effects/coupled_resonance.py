@@ -1,0 +1,62 @@
+"""A further mode that all axes of a plant take part in: driven by every input, seen by every sensor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from hyst_control.chain.linear import LinearSystem, TransferFunction, stacked
+from hyst_control.chain.stage import Modifier, Stage, register, require_finite, require_positive
+from hyst_control.effects.modifying import Changed
+from hyst_control.effects.places import mechanics_index
+from hyst_control.errors import InputError
+
+
+@register
+@dataclass(frozen=True)
+class CoupledResonance(Modifier):
+    """Adds (P ω² + V ω s) / (s² + 2 damping ω s + ω²) to the mechanics before it, fed alike; ω = 2π frequency (Hz).
+
+    P: `in_phase`, V: `quadrature`, both [output][input], in the mechanics' output per its input. V is what a mode has whose inputs and
+    sensors are not in phase. A chain without mechanics has G = 1 behind what it has.
+    """
+
+    name: ClassVar[str] = "coupled_resonance"
+    frequency: Any
+    damping: Any
+    in_phase: Any
+    quadrature: Any
+
+    def check(self) -> None:
+        require_positive(self.frequency, "frequency", "Hz")
+        require_positive(self.damping, "damping", "")
+        for field in ("in_phase", "quadrature"):
+            require_finite(getattr(self, field), field)
+
+    def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
+        for field in ("in_phase", "quadrature"):
+            if np.shape(getattr(self, field)) != (axes, axes):
+                raise InputError(f"{field}: shape {np.shape(getattr(self, field))} does not fit {axes} axes: [output][input] is due")
+        index = mechanics_index(before)
+        if index is None:
+            index, before = len(before), (*before, TransferFunction((1.0,), (1.0,)))
+        return (*before[:index], ChangedTogether(before[index], self._with_mode, self.name), *before[index + 1 :])
+
+    def _with_mode(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
+        whole = stacked(systems)
+        w, eye = 2 * np.pi * float(self.frequency), np.eye(axes)
+        # A mode per input, in position and velocity / ω.
+        mode = np.kron(eye, [[0.0, w], [-w, -2.0 * float(self.damping) * w]])
+        entering = np.kron(eye, [[0.0], [w]])
+        leaving = np.stack([np.array(self.in_phase, dtype=float), np.array(self.quadrature, dtype=float)], axis=2).reshape(axes, 2 * axes)
+        return [LinearSystem(block_diag(whole.A, mode), np.vstack([whole.B, entering]), np.hstack([whole.C, leaving]), whole.D,
+                             whole.bias)]
+
+
+class ChangedTogether(Changed):
+    """A linear stage whose axes drive each other once it is changed."""
+
+    coupled = True  # type: ignore[assignment]

@@ -1,0 +1,79 @@
+"""A mode that a model of coupled axes lacks: every input drives it, every sensor sees it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+from scipy.signal import cont2discrete
+
+from hyst_control.chain import Chain
+from hyst_control.chain.linear import StateSpace
+from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.model_file import Model, simulate
+from hyst_control.record import Record, Signal
+
+STEP, COUNT, SIGMA = 1e-4, 6000, 1e-3
+MODES = ((310.0, 0.02), (820.0, 0.015), (1900.0, 0.03))
+LOST = 1
+
+
+def modal() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A, B, C of three modes, none of which belongs to one of the two axes."""
+    random = np.random.default_rng(8)
+    a = [2 * np.pi * f * np.array([[-z, -1.0], [1.0, -z]]) for f, z in MODES]
+    b = np.concatenate([2 * np.pi * f * random.normal(size=(2, 2)) for f, _ in MODES])
+    return block_diag(*a), 0.02 * b, random.normal(size=(2, 6))
+
+
+def played(command: np.ndarray) -> np.ndarray:
+    """The structure with all modes; scipy's discretisation, the sample before the command acts."""
+    a, b, c = modal()
+    ad, bd, *_ = cont2discrete((a, b, c, np.zeros((2, 2))), STEP)
+    state, output = np.zeros(6), np.empty_like(command)
+    for row, u in enumerate(command):
+        output[row] = c @ state
+        state = ad @ state + bd @ u
+    return output
+
+
+def drive(seed: int) -> np.ndarray:
+    """Noise up to 2.5 kHz from rest, in V."""
+    random = np.random.default_rng(seed)
+    spectrum = np.fft.rfft(random.normal(size=(COUNT, 2)), axis=0)
+    spectrum[np.fft.rfftfreq(COUNT, STEP) > 2500.0] = 0.0
+    command = 10.0 * np.fft.irfft(spectrum, COUNT, axis=0)
+    command[:50] = 0.0
+    return command
+
+
+@pytest.fixture(scope="module")
+def answer():
+    a, b, c = modal()
+    kept = [i for i in range(6) if i // 2 != LOST]
+    stage = StateSpace(a[np.ix_(kept, kept)].tolist(), b[kept].tolist(), c[:, kept].tolist(), np.zeros((2, 2)).tolist())
+    model = Model("poorer", ("x", "y"), {"command": "V", "measurement": "um"}, STEP, Chain((stage,)), noise={"sigma": SIGMA})
+    command, time = drive(1), STEP * np.arange(COUNT)
+    measured = played(command) + SIGMA * np.random.default_rng(2).normal(size=(COUNT, 2))
+    record = Record({"command": Signal(time, command, ("x", "y"), "V"), "measurement": Signal(time, measured, ("x", "y"), "um")}, "drive")
+    report, _, better = diagnosed([record], model, cache=False)
+    return model, report, better
+
+
+def test_it_is_named_at_its_frequency(answer):
+    _, report, _ = answer
+    assert report["verdict"] == "effect" and [effect["name"] for effect in report["effects"]] == ["resonance"]
+    [effect] = report["effects"]
+    assert effect["axis"] == ["x", "y"] and set(effect["parameters"]) == {"frequency", "damping", "gain"}
+    frequency, damping = MODES[LOST]
+    assert effect["parameters"]["frequency"]["value"] == pytest.approx(frequency, rel=2e-3)
+    assert effect["parameters"]["damping"]["value"] == pytest.approx(damping, rel=0.1)
+    assert effect["shrink"] > 0.99
+
+
+def test_the_model_that_has_it_foresees_another_record(answer):
+    model, _, better = answer
+    command = drive(9)
+    measured = played(command)
+    left, before = (np.mean((measured - simulate(one, command)) ** 2) for one in (better, model))
+    assert left < 0.01 * before
