@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
+from hyst_control.chain import Chain
 from hyst_control.chain.linear import StateSpace
-from hyst_control.experiments.blind_measured import oscillating, uncoupled, without
+from hyst_control.experiments import blind_measured
+from hyst_control.experiments.blind_measured import Withheld, oscillating, report_on, uncoupled, without
+from hyst_control.model_file import Model
+from hyst_control.record import Record, Signal
 
 FREQUENCIES = (300.0, 1200.0)
 
@@ -42,3 +48,19 @@ def test_a_mode_is_found_and_taken_away_whole():
     assert np.abs(gone).max() > 20 * np.abs(response(whole, 3000.0) - response(left, 3000.0)).max()
     other = response(without(left, slice(0, 2)), 50.0)
     np.testing.assert_allclose(response(whole, 50.0) - response(without(whole, found[1][0]), 50.0) + other, response(left, 50.0), atol=1e-9)
+
+
+def test_a_case_that_has_its_report_is_not_diagnosed_again(tmp_path, monkeypatch):
+    calls = []
+    monkeypatch.setattr(blind_measured, "diagnosed", lambda records, model, warm_up: calls.append(warm_up) or ({"verdict": "no_gap"},))
+    time = 1e-3 * np.arange(4)
+    signal = Signal(time, np.ones((4, 3)), ("x", "y", "z"), "V")
+    model = Model("whole", ("x", "y", "z"), {"command": "V", "measurement": "um"}, 1e-3, Chain((modal(np.random.default_rng(3)),)))
+    case = Withheld("mirror, 100 mV", "mode at 30 Hz", (), model, Record({"command": signal, "measurement": signal}, "here"), 0.5, 0.1)
+    first = report_on(case, tmp_path)
+    assert report_on(case, tmp_path) == first | {"seconds": pytest.approx(0.0, abs=60.0)} and calls == [0.5]
+    other = replace(signal, values=2.0 * signal.values)
+    for changed in (replace(case, warm_up=0.4), replace(case, model=replace(model, sample_time=2e-3)),
+                    replace(case, record=replace(case.record, signals={"command": signal, "measurement": other}))):
+        report_on(changed, tmp_path)
+    assert len(calls) == 4 and [path.name for path in tmp_path.iterdir()] == ["mirror_100_mv_mode_at_30_hz.json"]

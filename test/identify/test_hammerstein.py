@@ -7,7 +7,7 @@ import pytest
 
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear import Delay, TransferFunction
-from hyst_control.chain.play import ModifiedPrandtlIshlinskii
+from hyst_control.chain.play import ModifiedPrandtlIshlinskii, PlayOperator
 from hyst_control.chain.stage import frozen
 from hyst_control.errors import InputError
 from hyst_control.identify import Dataset, identify
@@ -162,6 +162,17 @@ def test_what_the_data_cannot_tell_is_named():
     data = Dataset("slow", command, simulate(truth, command) + noise, SAMPLE_TIME, ("x",), "um")
     notes = " ".join(identify([data], "hampi", thresholds=THRESHOLDS).report["notes"])
     assert "m1 cannot be told" in notes and "100 Hz" in notes and "G(s) cannot be told" in notes
+
+
+@pytest.mark.parametrize("count", [3, 4, 5])
+def test_few_operators_are_for_the_loop(count):
+    """Of a drive from 0 V and back no play that is wider than half of it moves after the first rise."""
+    command = (25.0 * (1 - np.cos(2 * np.pi * np.arange(4000) / 1000)))[:, None]
+    measured = sum(simulate(replace(plant(), chain=Chain((PlayOperator(r),))), command) for r in (0.0, 4.0, 8.0, 12.0, 16.0))
+    model = identify([Dataset("loops", command, measured, SAMPLE_TIME, ("x",), "um")], "pi", operators=count).model
+    left = np.std((measured - simulate(model, command))[2000:])
+    straight = np.polynomial.Polynomial.fit(command[2000:, 0], measured[2000:, 0], 1)(command[2000:, 0])
+    assert left < 0.2 * np.std(measured[2000:, 0] - straight)
 
 
 @pytest.mark.parametrize("change, words", [
