@@ -9,7 +9,7 @@ import pytest
 from loop_case import assert_same_bits, offline, parameters, recorded
 from rclpy.parameter import Parameter
 
-from hyst_control.nodes import recorder as recorder_module
+from hyst_control.nodes import recorded_topic
 from hyst_control.nodes.interrupts import uninterrupted
 from hyst_control.nodes.pipeline import NODES
 from hyst_control.nodes.recorder import Recorder
@@ -72,7 +72,7 @@ def rows(first, last):
 
 def test_rows_that_never_come_again_are_a_gap_after_a_while(bench, tmp_path, monkeypatch):
     now = [100.0]
-    monkeypatch.setattr(recorder_module.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(recorded_topic.time, "monotonic", lambda: now[0])
     node = bench.add(Recorder, output=str(tmp_path / "bag"), topics=["command"], rate_hz=1 / PERIOD, merge=4)
     [command] = node._topics
     arriving = []
@@ -80,11 +80,11 @@ def test_rows_that_never_come_again_are_a_gap_after_a_while(bench, tmp_path, mon
     for first, last in ((0, 10), (12, 20), (30, 33)):
         arriving.append(rows(first, last))
         command.drain()
-    now[0] += 0.9 * recorder_module.PATIENCE
+    now[0] += 0.9 * recorded_topic.PATIENCE
     command.drain()
     node.progress()
     assert node.told == 9 and command.end == 10
-    now[0] += 0.2 * recorder_module.PATIENCE
+    now[0] += 0.2 * recorded_topic.PATIENCE
     command.drain()
     assert command.end == 33 and node.counts["/command: missed ticks"] == 12
     arriving.append(rows(33, 40))
