@@ -24,7 +24,7 @@ Rows = list[dict[str, Any]]
 
 def budget(diagnosis: Diagnosis) -> dict[str, Rows]:
     """kind, band, amplitude, axis and time of the residual of the nominal model; each list's shares add up to 1."""
-    residuals = [_residual(part) for part in diagnosis.parts]
+    residuals = [part.gap() for part in diagnosis.parts]
     return {
         "kind": _added([_kinds(part, residual) for part, residual in zip(diagnosis.parts, residuals, strict=True)], diagnosis.seed),
         "band": _added([_bands(part, residual) for part, residual in zip(diagnosis.parts, residuals, strict=True)], diagnosis.seed),
@@ -88,11 +88,6 @@ def _added(parts: Sequence[Mapping[str, Array]], seed: int) -> Rows:
         for name, energy in part.items():
             total[name] = total.get(name, np.zeros(BLOCKS)) + energy
     return shares_with_intervals(total, seed)
-
-
-def _residual(part: AxisDiagnosis) -> Array:
-    """(M, A) in the measurement's unit, of the nominal model as it is."""
-    return part.problem.rows(part.linearised.measured - part.linearised.simulate(np.zeros(part.linearised.count)))
 
 
 def _blocks(energy: Array) -> Array:

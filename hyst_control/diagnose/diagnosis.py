@@ -52,6 +52,10 @@ class AxisDiagnosis:
     floor: float
     notes: tuple[str, ...] = ()
 
+    def gap(self) -> Array:
+        """Measured minus simulated (M, A) by the model as it is given, in the measurement's unit."""
+        return self.problem.rows(self.linearised.measured - self.linearised.simulate(np.zeros(self.linearised.count)))
+
 
 @dataclass(frozen=True)
 class Diagnosis:

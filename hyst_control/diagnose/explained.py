@@ -181,8 +181,13 @@ def _without_waveform(diagnosis: Diagnosis) -> list[Named]:
         if part.flicker is not None:
             values = {"rms": (part.flicker.rms, part.flicker.ci90, diagnosis.model.units["measurement"])}
             named.setdefault("flicker_noise", []).append((part.axes[0], values, 1.0 - np.exp(-min(part.flicker.gain, 50.0))))
-    return [Named(name, tuple(diagnosis.model.axes[axis] for axis, _, _ in rows), float(max(p for *_, p in rows)),
-                  _joined([values for _, values, _ in rows])) for name, rows in named.items()]
+    gap = sum(float(np.sum(np.mean(part.gap() ** 2, axis=0))) for part in diagnosis.parts)
+    found = []
+    for name, rows in named.items():
+        own = sum(values["rms"][0] ** 2 for _, values, _ in rows if "rms" in values)
+        found.append(Named(name, tuple(diagnosis.model.axes[axis] for axis, _, _ in rows), float(max(p for *_, p in rows)),
+                           _joined([values for _, values, _ in rows]), share=min(own / gap, 1.0) if own and gap else 1.0))
+    return found
 
 
 def _candidates(diagnosis: Diagnosis) -> tuple[tuple[str, float], ...]:

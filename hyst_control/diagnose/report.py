@@ -51,7 +51,7 @@ def _gap(diagnosis: Diagnosis) -> dict[str, Any]:
     """rms over all samples of all axes; nrmse over the range (HAMPI paper Eq. 26), in per cent, the mean over the axes."""
     energies, floors, relative = [], [], []
     for part in diagnosis.parts:
-        rows = part.problem.rows(part.linearised.measured - part.linearised.simulate(np.zeros(part.linearised.count)))
+        rows = part.gap()
         measured = part.problem.rows(part.linearised.measured)
         energies += list(np.mean(rows ** 2, axis=0))
         floors += list(np.asarray(part.problem.sigma) ** 2)

@@ -1,7 +1,7 @@
 """The diagnosis on measurements, an effect withheld: models of measured plants that lost one element.
 
 The mirror (`fsm_cubespec`): a linear model per level, fitted on realisations 1-4, its input delay chosen on the fifth, loses its
-delay, the coupling of its axes, 5 % of its gain, and at 200 mV each mode in turn; the sixth realisation is diagnosed. The error of
+delay, the coupling of its axes, 5 % of its gain, and each mode in turn; the sixth realisation is diagnosed. The error of
 the whole model on the fifth is what it states of itself. Then the true unknown: a level's model against the records of a higher
 one. The stack (`pea_p885`): a model without hysteresis, and one with too few operators, against the nested loops of another file.
 """
@@ -150,7 +150,7 @@ def mirror_cases(levels: Sequence[int], modes: bool, note: Any = print) -> Itera
         record, warm_up = record_of(data, mirror.TEST[0]), mirror.PERIOD * mirror.SAMPLE_TIME
         floor = float(np.sqrt(np.mean(errors(model, data, mirror.TEST[0]) ** 2)))
         yield Withheld(f"mirror, {level} mV", "nothing", (), model, record, warm_up, floor)
-        for element, right, crippled in crippled_models(model, modes and level == mirror.LEVELS[1], data, floor):
+        for element, right, crippled in crippled_models(model, modes, data, floor):
             yield Withheld(f"mirror, {level} mV", element, right, crippled, record, warm_up, floor)
         for other in (other for other in mirror.LEVELS if other > level):
             higher = record_of(measured[other], mirror.TEST[0])
