@@ -69,6 +69,13 @@ def test_two_effects_are_both_named(answer):
     assert sum(row["share"] for row in document["effects"]) == pytest.approx(1.0)
 
 
+def test_noise_has_its_share_of_the_gap_and_stands_behind_what_is_more(answer):
+    document, _, _ = answer(PEA, DELAY, (("name", "sensor_noise"), ("rms", 0.03)))
+    assert [row["name"] for row in document["effects"]] == ["delay", "sensor_noise"]
+    shares = [row["share"] for row in document["effects"]]
+    assert shares[0] == pytest.approx(1.0) and shares[1] == pytest.approx((0.03 / document["gap"]["rms"]) ** 2, rel=0.1)
+
+
 def test_a_second_effect_is_named_beside_one_that_takes_off_a_thousand_times_as_much(answer):
     """The slew limit alone leaves some noise and coefficients far off; creep brings them back."""
     document, found, _ = answer(PEA, (("name", "slew_limit"), ("rate", 34000.0)), (("name", "creep"), ("gamma", 0.032)))
