@@ -54,8 +54,13 @@ class Member:
 
     @property
     def variant(self) -> tuple[Any, ...]:
-        """What tells it from other members of a candidate: two of one kind make no combination."""
+        """What tells it from other members of a candidate."""
         return self.name, self.axis, round(self.frequency)
+
+    def excludes(self, other: Member) -> bool:
+        """Whether they make no combination: two of one kind, or an effect on all axes alike and once more on one of them."""
+        everywhere = len(self.problem.model.axes) > 1 and None in (self.axis, other.axis)
+        return self.variant == other.variant or self.name == other.name and everywhere
 
     @property
     def size(self) -> int:

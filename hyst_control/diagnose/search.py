@@ -308,7 +308,7 @@ def _promising(linearised: Linearised, candidate: Candidate, solution: Solution,
     nominal = np.zeros(linearised.count)
     before = _misfit(linearised, linearised.measured - linearised.simulate(nominal, candidate.unknowns(), solution.x))
     for index, member in enumerate(members):
-        if any(member.variant == other.variant for other in candidate.members):
+        if any(member.excludes(other) for other in candidate.members):
             continue
         best = None
         pair = candidate.with_member(member)

@@ -1,8 +1,8 @@
 """The diagnosis on measurements, an effect withheld: models of measured plants that lost one element.
 
 The mirror (`fsm_cubespec`): a linear model per level, fitted on realisations 1-4, its input delay chosen on the fifth, loses its
-delay, the coupling of its axes, 5 % of its gain, and each mode in turn; the sixth realisation is diagnosed. The error of
-the whole model on the fifth is what it states of itself. Then the true unknown: a level's model against the records of a higher
+delay, the coupling of its axes, 5 % of its gain, and each mode in turn; the sixth realisation is diagnosed. The error of the
+whole model on the fifth is what it states of itself. Then the true unknown: a level's model against the records of a higher
 one. The stack (`pea_p885`): a model without hysteresis, and one with too few operators, against the nested loops of another file.
 """
 
@@ -41,6 +41,8 @@ ORDER = 46
 """States of the mirror's linear models."""
 DELAYS = (0.0, 0.25, 0.5, 0.75)
 """In samples: among these the fifth realisation chooses."""
+MODES = {"none": (), "middle": mirror.LEVELS[1:2], "all": mirror.LEVELS}
+"""Levels (mV) whose model loses each of its modes."""
 LOST_GAIN = 0.05
 LEAST_SHARE = 1.0
 """Energy of a deleted mode, in units of what the whole model leaves, from which its loss is diagnosed."""
@@ -71,16 +73,17 @@ class Withheld:
         return hashlib.sha256(head.encode() + b"".join(s.time.tobytes() + s.values.tobytes() for s in signals)).hexdigest()
 
 
-def run(out: str, page: str | None = None, levels: Sequence[int] = mirror.LEVELS, modes: bool = True, note: Any = print) -> Table:
+def run(out: str, page: str | None = None, modes: str = "all", note: Any = print) -> Table:
     """Every case diagnosed; the table, and the page where asked for. Raises `InputError` when the measurements are absent.
 
     out: folder of the reports. A case whose report is there already is not diagnosed again: a run goes on where it stopped.
+    modes: one of `MODES`.
     """
     folder = Path(out) / "measured"
     folder.mkdir(parents=True, exist_ok=True)
     table = Table("blind-test --measured")
     rows = []
-    cases = [*stack_cases(), *mirror_cases(levels, modes, note)]
+    cases = [*stack_cases(), *mirror_cases(MODES[modes], note)]
     for case, report in zip(cases, forked(lambda i: report_on(cases[i], folder), len(cases)), strict=True):
         rows.append((case, report))
         add(table, case, report)
@@ -134,8 +137,9 @@ def summarise(table: Table, rows: Sequence[tuple[Withheld, dict[str, Any]]]) -> 
               ci95=wilson(right, len(scored)))
 
 
-def mirror_cases(levels: Sequence[int], modes: bool, note: Any = print) -> Iterator[Withheld]:
-    """The crippled models of the mirror, and every level's model against a higher level."""
+def mirror_cases(modes: Sequence[int], note: Any = print) -> Iterator[Withheld]:
+    """The crippled models of the mirror, and every level's model against a higher level. modes: levels (mV) that lose each mode."""
+    levels = mirror.LEVELS
     measured = dict(zip(mirror.LEVELS, mirror.load_levels(), strict=True))
     middle = measured[mirror.LEVELS[1]]
     fits = list(forked(lambda i: fit(middle, DELAYS[i]), len(DELAYS)))
@@ -150,13 +154,11 @@ def mirror_cases(levels: Sequence[int], modes: bool, note: Any = print) -> Itera
         record, warm_up = record_of(data, mirror.TEST[0]), mirror.PERIOD * mirror.SAMPLE_TIME
         floor = float(np.sqrt(np.mean(errors(model, data, mirror.TEST[0]) ** 2)))
         yield Withheld(f"mirror, {level} mV", "nothing", (), model, record, warm_up, floor)
-        for element, right, crippled in crippled_models(model, modes, data, floor):
+        for element, right, crippled in crippled_models(model, level in modes, data, floor):
             yield Withheld(f"mirror, {level} mV", element, right, crippled, record, warm_up, floor)
         for other in (other for other in mirror.LEVELS if other > level):
             higher = record_of(measured[other], mirror.TEST[0])
-            whole_there = whole.get(other)
-            least = floor if whole_there is None else float(np.sqrt(np.mean(errors(mirror.model_of(
-                whole_there.model, "", 1.0), measured[other], mirror.TEST[0]) ** 2)))
+            least = float(np.sqrt(np.mean(errors(mirror.model_of(whole[other].model, "", 1.0), measured[other], mirror.TEST[0]) ** 2)))
             yield Withheld(f"mirror, {level} mV model on {other} mV", "amplitude", ("softening_modes",), model, higher, warm_up, least)
 
 
@@ -260,11 +262,12 @@ def without_memory(model: Model, cycle: Dataset) -> Model:
     return with_stages(model, TransferFunction((slope,), (1.0,)))
 
 
-def write_page(path: Path, rows: Sequence[tuple[Withheld, dict[str, Any]]], modes: bool) -> None:
+def write_page(path: Path, rows: Sequence[tuple[Withheld, dict[str, Any]]], modes: str) -> None:
     """docs/blind-test-measured.md."""
-    command = "hyst blind-test --measured" + ("" if modes else " --without-modes")
+    lost = {"none": "leaves out the cases that lose one mode", "middle": "has the cases that lose one mode at the middle level only"}
     lines = ["# The diagnosis on measurements, an effect withheld", "",
-             f"Generated by `{command} --page`" + ("." if modes else ", which leaves out the cases that lose one mode."), "",
+             f"Generated by `hyst blind-test --measured --modes {modes} --page`"
+             + (f", which {lost[modes]}." if modes in lost else "."), "",
              *(line.strip() for line in (__doc__ or "").strip().splitlines()), "",
              "Shrink: share of the gap's energy above the noise that the named effects take off on blocks that neither chose nor fitted "
              "them. The mirror's states are those of the model itself; nothing was fitted to the realisation that is diagnosed.", "",
