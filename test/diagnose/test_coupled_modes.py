@@ -9,6 +9,7 @@ from scipy.signal import cont2discrete
 
 from hyst_control.chain import Chain
 from hyst_control.chain.linear import StateSpace
+from hyst_control.diagnose.candidates import catalogue
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.model_file import Model, simulate
 from hyst_control.record import Record, Signal
@@ -56,12 +57,12 @@ def answer():
     command, time = drive(1), STEP * np.arange(COUNT)
     measured = played(command) + SIGMA * np.random.default_rng(2).normal(size=(COUNT, 2))
     record = Record({"command": Signal(time, command, ("x", "y"), "V"), "measurement": Signal(time, measured, ("x", "y"), "um")}, "drive")
-    report, _, better = diagnosed([record], model, cache=False)
-    return model, report, better
+    report, diagnosis, better = diagnosed([record], model, cache=False)
+    return model, report, better, diagnosis.problem
 
 
 def test_it_is_named_at_its_frequency(answer):
-    _, report, _ = answer
+    _, report, *_ = answer
     assert report["verdict"] == "effect" and [effect["name"] for effect in report["effects"]] == ["resonance"]
     [effect] = report["effects"]
     assert effect["axis"] == ["x", "y"] and set(effect["parameters"]) == {"frequency", "damping", "gain"}
@@ -72,8 +73,16 @@ def test_it_is_named_at_its_frequency(answer):
 
 
 def test_the_model_that_has_it_foresees_another_record(answer):
-    model, _, better = answer
+    model, _, better, _ = answer
     command = drive(9)
     measured = played(command)
     left, before = (np.mean((measured - simulate(one, command)) ** 2) for one in (better, model))
     assert left < 0.01 * before
+
+
+def test_no_effect_is_on_all_axes_and_once_more_on_one(answer):
+    problem = answer[3]
+    members = {(member.name, member.axis): member for member in catalogue(problem, {})}
+    everywhere, x, y = (members["gain", axis] for axis in (None, 0, 1))
+    assert everywhere.excludes(x) and y.excludes(everywhere) and x.excludes(x)
+    assert not x.excludes(y) and not everywhere.excludes(members["delay", None])
