@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.linalg import block_diag
 
-from hyst_control.chain.linear import LinearSystem, TransferFunction, stacked
+from hyst_control.chain.linear import LinearSystem, stacked
 from hyst_control.chain.stage import Modifier, Stage, register, require_finite, require_positive
 from hyst_control.effects.modifying import Changed
-from hyst_control.effects.places import mechanics_index
+from hyst_control.effects.places import with_mechanics
 from hyst_control.errors import InputError
 
 
@@ -40,9 +40,7 @@ class CoupledResonance(Modifier):
         for field in ("in_phase", "quadrature"):
             if np.shape(getattr(self, field)) != (axes, axes):
                 raise InputError(f"{field}: shape {np.shape(getattr(self, field))} does not fit {axes} axes: [output][input] is due")
-        index = mechanics_index(before)
-        if index is None:
-            index, before = len(before), (*before, TransferFunction((1.0,), (1.0,)))
+        before, index = with_mechanics(before)
         return (*before[:index], ChangedTogether(before[index], self._with_mode, self.name), *before[index + 1 :])
 
     def _with_mode(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:

@@ -49,6 +49,12 @@ def mechanics_index(stages: Sequence[Stage]) -> int | None:
     return None
 
 
+def with_mechanics(stages: tuple[Stage, ...]) -> tuple[tuple[Stage, ...], int]:
+    """The stages and the index of their mechanics; a chain without gets G = 1 behind what it has."""
+    index = mechanics_index(stages)
+    return (stages, index) if index is not None else ((*stages, TransferFunction((1.0,), (1.0,))), len(stages))
+
+
 def is_mechanics(stage: Stage) -> bool:
     """Whether a stage may be a plant's mechanics."""
     return isinstance(stage, (TransferFunction, StateSpace, Changed)) and not getattr(stage, "discrete", False)

@@ -8,12 +8,12 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.linalg import block_diag
 
-from hyst_control.chain.linear import LinearSystem, TransferFunction
+from hyst_control.chain.linear import LinearSystem
 from hyst_control.chain.stage import Modifier, Stage, per_axis_scalar, register, require_finite, require_positive
 from hyst_control.effects.coupled_resonance import CoupledResonance
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.modifying import Changed
-from hyst_control.effects.places import mechanics_index
+from hyst_control.effects.places import with_mechanics
 
 
 @register
@@ -35,9 +35,7 @@ class Resonance(Modifier):
         require_finite(self.gain, "gain")
 
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
-        index = mechanics_index(before)
-        if index is None:
-            index, before = len(before), (*before, TransferFunction((1.0,), (1.0,)))
+        before, index = with_mechanics(before)
         return (*before[:index], Changed(before[index], self._with_mode, self.name), *before[index + 1 :])
 
     def _with_mode(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
@@ -102,7 +100,7 @@ def names(part: str, axes: int) -> list[list[str]]:
 
 def stage(values: Values, around: Surroundings) -> Stage:
     """The mode of an axis, or of all together."""
-    if "gain" in values and "in_phase_0_0" not in values:
+    if "in_phase_0_0" not in values:
         return Resonance(values["frequency"], values["damping"], values["gain"])
     size = around.stroke / max(around.command[1] - around.command[0], 1e-300)
     matrices = [[[size * values[name] for name in row] for row in names(part, around.axes)] for part in PARTS]
