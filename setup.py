@@ -31,14 +31,20 @@ setup(
     python_requires=">=3.10",
     install_requires=REQUIRED,
     packages=find_packages(include=["hyst_control*", "hyst_plant_sim*"]),
-    package_data={"hyst_control": ["experiments/*.c", "diagnose/*.yaml", "py.typed"], "hyst_plant_sim": ["py.typed"]},
+    package_data={"hyst_control": ["benchmarks/*.c", "diagnose/*.yaml", "py.typed"], "hyst_plant_sim": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *((f"share/{NAME}/{folder}", [str(file.relative_to(root)) for file in sorted((root / folder).iterdir())
-                                       if file.is_file()]) for folder in folders),
+        *(
+            (
+                f"share/{NAME}/{folder}",
+                [str(file.relative_to(root)) for file in sorted((root / folder).iterdir()) if file.is_file()],
+            )
+            for folder in folders
+        ),
     ],
     zip_safe=False,
-    entry_points={"console_scripts": ["hyst = hyst_control.cli:main",
-                                      *(f"{name} = {module}:main" for name, module in present.items())]},
+    entry_points={
+        "console_scripts": ["hyst = hyst_control.cli:main", *(f"{name} = {module}:main" for name, module in present.items())]
+    },
 )

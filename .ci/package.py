@@ -14,9 +14,17 @@ import yaml
 from catkin_pkg.package import Package, parse_package
 from sources import ROOT
 
-KEYS = {"PIL": "python3-pil", "argcomplete": "python3-argcomplete", "matplotlib": "python3-matplotlib",
-        "numba": "python3-numba", "numpy": "python3-numpy", "rosbags": "python3-rosbags-pip", "scipy": "python3-scipy",
-        "tqdm": "python3-tqdm", "yaml": "python3-yaml"}
+KEYS = {
+    "PIL": "python3-pil",
+    "argcomplete": "python3-argcomplete",
+    "matplotlib": "python3-matplotlib",
+    "numba": "python3-numba",
+    "numpy": "python3-numpy",
+    "rosbags": "python3-rosbags-pip",
+    "scipy": "python3-scipy",
+    "tqdm": "python3-tqdm",
+    "yaml": "python3-yaml",
+}
 """rosdep's name of what is imported; a ROS package's is its own."""
 WITHOUT_KEY = "requirements-ros.txt"
 
@@ -28,7 +36,9 @@ def main() -> None:
     faults = [*warnings, *versions(package), *dependencies(package)]
     if faults:
         sys.exit("\n".join(f"package.xml: {fault}" for fault in faults))
-    print(f"package.xml: format {package.package_format}, version {package.version}, {len(package.exec_depends)} dependencies in order")
+    print(
+        f"package.xml: format {package.package_format}, version {package.version}, {len(package.exec_depends)} dependencies in order"
+    )
 
 
 def versions(package: Package) -> Iterator[str]:
@@ -38,8 +48,11 @@ def versions(package: Package) -> Iterator[str]:
     given = setup.call_args.kwargs
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     changelog = re.search(r"^## (\d\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
-    for where, version in (("setup.py", given["version"]), ("CITATION.cff", str(citation["version"])),
-                           ("CHANGELOG.md", changelog.group(1) if changelog else "none")):
+    for where, version in (
+        ("setup.py", given["version"]),
+        ("CITATION.cff", str(citation["version"])),
+        ("CHANGELOG.md", changelog.group(1) if changelog else "none"),
+    ):
         if version != package.version:
             yield f"version {package.version}, {where} has {version}"
     if given["name"] != package.name:
@@ -52,8 +65,13 @@ def dependencies(package: Package) -> Iterator[str]:
     """What the package imports and does not name, and what it names and does not import."""
     named = {depend.name for depend in package.exec_depends}
     by_pip = set(re.findall(r"^([\w-]+)==", (ROOT / WITHOUT_KEY).read_text(encoding="utf-8"), re.MULTILINE))
-    needed = {KEYS.get(module, module) for folder in ("hyst_control", "hyst_plant_sim") for file in (ROOT / folder).rglob("*.py")
-              for module in imported(file) if module not in by_pip}
+    needed = {
+        KEYS.get(module, module)
+        for folder in ("hyst_control", "hyst_plant_sim")
+        for file in (ROOT / folder).rglob("*.py")
+        for module in imported(file)
+        if module not in by_pip
+    }
     yield from (f"{key} is imported and not an exec_depend, nor in {WITHOUT_KEY}" for key in sorted(needed - named))
     yield from (f"exec_depend {key} is imported nowhere" for key in sorted(named - needed))
 

@@ -35,8 +35,9 @@ def main() -> None:
         folder.mkdir()
         for line in lines:
             begin = time.monotonic()
-            ended = subprocess.run(["bash", "-c", line], cwd=folder, env=environment, stdin=subprocess.DEVNULL,
-                                   capture_output=True, text=True)
+            ended = subprocess.run(
+                ["bash", "-c", line], cwd=folder, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True
+            )
             if ended.returncode:
                 sys.exit(f"README.md: {line}: exit status {ended.returncode}\n{ended.stdout}{ended.stderr}")
             print(f"{time.monotonic() - begin:6.1f} s  {line}")

@@ -35,8 +35,12 @@ def missing(wheel: Path) -> set[str]:
     """Files of the packages and of `config/` that the wheel does not hold."""
     with zipfile.ZipFile(wheel) as archive:
         held = {name.partition(".data/data/share/hyst_control/")[2] or name for name in archive.namelist()}
-    due = {str(path.relative_to(ROOT)) for folder in ("hyst_control", "hyst_plant_sim", "config") for path in (ROOT / folder).rglob("*")
-           if path.is_file() and "__pycache__" not in path.parts}
+    due = {
+        str(path.relative_to(ROOT))
+        for folder in ("hyst_control", "hyst_plant_sim", "config")
+        for path in (ROOT / folder).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
     return (due | {"package.xml"}) - held
 
 
@@ -52,8 +56,18 @@ def entry_points(wheel: Path) -> list[str]:
 def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        run(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", folder,
-            copy_sources(folder / "sources"))
+        run(
+            sys.executable,
+            "-m",
+            "pip",
+            "wheel",
+            "--quiet",
+            "--no-deps",
+            "--no-build-isolation",
+            "--wheel-dir",
+            folder,
+            copy_sources(folder / "sources"),
+        )
         [wheel] = folder.glob("*.whl")
         if absent := missing(wheel):
             sys.exit(f"{wheel.name} lacks {', '.join(sorted(absent))}")
@@ -67,8 +81,20 @@ def main() -> None:
         clean = {"cwd": folder, "env": {"PATH": "/usr/bin:/bin", "HOME": name}}
         print(run(bin_folder / "python", "-I", "-c", IMPORT_ALL, **clean).stdout.strip())
         run(bin_folder / "hyst", "--help", **clean)
-        run(bin_folder / "hyst", "simulate", folder / "fresh/share/hyst_control/config/models/pea_hampi.yaml", "--excitation", "sine",
-            "frequency=10", "amplitude=20", "offset=25", "duration=0.2", "--output", "simulated", **clean)
+        run(
+            bin_folder / "hyst",
+            "simulate",
+            folder / "fresh/share/hyst_control/config/models/pea_hampi.yaml",
+            "--excitation",
+            "sine",
+            "frequency=10",
+            "amplitude=20",
+            "offset=25",
+            "duration=0.2",
+            "--output",
+            "simulated",
+            **clean,
+        )
         refused = subprocess.run([bin_folder / "hyst", "record", "--output", "bag"], capture_output=True, text=True, **clean)
         if refused.returncode != 2 or len(refused.stderr.splitlines()) != 1:
             sys.exit(f"hyst record without ROS: one line and exit status 2 are due, not {refused.returncode}\n{refused.stderr}")

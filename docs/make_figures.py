@@ -11,7 +11,7 @@ matplotlib.use("agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from hyst_control.bag_reader import read_bag
+from hyst_control.records.bag_reader import read_bag
 
 FIGURES = Path(__file__).parent / "figures"
 NODES = (("reference_generator", 0.0), ("feedforward", 3.1), ("pi_feedback", 6.2), ("plant", 9.3))
@@ -42,8 +42,13 @@ def signal_chain() -> None:
         axes.text((start + end) / 2, turn + 0.08, topic, ha="center", va="bottom", style="italic", fontsize=7.5)
     stages = ("DAC", "drive", "hysteresis", "piezo", "mechanics", "motion", "sensor", "ADC", "transport")
     axes.text(5.7, -1.35, "inside the plant, and inside a model:   " + "  →  ".join(stages), ha="center", fontsize=8.5)
-    axes.text(5.7, -1.95, "recorder: every topic → bag → identification → model file → feedforward, simulator, diagnosis", ha="center",
-              fontsize=8.5)
+    axes.text(
+        5.7,
+        -1.95,
+        "recorder: every topic → bag → identification → model file → feedforward, simulator, diagnosis",
+        ha="center",
+        fontsize=8.5,
+    )
     axes.set(xlim=(-0.2, 11.6), ylim=(-2.2, 2.0))
     axes.axis("off")
     save(figure, "signal_chain.svg")
@@ -58,7 +63,9 @@ def tour(folder: Path) -> None:
     [tracked] = read_bag(folder / "tracking").aligned(["reference", "measurement"])
     reference, measurement = (tracked.values[topic][-800:, 0] for topic in ("reference", "measurement"))
     time = np.arange(800) * tracked.sample_time * 1e3
-    print(f"tracking: NRMSE {100 * np.sqrt(np.mean((measurement - reference) ** 2)) / np.ptp(reference):.2f} % over the last two periods")
+    print(
+        f"tracking: NRMSE {100 * np.sqrt(np.mean((measurement - reference) ** 2)) / np.ptp(reference):.2f} % over the last two periods"
+    )
     tracking.plot(time, reference, lw=2, label="reference")
     tracking.plot(time, measurement, "--", lw=1, label="measurement")
     tracking.plot(time, 10 * (reference - measurement), lw=0.8, label="10 × error")

@@ -11,16 +11,16 @@ import yaml
 from numpy.typing import NDArray
 from std_msgs.msg import Int64
 
+from hyst_control.config_files import config_path
 from hyst_control.control.loop import Plant
 from hyst_control.errors import InputError
 from hyst_control.model_file import Simulator, load_model
 from hyst_control.nodes.base import LONGEST_GAP, SignalNode
-from hyst_control.nodes.messages import QUEUE
-from hyst_control.nodes.ports import Input
+from hyst_control.nodes.duration_histogram import Durations
+from hyst_control.nodes.message_io import QUEUE
+from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.settings import Setting
-from hyst_control.nodes.timing import Durations
-from hyst_control.share import config_path
+from hyst_control.nodes.signal_ports import Input
 
 Array = NDArray[np.float64]
 
@@ -45,8 +45,7 @@ class PlantNode(SignalNode):
         Setting("effects", "", "", "in the truth plant, as YAML: '[{name: delay, tau: 4.0e-4, axis: x, from: 0.5}]'"),
         Setting("seed", 0, "", "seed of the plant's noise", 0, 2**31 - 1),
         Setting("ticks", 0, "ticks", "length of the run, 0 for endless", 0, 2**52),
-        Setting("start", "rest", "", "settled at 0 V, or at the first command (open loop)",
-                choices=("rest", "first_command")),
+        Setting("start", "rest", "", "settled at 0 V, or at the first command (open loop)", choices=("rest", "first_command")),
         Setting("retry", 0.2, "s", "time without a command after which the newest measurement is repeated", 1e-3, 60.0),
         Setting("wait_for_recorder", False, "", "keep within what the recorder has stored, in lockstep"),
     )
@@ -191,13 +190,20 @@ class PlantNode(SignalNode):
                 from hyst_plant_sim.physics import load_plant
 
                 path = given.plant if Path(given.plant).exists() else config_path(f"plants/{given.plant}.yaml")
-                plant = load_plant(path, seed=given.seed, sample_time=self.period, effects=_yaml(given.effects, "effects", list),
-                                   parameters=_yaml(given.parameters, "parameters", dict))
+                plant = load_plant(
+                    path,
+                    seed=given.seed,
+                    sample_time=self.period,
+                    effects=_yaml(given.effects, "effects", list),
+                    parameters=_yaml(given.parameters, "parameters", dict),
+                )
         except ValueError as error:
             raise InputError(f"{name}: {error}") from None
         if tuple(plant.axes) != self.axes or plant.units["measurement"] != self.unit:
-            raise InputError(f"{name}: {given.plant or given.model} has axes [{', '.join(plant.axes)}] in "
-                             f"{plant.units['measurement']}: set the parameters axes and unit to them")
+            raise InputError(
+                f"{name}: {given.plant or given.model} has axes [{', '.join(plant.axes)}] in "
+                f"{plant.units['measurement']}: set the parameters axes and unit to them"
+            )
         return plant
 
 

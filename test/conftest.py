@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from hyst_control.launch import environment
-from hyst_control.launch.domain import own_domain
+from hyst_control.processes import environment
+from hyst_control.processes.ros_domain import own_domain
 
 environment.prepare()
 ROOT = Path(__file__).resolve().parent.parent

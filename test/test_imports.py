@@ -10,13 +10,29 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = sorted(path for package in ("hyst_control", "hyst_plant_sim") for path in (ROOT / package).rglob("*.py"))
 ROS = {"rclpy", "std_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces"}
-LAYERS = [  # a module imports from its own layer and from those after it
-    {"cli", "nodes"},
-    {"identify", "diagnose", "control", "experiments"},
-    {"record", "model_file", "excitation", "bag_writer", "importing"},
-    {"effects"},
-    {"chain"},
-]
+ROOMS = (  # from the top of the house down: a room imports from itself and from those below it
+    "cli",
+    "nodes",
+    "fleet",
+    "benchmarks",
+    "blind_test",
+    "reproduction",
+    "export",
+    "diagnose",
+    "control",
+    "identify",
+    "reporting",
+    "processes",
+    "model_file",
+    "records",
+    "effects",
+    "chain",
+    "config_files",
+    "files",
+    "parallel",
+    "progress",
+    "errors",
+)
 
 
 def imported(path: Path) -> set[str]:
@@ -26,34 +42,35 @@ def imported(path: Path) -> set[str]:
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            base = node.module or ""
-            if node.level:
-                parents = path.relative_to(ROOT).with_suffix("").parts[:-node.level]
-                base = ".".join([*parents, *([base] if base else [])])
-            names |= {base, *(f"{base}.{alias.name}" for alias in node.names)}
+            assert not node.level, f"{path}: imports are absolute"
+            names |= {str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)}
     return names
 
 
-def layer(module: str) -> int | None:
-    """Layer of a module of hyst_control, None for one that all may use (errors, signal message, …)."""
-    parts = module.split(".")
-    found = [index for index, names in enumerate(LAYERS) if len(parts) > 1 and parts[0] == "hyst_control" and parts[1] in names]
-    return found[0] if found else None
-
-
 def module_name(path: Path) -> str:
-    return ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+def room(module: str) -> str | None:
+    """Room of a module of this package; None for the package itself and what belongs to others."""
+    parts = module.split(".")
+    if parts[:2] == ["hyst_plant_sim", "node"]:
+        return "nodes"
+    return parts[1] if parts[0] == "hyst_control" and len(parts) > 1 else None
 
 
 def test_there_are_sources_to_read():
     assert len(SOURCES) > 20
 
 
+def test_every_module_is_in_a_room():
+    assert {found for path in SOURCES if (found := room(module_name(path)))} <= set(ROOMS)
+
+
 @pytest.mark.parametrize("path", SOURCES, ids=module_name)
 def test_ros_only_in_nodes(path):
-    allowed = module_name(path).startswith("hyst_control.nodes.") or module_name(path) == "hyst_plant_sim.node"
     ros = {name for name in imported(path) if name.split(".")[0] in ROS}
-    assert allowed or not ros
+    assert room(module_name(path)) == "nodes" or not ros
 
 
 @pytest.mark.parametrize("path", [path for path in SOURCES if "physics" in path.relative_to(ROOT).parts], ids=module_name)
@@ -64,7 +81,7 @@ def test_physics_shares_nothing_with_the_models(path):
 
 @pytest.mark.parametrize("path", SOURCES, ids=module_name)
 def test_imports_run_downward(path):
-    own = layer(module_name(path))
+    own = room(module_name(path))
     if own is not None:
-        upward = {name for name in imported(path) if (other := layer(name)) is not None and other < own}
+        upward = {name for name in imported(path) if (other := room(name)) in ROOMS and ROOMS.index(other) < ROOMS.index(own)}
         assert not upward

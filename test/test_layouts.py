@@ -26,8 +26,12 @@ def published() -> set[str]:
 
 def test_plotjuggler_shows_what_is_published():
     layout = ElementTree.parse(ROOT / "config/plotjuggler/loop.xml")
-    curves = [value for curve in layout.iter("curve") for key, value in curve.items() if key in ("curve_x", "curve_y") or
-              (key == "name" and "curve_x" not in curve.attrib)]
+    curves = [
+        value
+        for curve in layout.iter("curve")
+        for key, value in curve.items()
+        if key in ("curve_x", "curve_y") or (key == "name" and "curve_x" not in curve.attrib)
+    ]
     columns = [re.fullmatch(r"(/\w+)/data\[([12])\]", curve) for curve in curves]
     assert len(curves) > 5 and all(columns)
     assert {column[1] for column in columns} <= published()
@@ -36,7 +40,9 @@ def test_plotjuggler_shows_what_is_published():
 def test_foxglove_shows_what_is_published():
     layout = json.loads((ROOT / "config/foxglove/loop.json").read_text())
     panels = layout["configById"]
-    paths = [path["value"] for panel in panels.values() for path in [*panel.get("paths", []), *filter(None, [panel.get("xAxisPath")])]]
+    paths = [
+        path["value"] for panel in panels.values() for path in [*panel.get("paths", []), *filter(None, [panel.get("xAxisPath")])]
+    ]
     columns = [re.fullmatch(r"(/\w+)\.data\[([12])\]", path) for path in paths]
     assert len(paths) > 5 and all(columns)
     assert {column[1] for column in columns} | {panels["DiagnosticSummary!nodes"]["topicToRender"]} <= published()

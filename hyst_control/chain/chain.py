@@ -24,8 +24,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hyst_control.chain.linear import Delay, linear_filter
+from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import Array, Filter, Modifier, Sampling, Stage, register
-from hyst_control.chain.static import Gain, Offset
 from hyst_control.errors import InputError
 
 
@@ -151,7 +151,13 @@ def _pass_bends(stages: Sequence[Stage]) -> list[Stage]:
         bends = isinstance(stage, Averaged) and not any(_is_system(before) for before in passed)
         if bends and isinstance(following, Parallel):
             waiting = (*waiting, stage)
-        elif bends and isinstance(stage, Averaged) and following is not None and not _is_system(following) and not following.mixes_axes:
+        elif (
+            bends
+            and isinstance(stage, Averaged)
+            and following is not None
+            and not _is_system(following)
+            and not following.mixes_axes
+        ):
             passed.append(stage.at_samples())
             waiting = (*waiting, *stage.between_samples())
         elif waiting and isinstance(stage, Parallel):

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from scipy.interpolate import PchipInterpolator
 
-from hyst_control.chain.remembered import remembered
+from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 

@@ -24,7 +24,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numba import njit
 
-from hyst_control.chain.play import check_operators, play_filter
+from hyst_control.chain.prandtl_ishlinskii import check_operators, play_filter
 from hyst_control.chain.stage import Array, Filter, Sampling, Stage, per_axis_scalar, register, require_finite, require_positive
 from hyst_control.errors import InputError
 
@@ -89,8 +89,27 @@ def solve_command(v, start, lower, upper, resolution, thresholds, release, weigh
 
 
 @njit(cache=True)
-def inverse_multiplicative(demand, previous, rate_factor, most, thresholds, release, weights, w0, m1, m2, k, b, lower, upper,
-                           gain, iterations, state, command, output):
+def inverse_multiplicative(
+    demand,
+    previous,
+    rate_factor,
+    most,
+    thresholds,
+    release,
+    weights,
+    w0,
+    m1,
+    m2,
+    k,
+    b,
+    lower,
+    upper,
+    gain,
+    iterations,
+    state,
+    command,
+    output,
+):
     """Commands (N, A) for demands (N, A); `previous` (A,) demand, `command` (A,) and `state` (A, n) are updated.
 
     rate_factor (A,) turns the difference of two demands into the command's rate in V/s; most (A,) bounds |w_r|; gain (A,) V per
@@ -131,17 +150,24 @@ class InverseMultiplicativeFilter(Filter):
         self.lower, self.upper = (per_axis_scalar(getattr(stage, name), axes, name) for name in ("lower", "upper"))
         slope = np.empty((3, axes))
         for axis in range(axes):
-            slope[:, axis] = slope_range(*(field[axis] for field in (self.thresholds, self.release, self.weights)),
-                                         *(values[axis] for values in self.coefficients[0:1] + self.coefficients[3:]),
-                                         self.lower[axis], self.upper[axis])[:3]
+            slope[:, axis] = slope_range(
+                *(field[axis] for field in (self.thresholds, self.release, self.weights)),
+                *(values[axis] for values in self.coefficients[0:1] + self.coefficients[3:]),
+                self.lower[axis],
+                self.upper[axis],
+            )[:3]
         if np.any(slope[0] <= 0.0):
-            raise InputError("weights: the output does not rise with the command everywhere between "
-                             f"{self.lower.min():g} and {self.upper.max():g} V (least slope {slope[0].min():.3g}): it has no "
-                             "inverse there; narrow lower and upper, or fit the model with positive weights")
+            raise InputError(
+                "weights: the output does not rise with the command everywhere between "
+                f"{self.lower.min():g} and {self.upper.max():g} V (least slope {slope[0].min():.3g}): it has no "
+                "inverse there; narrow lower and upper, or fit the model with positive weights"
+            )
         self.gain = 1.0 / slope[1] if stage.gain is None else per_axis_scalar(stage.gain, axes, "gain")
         if np.any(self.gain * slope[1] >= 2.0):
-            raise InputError(f"gain: {self.gain.max():g} V per output unit times the greatest slope {slope[1].max():.4g} is 2 or "
-                             f"more and does not converge: take at most {1.0 / slope[1].max():.4g}")
+            raise InputError(
+                f"gain: {self.gain.max():g} V per output unit times the greatest slope {slope[1].max():.4g} is 2 or "
+                f"more and does not converge: take at most {1.0 / slope[1].max():.4g}"
+            )
         self.iterations = stage.iterations
         self.rate_factor = 2.0 / (sampling.sample_time * (slope[1] + slope[2]))
         self.most = 0.5 * slope[2] / np.isfinite(self.thresholds).sum(axis=1)
@@ -160,9 +186,27 @@ class InverseMultiplicativeFilter(Filter):
     def _run(self, block: Array, iterations: int) -> Array:
         output = np.empty_like(block)
         w0, m1, m2, k, b = self.coefficients
-        inverse_multiplicative(block, self.previous, self.rate_factor, self.most, self.thresholds, self.release, self.weights,
-                               w0, m1, m2, k, b, self.lower, self.upper, self.gain, iterations, self.state, self.command,
-                               output)
+        inverse_multiplicative(
+            block,
+            self.previous,
+            self.rate_factor,
+            self.most,
+            self.thresholds,
+            self.release,
+            self.weights,
+            w0,
+            m1,
+            m2,
+            k,
+            b,
+            self.lower,
+            self.upper,
+            self.gain,
+            iterations,
+            self.state,
+            self.command,
+            output,
+        )
         return output
 
 
@@ -205,8 +249,9 @@ class InverseMultiplicative(Stage):
         return InverseMultiplicativeFilter(self, sampling)
 
 
-def slope_range(thresholds: Array, release: Array, weights: Array, w0: float, k: float, b: float, lower: float,
-                upper: float) -> tuple[float, float, float, float]:
+def slope_range(
+    thresholds: Array, release: Array, weights: Array, w0: float, k: float, b: float, lower: float, upper: float
+) -> tuple[float, float, float, float]:
     """Least, greatest and mean slope dY/du at rest of one axis over [lower, upper], and the command at the least one.
 
     The operators that move on a branch are those of the smallest thresholds, so the slope with the first j of them moving is

@@ -14,8 +14,8 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.linalg import block_diag, expm, matrix_balance
 
+from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.linear_kernels import advance_linear, advance_single
-from hyst_control.chain.remembered import remembered
 from hyst_control.chain.stage import (
     Array,
     Filter,

@@ -19,8 +19,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numba import njit
 
+from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.curves import Curve, evaluate_curve, knot_curve, polynomial_curve, solve_curve
-from hyst_control.chain.remembered import remembered
 from hyst_control.chain.stage import (
     Array,
     Filter,

@@ -28,16 +28,23 @@ ROS = ("rclpy", "std_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces")
 
 def parser() -> argparse.ArgumentParser:
     """The parser of all subcommands."""
-    top = argparse.ArgumentParser(prog="hyst", description="Excite, record, identify, control and diagnose piezo stages and fast "
-                                  "steering mirrors.", epilog="`hyst COMMAND --help` explains a command.")
+    top = argparse.ArgumentParser(
+        prog="hyst",
+        description="Excite, record, identify, control and diagnose piezo stages and fast steering mirrors.",
+        epilog="`hyst COMMAND --help` explains a command.",
+    )
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for module in sorted(iter_modules(__path__), key=lambda found: found.name):
         command = import_module(f"{__name__}.{module.name}")
-        sub = commands.add_parser(command.NAME, help=command.HELP, description=command.__doc__,
-                                  formatter_class=argparse.RawDescriptionHelpFormatter)
+        sub = commands.add_parser(
+            command.NAME, help=command.HELP, description=command.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
         command.add_arguments(sub)
-        sub.add_argument("--json", metavar="OUT", help=f"{command.JSON} to write as JSON; -: to the standard output, and all else to the "
-                         "standard error")
+        sub.add_argument(
+            "--json",
+            metavar="OUT",
+            help=f"{command.JSON} to write as JSON; -: to the standard output, and all else to the standard error",
+        )
         sub.add_argument("--quiet", action="store_true", help="no progress, which is shown on a terminal only")
         sub.set_defaults(run=command.run)
     return top
@@ -61,8 +68,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         if error.name not in ROS:
             raise
-        print(f"hyst {arguments.command}: {error.name} is not installed: source a ROS 2 Jazzy installation, or use make's "
-              "environment (make env, then .venv/bin/hyst)", file=sys.stderr)
+        print(
+            f"hyst {arguments.command}: {error.name} is not installed: source a ROS 2 Jazzy installation, or use make's "
+            "environment (make env, then .venv/bin/hyst)",
+            file=sys.stderr,
+        )
         return 2
     except BrokenPipeError:  # `hyst … | head` has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the end's flush finds a place

@@ -12,7 +12,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hyst_control.made import Made
+    from hyst_control.reporting.artifacts import Made
 
 NAME = "cases"
 HELP = "draw recorded cases with effects in them, labels apart"
@@ -23,35 +23,57 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("action", choices=("make", "figures"), help="draw and record cases; or write the page of effects")
     parser.add_argument("--seed", type=int, help="of the cases (make)")
     parser.add_argument("--count", type=int, default=60, help="number of cases (make)")
-    parser.add_argument("--output", required=True, metavar="FOLDER",
-                        help="folder to write: cases/ and labels.json (make), effects.md and figures/effects/ (figures)")
-    parser.add_argument("--plants", nargs="+", metavar="PLANT",
-                        help="truth plants (make): pea, pea_published, fsm, fsm_published, third; default: the blind test's, "
-                             "pea_published, fsm_published and third")
-    parser.add_argument("--kinds", nargs="+", metavar="KIND",
-                        help="what is in them (make): single, pair, parameters, none, open_set (default: all)")
-    parser.add_argument("--excitations", nargs="+", metavar="EXCITATION",
-                        help="records (make): rich, multisine, sine, closed_loop (default: all)")
-    parser.add_argument("--switched", type=float, default=0.0, metavar="SHARE",
-                        help="share of the cases with effects in which they begin within the record (make; default 0)")
+    parser.add_argument(
+        "--output",
+        required=True,
+        metavar="FOLDER",
+        help="folder to write: cases/ and labels.json (make), effects.md and figures/effects/ (figures)",
+    )
+    parser.add_argument(
+        "--plants",
+        nargs="+",
+        metavar="PLANT",
+        help="truth plants (make): pea, pea_published, fsm, fsm_published, third; default: the blind test's, "
+        "pea_published, fsm_published and third",
+    )
+    parser.add_argument(
+        "--kinds", nargs="+", metavar="KIND", help="what is in them (make): single, pair, parameters, none, open_set (default: all)"
+    )
+    parser.add_argument(
+        "--excitations", nargs="+", metavar="EXCITATION", help="records (make): rich, multisine, sine, closed_loop (default: all)"
+    )
+    parser.add_argument(
+        "--switched",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="share of the cases with effects in which they begin within the record (make; default 0)",
+    )
 
 
 def run(arguments: argparse.Namespace) -> Made:
-    from hyst_control.made import Made
+    from hyst_control.reporting.artifacts import Made
 
     if arguments.action == "figures":
         from pathlib import Path
 
-        from hyst_plant_sim.effect_figures import write
+        from hyst_control.blind_test.effect_figures import write
 
         return Made("cases figures", write(Path(arguments.output)))
+    from hyst_control.blind_test.run import make_cases
     from hyst_control.errors import InputError
-    from hyst_control.experiments.blind_test import make_cases
 
     if arguments.seed is None:
         raise InputError("--seed: is missing: hyst cases make --seed 7 --output cases, say")
-    labels = make_cases(arguments.output, arguments.seed, arguments.count, arguments.plants, arguments.kinds, arguments.excitations,
-                        arguments.switched)
+    labels = make_cases(
+        arguments.output,
+        arguments.seed,
+        arguments.count,
+        arguments.plants,
+        arguments.kinds,
+        arguments.excitations,
+        arguments.switched,
+    )
     made = Made("cases make", [labels.parent / "cases", labels])
     made.add("", "cases", "", arguments.count)
     return made

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from hyst_control.cli import validate
 
 if TYPE_CHECKING:
-    from hyst_control.tables import Table
+    from hyst_control.reporting.tables import Table
 
 NAME = "compare"
 HELP = "score several models on the same bags"

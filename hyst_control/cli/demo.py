@@ -12,7 +12,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hyst_control.tables import Table
+    from hyst_control.reporting.tables import Table
 
 NAME = "demo"
 HELP = "the whole workflow on a simulated actuator, with a report"
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Table:
     from hyst_control import progress
-    from hyst_control.experiments import demo
+    from hyst_control.reproduction import demo
 
     with progress.steps(1 + 2 + len(demo.CONTROLLERS) + 1) as step:
         table = demo.run(arguments.output, step)

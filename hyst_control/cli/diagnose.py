@@ -22,10 +22,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--report", metavar="OUT.html", help="page to write, for people")
     parser.add_argument("--augmented", metavar="OUT.yaml", help="model file to write: the model with the effects added")
     parser.add_argument("--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the catalogue")
-    parser.add_argument("--on", metavar="COMMAND", help="bag or .npy file (rows by axes, V) with the command of a run to come: say how far "
-                        "the gap will shrink on it")
-    parser.add_argument("--warm-up", type=float, default=0.0, metavar="SECONDS", help="beginning of each record that only brings the "
-                        "simulation into the plant's state, for records that do not begin at rest")
+    parser.add_argument(
+        "--on",
+        metavar="COMMAND",
+        help="bag or .npy file (rows by axes, V) with the command of a run to come: say how far the gap will shrink on it",
+    )
+    parser.add_argument(
+        "--warm-up",
+        type=float,
+        default=0.0,
+        metavar="SECONDS",
+        help="beginning of each record that only brings the "
+        "simulation into the plant's state, for records that do not begin at rest",
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the simulated records and the resampling")
     parser.add_argument("--no-cache", action="store_true", help="calibrate the threshold anew")
     parser.add_argument("--namespace", help="namespace of the topics")
@@ -37,8 +46,21 @@ def run(arguments: argparse.Namespace) -> int:
 
     from hyst_control.diagnose.workflow import diagnose_bags
 
-    print(diagnose_bags(arguments.bags, arguments.model, json=arguments.json, report=arguments.report, augmented=arguments.augmented,
-                        without=arguments.without, seed=arguments.seed, cache=not arguments.no_cache, namespace=arguments.namespace,
-                        unit=arguments.unit, progress=not arguments.quiet and sys.stderr.isatty(), warm_up=arguments.warm_up,
-                        on=arguments.on))
+    print(
+        diagnose_bags(
+            arguments.bags,
+            arguments.model,
+            json=arguments.json,
+            report=arguments.report,
+            augmented=arguments.augmented,
+            without=arguments.without,
+            seed=arguments.seed,
+            cache=not arguments.no_cache,
+            namespace=arguments.namespace,
+            unit=arguments.unit,
+            progress=not arguments.quiet and sys.stderr.isatty(),
+            warm_up=arguments.warm_up,
+            on=arguments.on,
+        )
+    )
     return 0

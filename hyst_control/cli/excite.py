@@ -16,7 +16,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hyst_control.made import Made
+    from hyst_control.reporting.artifacts import Made
 
 NAME = "excite"
 HELP = "build an excitation and write it as a table, array, bag or description"
@@ -24,12 +24,18 @@ JSON = "what was made, or with --list the kinds,"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("signal", nargs="*", metavar="KIND parameter=value", help="the kind of signal, or a .yaml file, and parameters")
+    parser.add_argument(
+        "signal", nargs="*", metavar="KIND parameter=value", help="the kind of signal, or a .yaml file, and parameters"
+    )
     parser.add_argument("--list", action="store_true", help="print every kind with its parameters")
     parser.add_argument("--output", metavar="FILE", help="to write: .csv, .npy, .yaml, else a bag; it must not exist")
     parser.add_argument("--rate", type=float, default=20000.0, help="sample rate in Hz (default 20000)")
-    parser.add_argument("--plant", metavar="PLANT", help="truth plant (a name in config/plants or a file): its axes, and its rating "
-                        "and slew limit as bounds of an excitation in V")
+    parser.add_argument(
+        "--plant",
+        metavar="PLANT",
+        help="truth plant (a name in config/plants or a file): its axes, and its rating "
+        "and slew limit as bounds of an excitation in V",
+    )
     parser.add_argument("--axes", type=int, help="number of axes (default 1, or the plant's)")
     parser.add_argument("--unit", default="V", help="V for an excitation (default), um or mrad for a reference")
 
@@ -38,9 +44,9 @@ def run(arguments: argparse.Namespace) -> Made | Kinds:
     import numpy as np
 
     from hyst_control.errors import InputError
-    from hyst_control.excitation import build
-    from hyst_control.excitation_files import read_description, write_excitation
-    from hyst_control.made import Made
+    from hyst_control.records.excitation import build
+    from hyst_control.records.excitation_files import read_description, write_excitation
+    from hyst_control.reporting.artifacts import Made
 
     if arguments.list:
         return Kinds()
@@ -62,11 +68,18 @@ def run(arguments: argparse.Namespace) -> Made | Kinds:
     write_excitation(arguments.output, spec, rows, 1.0 / arguments.rate, arguments.unit)
     unit, duration = arguments.unit, len(rows) / arguments.rate
     slope = np.abs(np.diff(rows, axis=0)).max(initial=0.0) * arguments.rate
-    made = Made("excite", [arguments.output], lines=[f"{len(rows)} samples, {duration:g} s, {rows.min():.6g} to {rows.max():.6g} {unit}, "
-                                                     f"at most {slope:.4g} {unit}/s"])
+    made = Made(
+        "excite",
+        [arguments.output],
+        lines=[f"{len(rows)} samples, {duration:g} s, {rows.min():.6g} to {rows.max():.6g} {unit}, at most {slope:.4g} {unit}/s"],
+    )
     made.add("", "samples", "", len(rows))
-    for quantity, of, value in (("duration", "s", duration), ("minimum", unit, rows.min()), ("maximum", unit, rows.max()),
-                                ("slope", f"{unit}/s", slope)):
+    for quantity, of, value in (
+        ("duration", "s", duration),
+        ("minimum", unit, rows.min()),
+        ("maximum", unit, rows.max()),
+        ("slope", f"{unit}/s", slope),
+    ):
         made.add("", quantity, of, value)
     return made
 
@@ -95,12 +108,15 @@ class Kinds:
         """By name: parameters (a default of null: it has none, and must be given), and a sentence."""
         import inspect
 
-        from hyst_control.excitation import KINDS
+        from hyst_control.records.excitation import KINDS
 
         kinds = {}
         for name in sorted(KINDS):
-            parameters = {key: None if each.default is inspect.Parameter.empty else each.default
-                          for key, each in inspect.signature(KINDS[name]).parameters.items() if key not in ("sample_time", "axes")}
+            parameters = {
+                key: None if each.default is inspect.Parameter.empty else each.default
+                for key, each in inspect.signature(KINDS[name]).parameters.items()
+                if key not in ("sample_time", "axes")
+            }
             kinds[name] = {"parameters": parameters, "text": (inspect.getdoc(KINDS[name]) or "").splitlines()[0]}
         return {"schema": "hyst_control/excitations", "version": 1, "kinds": kinds, "common_parameters": list(self.COMMON)}
 
@@ -110,5 +126,9 @@ class Kinds:
             words = [key if default is None else f"{key}={default}" for key, default in kind["parameters"].items()]
             lines += [f"{name} {' '.join(words)}", f"    {kind['text']}"]
         lower, upper, slew_limit, *others = self.COMMON
-        return "\n".join([*lines, f"Each takes besides: {lower}, {upper}, {slew_limit} (bounds that it is checked against), "
-                                  f"{', '.join(others)}."])
+        return "\n".join(
+            [
+                *lines,
+                f"Each takes besides: {lower}, {upper}, {slew_limit} (bounds that it is checked against), {', '.join(others)}.",
+            ]
+        )

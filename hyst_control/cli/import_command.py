@@ -16,8 +16,8 @@ import argparse
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hyst_control.made import Made
-    from hyst_control.record import Record
+    from hyst_control.records.record import Record
+    from hyst_control.reporting.artifacts import Made
 
 NAME = "import"
 HELP = "turn CSV, NPY, NPZ or MAT recordings into bags"
@@ -30,8 +30,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--columns", help="topic=column[unit], separated by commas (not for a bag)")
     parser.add_argument("--rate", type=float, help="sample rate in Hz (not for a bag)")
     parser.add_argument("--rows", default=":", help="first:end, counted from 0 (default all)")
-    parser.add_argument("--hold", choices=("zoh", "foh"), default="zoh", help="zoh: a DAC held the command between "
-                        "samples; foh: a smooth source was sampled (default zoh)")
+    parser.add_argument(
+        "--hold",
+        choices=("zoh", "foh"),
+        default="zoh",
+        help="zoh: a DAC held the command between samples; foh: a smooth source was sampled (default zoh)",
+    )
     parser.add_argument("--variable", help="array of an .npz or .mat file")
 
 
@@ -39,9 +43,9 @@ def run(arguments: argparse.Namespace) -> Made:
     from pathlib import Path
 
     from hyst_control import progress
-    from hyst_control.bag_reader import read_bag
     from hyst_control.errors import InputError
-    from hyst_control.importing import import_table, parse_columns
+    from hyst_control.records.bag_reader import read_bag
+    from hyst_control.records.importing import import_table, parse_columns
 
     progress.step(f"read {arguments.file}")
     if Path(arguments.file).is_dir() or arguments.file.endswith((".mcap", ".db3")):
@@ -55,15 +59,17 @@ def run(arguments: argparse.Namespace) -> Made:
         rows = (int(first or 0), int(last) if last else None)
     except ValueError:
         raise InputError(f"rows: {arguments.rows!r}: first:end, whole numbers, is due") from None
-    record = import_table(arguments.file, parse_columns(arguments.columns), arguments.rate, rows, arguments.hold, arguments.variable)
+    record = import_table(
+        arguments.file, parse_columns(arguments.columns), arguments.rate, rows, arguments.hold, arguments.variable
+    )
     return written(arguments.output, record, [])
 
 
 def written(output: str, record: Record, notes: list[str]) -> Made:
     """Write the record and say what is in it."""
     from hyst_control import progress
-    from hyst_control.importing import write_bag
-    from hyst_control.made import Made
+    from hyst_control.records.importing import write_bag
+    from hyst_control.reporting.artifacts import Made
 
     progress.step(f"write {output}")
     write_bag(output, record)

@@ -14,7 +14,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hyst_control.made import Made
+    from hyst_control.reporting.artifacts import Made
 
 NAME = "record"
 HELP = "record signal topics to a bag"
@@ -40,16 +40,23 @@ def run(arguments: argparse.Namespace) -> Made | int:
 
     from hyst_control import progress
     from hyst_control.errors import InputError
-    from hyst_control.made import Made
     from hyst_control.nodes.recorder import Recorder
     from hyst_control.nodes.run import main
+    from hyst_control.reporting.artifacts import Made
 
     for name in ("duration", "ticks"):
         value = getattr(arguments, name)
         if value is not None and not 0 < value < 1e12:
             raise InputError(f"{name}: {value!r}, more than 0 is due")
-    parameters = {"output": arguments.output, "topics": arguments.topics, "rate_hz": arguments.rate, "schedule": arguments.schedule,
-                  "duration": arguments.duration, "ticks": arguments.ticks, "merge": arguments.merge}
+    parameters = {
+        "output": arguments.output,
+        "topics": arguments.topics,
+        "rate_hz": arguments.rate,
+        "schedule": arguments.schedule,
+        "duration": arguments.duration,
+        "ticks": arguments.ticks,
+        "merge": arguments.merge,
+    }
     given = [word for name, value in parameters.items() if value is not None for word in ("-p", f"{name}:={json.dumps(value)}")]
     remaps = ["-r", f"__ns:=/{arguments.namespace.strip('/')}"] if arguments.namespace else []
     progress.step(f"record to {arguments.output}; Ctrl-C ends it")

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 from hyst_control.errors import InputError
 
 if TYPE_CHECKING:
-    from hyst_control.made import Made
-    from hyst_control.tables import Table
+    from hyst_control.reporting.artifacts import Made
+    from hyst_control.reporting.tables import Table
 
 NAME = "reproduce"
 HELP = "run a published experiment and print its table"
@@ -24,8 +24,12 @@ EXPERIMENTS = ("hampi", "mhl", "pea-p885", "fsm-cubespec")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("experiment", choices=(*EXPERIMENTS, "page"), metavar="NAME",
-                        help=f"{', '.join(EXPERIMENTS)}; page: the papers' targets met and missed, from results")
+    parser.add_argument(
+        "experiment",
+        choices=(*EXPERIMENTS, "page"),
+        metavar="NAME",
+        help=f"{', '.join(EXPERIMENTS)}; page: the papers' targets met and missed, from results",
+    )
     parser.add_argument("--figures", metavar="FOLDER", help="folder for the figures")
     parser.add_argument("--results", nargs="+", metavar="JSON", help="page: results of hampi and mhl")
     parser.add_argument("--page", metavar="OUT.md", help="page: Markdown to write")
@@ -38,10 +42,10 @@ def run(arguments: argparse.Namespace) -> Table | Made:
     if not all(given) if arguments.experiment == "page" else any(given):
         raise InputError("--results, --page: both belong to `hyst reproduce page`, and only there")
     if arguments.experiment == "page":
-        from hyst_control.experiments.reproduction_page import write_page
-        from hyst_control.made import Made
+        from hyst_control.reporting.artifacts import Made
+        from hyst_control.reproduction.page import write_page
 
         write_page(arguments.results, arguments.page)
         return Made("reproduce page", [arguments.page])
-    experiment = import_module(f"hyst_control.experiments.{arguments.experiment.replace('-', '_')}")
+    experiment = import_module(f"hyst_control.reproduction.{arguments.experiment.replace('-', '_')}")
     return experiment.run(None, arguments.figures)

@@ -11,7 +11,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hyst_control.made import Made
+    from hyst_control.reporting.artifacts import Made
 
 NAME = "simulate"
 HELP = "run a model over a recorded command or an excitation"
@@ -32,14 +32,14 @@ def run(arguments: argparse.Namespace) -> Made:
     import numpy as np
 
     from hyst_control import progress
-    from hyst_control.bag_reader import read_bag
     from hyst_control.errors import InputError
-    from hyst_control.excitation import build
-    from hyst_control.excitation_files import read_description
-    from hyst_control.importing import write_bag
-    from hyst_control.made import Made
     from hyst_control.model_file import load_model, simulate
-    from hyst_control.record import Record, Signal
+    from hyst_control.records.bag_reader import read_bag
+    from hyst_control.records.excitation import build
+    from hyst_control.records.excitation_files import read_description
+    from hyst_control.records.importing import write_bag
+    from hyst_control.records.record import Record, Signal
+    from hyst_control.reporting.artifacts import Made
 
     if bool(arguments.bag) == bool(arguments.excitation):
         raise InputError("give either a bag or --excitation")
@@ -70,12 +70,20 @@ def run(arguments: argparse.Namespace) -> Made:
     if not np.isfinite(measurement).all():
         raise InputError(f"{arguments.model}: the simulation does not stay finite with this command: is the model stable?")
     time = np.arange(len(commands)) * sample_time
-    signals = {"command": Signal(time, commands, tuple(model.axes), "V"),
-               "measurement": Signal(time, measurement, tuple(model.axes), model.units["measurement"])}
+    signals = {
+        "command": Signal(time, commands, tuple(model.axes), "V"),
+        "measurement": Signal(time, measurement, tuple(model.axes), model.units["measurement"]),
+    }
     write_bag(arguments.output, Record(signals, arguments.output, (), hold))
     unit, rate = model.units["measurement"], 1.0 / sample_time
-    made = Made("simulate", [arguments.output], lines=[*notes, f"{len(commands)} samples at {rate:g} Hz, measurement "
-                                                       f"{measurement.min():.6g} to {measurement.max():.6g} {unit}"])
+    made = Made(
+        "simulate",
+        [arguments.output],
+        lines=[
+            *notes,
+            f"{len(commands)} samples at {rate:g} Hz, measurement {measurement.min():.6g} to {measurement.max():.6g} {unit}",
+        ],
+    )
     made.add("", "samples", "", len(commands))
     made.add("", "rate", "Hz", rate)
     made.add("measurement", "minimum", unit, measurement.min())

@@ -11,7 +11,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hyst_control.tables import Table
+    from hyst_control.reporting.tables import Table
 
 NAME = "tune"
 HELP = "tune the PI feedback from a model to stability margins"
@@ -24,12 +24,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--gain-margin", type=float, default=6.0, metavar="DB", help="at least, in dB (default 6)")
     parser.add_argument("--phase-margin", type=float, default=45.0, metavar="DEG", help="at least, in degrees (default 45)")
     parser.add_argument("--peak-sensitivity", type=float, default=2.0, metavar="MS", help="at most (default 2)")
-    parser.add_argument("--loop-delay", type=int, default=0, metavar="TICKS",
-                        help="further ticks in the loop: 0 in lockstep (default), about 1 on wall-clock timers")
+    parser.add_argument(
+        "--loop-delay",
+        type=int,
+        default=0,
+        metavar="TICKS",
+        help="further ticks in the loop: 0 in lockstep (default), about 1 on wall-clock timers",
+    )
     parser.add_argument("--gain-spread", type=float, default=0.1, help="of the plant, relative (default 0.1)")
     parser.add_argument("--mode-spread", type=float, default=0.2, help="of the first resonance, relative (default 0.2)")
-    parser.add_argument("--model-error", type=float, default=0.15,
-                        help="of the model's response at any frequency, relative (default 0.15)")
+    parser.add_argument(
+        "--model-error", type=float, default=0.15, help="of the model's response at any frequency, relative (default 0.15)"
+    )
 
 
 def run(arguments: argparse.Namespace) -> Table:
@@ -40,8 +46,15 @@ def run(arguments: argparse.Namespace) -> Table:
     model = load_model(arguments.model)
     if arguments.rate is not None and not 0 < arguments.rate < 1e12:
         raise InputError(f"rate: {arguments.rate!r} Hz, a positive rate is due")
-    result = tune(model, sample_time=1.0 / arguments.rate if arguments.rate else None,
-                  gain_margin=arguments.gain_margin, phase_margin=arguments.phase_margin,
-                  peak_sensitivity=arguments.peak_sensitivity, loop_delay=arguments.loop_delay,
-                  gain_spread=arguments.gain_spread, mode_spread=arguments.mode_spread, model_error=arguments.model_error)
+    result = tune(
+        model,
+        sample_time=1.0 / arguments.rate if arguments.rate else None,
+        gain_margin=arguments.gain_margin,
+        phase_margin=arguments.phase_margin,
+        peak_sensitivity=arguments.peak_sensitivity,
+        loop_delay=arguments.loop_delay,
+        gain_spread=arguments.gain_spread,
+        mode_spread=arguments.mode_spread,
+        model_error=arguments.model_error,
+    )
     return result.table(model)

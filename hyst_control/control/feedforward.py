@@ -26,10 +26,10 @@ from hyst_control.chain import Chain, Parallel, Sampling, Stage
 from hyst_control.chain.inverse_multiplicative import InverseMultiplicative, slope_range
 from hyst_control.chain.linear import Delay, LinearStage
 from hyst_control.chain.madelung import Madelung
-from hyst_control.chain.play import ModifiedPrandtlIshlinskii, PrandtlIshlinskii, play_filter
-from hyst_control.chain.rate_dependent import RateDependentPrandtlIshlinskii
+from hyst_control.chain.memoryless import Gain, Offset, Quantization, Saturation
+from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii, play_filter
+from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.stage import Array, per_axis_scalar
-from hyst_control.chain.static import Gain, Offset, Quantization, Saturation
 from hyst_control.control.inverse_dynamics import invert_dynamics, zero_phase_low_pass
 from hyst_control.control.mhl_inverse import (
     composite,
@@ -55,8 +55,9 @@ class Compensator:
     ticks the command is late where preview was declined. `limits` (2, A) is the drive that it never leaves.
     """
 
-    def __init__(self, stages: Sequence[Stage], model: Model, sample_time: float, preview: int, residual_delay_ticks: int,
-                 limits: Array) -> None:
+    def __init__(
+        self, stages: Sequence[Stage], model: Model, sample_time: float, preview: int, residual_delay_ticks: int, limits: Array
+    ) -> None:
         self.stages = tuple(stages)
         self.axes = model.axes
         self.sample_time = sample_time
@@ -74,10 +75,20 @@ class Compensator:
         return self._filter.process(np.ascontiguousarray(block, dtype=float))
 
 
-def build_compensator(model: Model, kind: str, *, sample_time: float | None = None, inverse: str = "zpetc",
-                      discretisation: str = "zoh", limits: tuple[ArrayLike, ArrayLike] | None = None, preview: bool = True,
-                      iterations: int | None = None, inverse_model: Model | None = None,
-                      rate_filter: Sequence[float] | None = RATE_FILTER, smoothing: int = 0) -> Compensator:
+def build_compensator(
+    model: Model,
+    kind: str,
+    *,
+    sample_time: float | None = None,
+    inverse: str = "zpetc",
+    discretisation: str = "zoh",
+    limits: tuple[ArrayLike, ArrayLike] | None = None,
+    preview: bool = True,
+    iterations: int | None = None,
+    inverse_model: Model | None = None,
+    rate_filter: Sequence[float] | None = RATE_FILTER,
+    smoothing: int = 0,
+) -> Compensator:
     """A compensator of one of `KINDS` for a model; see the module.
 
     sample_time s (the model's by default); inverse: "zpetc", "zmetc", "npz_ignore" or "none" (static gain only), of the
@@ -150,8 +161,10 @@ def split(model: Model) -> tuple[list[Stage], Stage | None, list[Stage]]:
     for index, stage in enumerate(model.chain.stages):
         if hysteretic(stage):
             if core is not None:
-                raise InputError(f"chain[{index}] ({stage.name}): a second hysteresis: a compensator inverts one; "
-                                 "use the lifted inverse of the whole chain")
+                raise InputError(
+                    f"chain[{index}] ({stage.name}): a second hysteresis: a compensator inverts one; "
+                    "use the lifted inverse of the whole chain"
+                )
             core = stage
         elif isinstance(stage, (LinearStage, Gain, Offset)):
             sides[core is not None].append(stage)
@@ -172,8 +185,9 @@ def dynamics_inverse(side: list[Stage], sampling: Sampling, method: str, discret
         return [], 0
     # Offsets are carried to the output of the side; gains and the static gain of the dynamics commute with the dynamics.
     bias = quasi_static_stages(side, np.zeros((1, axes)), axes)[0]
-    gain = np.prod([per_axis_scalar(stage.gain, axes, "gain") for stage in static if isinstance(stage, Gain)] or [np.ones(axes)],
-                   axis=0)
+    gain = np.prod(
+        [per_axis_scalar(stage.gain, axes, "gain") for stage in static if isinstance(stage, Gain)] or [np.ones(axes)], axis=0
+    )
     stages: list[Stage] = [Offset((-bias).tolist())] if np.any(bias != 0.0) else []
     if np.any(gain == 0.0):
         raise InputError("gain: is 0: the command does not reach the output")
@@ -188,8 +202,9 @@ def dynamics_inverse(side: list[Stage], sampling: Sampling, method: str, discret
     return [*stages, inverted.stage], inverted.preview
 
 
-def core_inverse(core: Stage | None, after: list[Stage], kind: str, sampling: Sampling, drive: Array, needed: Array,
-                 iterations: int | None) -> list[Stage]:
+def core_inverse(
+    core: Stage | None, after: list[Stage], kind: str, sampling: Sampling, drive: Array, needed: Array, iterations: int | None
+) -> list[Stage]:
     """Stages that undo the hysteresis.
 
     after: the linear stages that follow it in the model; drive (2, A): V, what enters it; needed (A,): V, up to where it must be
@@ -210,8 +225,9 @@ def core_inverse(core: Stage | None, after: list[Stage], kind: str, sampling: Sa
     if kind == "hapi":
         own = {name: value for name, value in own.items() if name not in ("m1", "m2", "k", "b")}
     lower, upper = invertible_range(core.__class__(**own), drive, needed)
-    return [InverseMultiplicative(**own, lower=lower.tolist(), upper=upper.tolist(),
-                                  iterations=4 if iterations is None else iterations)]
+    return [
+        InverseMultiplicative(**own, lower=lower.tolist(), upper=upper.tolist(), iterations=4 if iterations is None else iterations)
+    ]
 
 
 def invertible_range(core: Stage, drive: Array, needed: Array) -> Array:
@@ -226,7 +242,9 @@ def invertible_range(core: Stage, drive: Array, needed: Array) -> Array:
 
     def least_slope(axis: int, end: float) -> tuple[float, float, float, float]:
         w0, k, b = coefficients[:, axis]
-        return slope_range(operators.thresholds[axis], operators.release[axis], operators.weights[axis], w0, k, b, drive[0, axis], end)
+        return slope_range(
+            operators.thresholds[axis], operators.release[axis], operators.weights[axis], w0, k, b, drive[0, axis], end
+        )
 
     for axis in range(axes):
         if least_slope(axis, upper[axis])[0] > 0.0:
@@ -234,8 +252,10 @@ def invertible_range(core: Stage, drive: Array, needed: Array) -> Array:
         low, high = min(needed[axis], upper[axis]), upper[axis]
         least, _, _, where = least_slope(axis, low)
         if least <= 0.0:
-            raise InputError(f"weights of axis {axis}: the model's output falls while the command rises near {where:.4g} V "
-                             f"(dY/du {least:.3g}): no inverse; narrow the limits or fit it with positive weights")
+            raise InputError(
+                f"weights of axis {axis}: the model's output falls while the command rises near {where:.4g} V "
+                f"(dY/du {least:.3g}): no inverse; narrow the limits or fit it with positive weights"
+            )
         while high - low > 1e-3 * (drive[1, axis] - drive[0, axis]):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if least_slope(axis, middle)[0] > 0.0 else (low, middle)

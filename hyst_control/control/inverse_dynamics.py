@@ -67,8 +67,13 @@ class InverseDynamics:
     systems: tuple[DiscreteSystem, ...]
 
 
-def invert_dynamics(run: Sequence[Stage], sampling: Sampling, method: str = "zpetc", discretisation: str = "zoh",
-                    ringing_limit: float = RINGING_LIMIT) -> InverseDynamics:
+def invert_dynamics(
+    run: Sequence[Stage],
+    sampling: Sampling,
+    method: str = "zpetc",
+    discretisation: str = "zoh",
+    ringing_limit: float = RINGING_LIMIT,
+) -> InverseDynamics:
     """The inverse of a run of linear stages and delays, from the held input to the sample of the output.
 
     `zoh` inverts the system exactly as it is sampled: input[k] held from t_k to t_k+1 (or interpolated, by `sampling.hold`),
@@ -88,8 +93,10 @@ def invert_dynamics(run: Sequence[Stage], sampling: Sampling, method: str = "zpe
     inverses = [invert_system(plant, method, ringing_limit) for plant in plants]
     preview = max(ahead for _, ahead in inverses)
     # Axes that look less far ahead are delayed to the longest, so that one preview holds for all.
-    systems = tuple(DiscreteSystem(inverse.zeros, np.append(inverse.poles, np.zeros(preview - ahead)), inverse.gain)
-                    for inverse, ahead in inverses)
+    systems = tuple(
+        DiscreteSystem(inverse.zeros, np.append(inverse.poles, np.zeros(preview - ahead)), inverse.gain)
+        for inverse, ahead in inverses
+    )
     return InverseDynamics(discrete_stage(systems, sampling.sample_time), preview, systems)
 
 
@@ -148,14 +155,18 @@ def tustin_systems(run: Sequence[Stage], sampling: Sampling) -> list[DiscreteSys
         for axis, system in enumerate(stage.systems(sampling.axes)):
             n = len(system.A)
             solve = np.linalg.inv(np.eye(n) - 0.5 * ts * system.A)
-            plant = _zero_pole_gain(solve @ (np.eye(n) + 0.5 * ts * system.A), ts * solve @ system.B, system.C @ solve,
-                                    system.D + 0.5 * ts * system.C @ solve @ system.B)
+            plant = _zero_pole_gain(
+                solve @ (np.eye(n) + 0.5 * ts * system.A),
+                ts * solve @ system.B,
+                system.C @ solve,
+                system.D + 0.5 * ts * system.C @ solve @ system.B,
+            )
             one = systems[axis]
-            systems[axis] = DiscreteSystem(np.append(one.zeros, plant.zeros), np.append(one.poles, plant.poles),
-                                           one.gain * plant.gain)
+            systems[axis] = DiscreteSystem(
+                np.append(one.zeros, plant.zeros), np.append(one.poles, plant.poles), one.gain * plant.gain
+            )
     whole = np.rint(late / ts).astype(int)
-    return [DiscreteSystem(one.zeros, np.append(one.poles, np.zeros(whole[axis])), one.gain)
-            for axis, one in enumerate(systems)]
+    return [DiscreteSystem(one.zeros, np.append(one.poles, np.zeros(whole[axis])), one.gain) for axis, one in enumerate(systems)]
 
 
 def discrete_stage(systems: Sequence[DiscreteSystem], sample_time: float) -> StateSpace:
@@ -188,8 +199,10 @@ def _decoupled(run: Sequence[Stage]) -> list[Stage]:
         couples = getattr(stage, "coupled", False) or (isinstance(stage, StateSpace) and len(stage.D) > 1)
         couples = couples or (isinstance(stage, CrossCoupling) and len(stage.matrix) > 1)
         if couples or getattr(stage, "discrete", False):
-            raise InputError(f"chain ({stage.name}): a per-axis inverse needs continuous dynamics that do not mix the axes: "
-                             "use the lifted inverse of the whole chain")
+            raise InputError(
+                f"chain ({stage.name}): a per-axis inverse needs continuous dynamics that do not mix the axes: "
+                "use the lifted inverse of the whole chain"
+            )
     return list(run)
 
 
@@ -246,15 +259,21 @@ def _state_space(system: DiscreteSystem) -> tuple[Array, Array, Array, Array]:
     padding = np.zeros(len(system.poles) - len(system.zeros))
     if len(padding):
         # zpk2sos reads missing zeros as zeros at the origin, which is a sample's advance: delay by a state each instead.
-        inner = DiscreteSystem(system.zeros, system.poles[:len(system.zeros)], system.gain)
-        if np.any(system.poles[len(system.zeros):] != 0.0):
+        inner = DiscreteSystem(system.zeros, system.poles[: len(system.zeros)], system.gain)
+        if np.any(system.poles[len(system.zeros) :] != 0.0):
             raise ValueError("poles without a zero must stand last and be at the origin")
         parts = [_state_space(inner), *[(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))] * len(padding)]
     else:
         parts = []
         for b0, b1, b2, _, a1, a2 in zpk2sos(system.zeros, system.poles, system.gain):
-            parts.append((np.array([[-a1, -a2], [1.0, 0.0]]), np.array([[1.0], [0.0]]),
-                          np.array([[b1 - a1 * b0, b2 - a2 * b0]]), np.array([[b0]])))
+            parts.append(
+                (
+                    np.array([[-a1, -a2], [1.0, 0.0]]),
+                    np.array([[1.0], [0.0]]),
+                    np.array([[b1 - a1 * b0, b2 - a2 * b0]]),
+                    np.array([[b0]]),
+                )
+            )
     a, b, c, d = parts[0]
     for fa, fb, fc, fd in parts[1:]:
         a, b = np.block([[a, np.zeros((len(a), len(fa)))], [fb @ c, fa]]), np.vstack([b, fb @ d])

@@ -45,8 +45,14 @@ def feedforward_rows(reference: Array, compensator: Compensator) -> Array:
     return compensator.process(np.ascontiguousarray(held))[ahead:]
 
 
-def run_loop(reference: Array, compensator: Compensator | None, controller: RunningPI, plant: Plant,
-             feedback: bool = True, start: str = "rest") -> dict[str, Array]:
+def run_loop(
+    reference: Array,
+    compensator: Compensator | None,
+    controller: RunningPI,
+    plant: Plant,
+    feedback: bool = True,
+    start: str = "rest",
+) -> dict[str, Array]:
     """Signals by topic, each (N, A), of N ticks of the loop; reference (N, A) in the measurement unit.
 
     start: "rest", the plant settled at 0 V, or "first_command", settled at the first command (open loop only: a closed
@@ -67,6 +73,5 @@ def run_loop(reference: Array, compensator: Compensator | None, controller: Runn
         for k in range(len(reference)):
             measurement[k] = sample
             command[k], correction[k] = controller.step(reference[k], sample, ahead[k])
-            sample = plant.step(command[k:k + 1])[0]
-    return {"reference": reference, "feedforward": ahead, "feedback": correction, "command": command,
-            "measurement": measurement}
+            sample = plant.step(command[k : k + 1])[0]
+    return {"reference": reference, "feedforward": ahead, "feedback": correction, "command": command, "measurement": measurement}

@@ -9,7 +9,7 @@ from hyst_control.control.loop import Plant, run_loop
 from hyst_control.control.pi import PI
 from hyst_control.control.tuning import Margins, margins
 from hyst_control.errors import InputError
-from hyst_control.excitation import cosine_ramp, multisine
+from hyst_control.records.excitation import cosine_ramp, multisine
 
 Complex = NDArray[np.complex128]
 
@@ -29,12 +29,12 @@ def measured_margins(plant: Plant, controller: PI, axes: int, axis: int, centre:
     wave = multisine(ts, period, 1.0 / period, 0.48 / ts, rms, 1, centre, PERIODS, seed=axis)[:, 0]
     lead = np.concatenate([cosine_ramp(ts, 0.0, centre, 0.2), np.full(int(0.1 / ts), centre)])
     reference = np.repeat(np.concatenate([lead, np.full(len(wave), centre)])[:, None], axes, axis=1)
-    reference[len(lead):, axis] = wave
+    reference[len(lead) :, axis] = wave
     signals = run_loop(reference, None, controller.start(axes), plant)
     count = int(round(period / ts))
 
     def spectra(name: str) -> tuple[Complex, Complex]:
-        rows = signals[name][len(lead) + SETTLING_PERIODS * count:, axis].reshape(-1, count)
+        rows = signals[name][len(lead) + SETTLING_PERIODS * count :, axis].reshape(-1, count)
         each = np.fft.rfft(rows, axis=1)
         return each.mean(axis=0), each
 

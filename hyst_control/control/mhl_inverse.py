@@ -10,8 +10,8 @@ import numpy as np
 from hyst_control.chain import Parallel, Sampling, Stage
 from hyst_control.chain.linear import Delay, LinearStage, RateCorrection, StateSpace, TransferFunction
 from hyst_control.chain.madelung import Madelung
+from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import Array, per_axis_scalar
-from hyst_control.chain.static import Gain, Offset
 from hyst_control.control.inverse_dynamics import RINGING_LIMIT, DiscreteSystem, discrete_stage, sampled_systems
 from hyst_control.errors import InputError
 
@@ -24,8 +24,10 @@ def rate_dependent_parts(core: Stage | None) -> tuple[Madelung, RateCorrection |
     hysteresis = [stage for stage in flat if isinstance(stage, Madelung)]
     correction = [stage for stage in flat if isinstance(stage, RateCorrection)]
     if len(hysteresis) != 1 or len(correction) > 1 or len(flat) != len(hysteresis) + len(correction):
-        raise InputError("kind: an MHL compensator needs a model with a madelung stage, alone or in parallel with one "
-                         f"rate_correction, not {core.name if core else 'one without hysteresis'}")
+        raise InputError(
+            "kind: an MHL compensator needs a model with a madelung stage, alone or in parallel with one "
+            f"rate_correction, not {core.name if core else 'one without hysteresis'}"
+        )
     return hysteresis[0], correction[0] if correction else None
 
 
@@ -37,8 +39,9 @@ def inverted(stage: Madelung) -> Madelung:
 def mean_slope(stage: Madelung, axes: int) -> Array:
     """Output at full input over full input (A,), measurement unit per V."""
     full = np.array([float(up(np.ones(1))[0]) for up, _ in stage.curves(axes)])
-    return (full * per_axis_scalar(stage.output_scale, axes, "output_scale")
-            / per_axis_scalar(stage.input_scale, axes, "input_scale"))
+    return (
+        full * per_axis_scalar(stage.output_scale, axes, "output_scale") / per_axis_scalar(stage.input_scale, axes, "input_scale")
+    )
 
 
 def inverse_rate_correction(stage: Madelung, correction: RateCorrection, axes: int) -> RateCorrection:
@@ -49,8 +52,10 @@ def inverse_rate_correction(stage: Madelung, correction: RateCorrection, axes: i
     a = mean_slope(stage, axes)
     k1, k2, b2 = (per_axis_scalar(getattr(correction, name), axes, name) for name in ("k1", "k2", "b2"))
     if np.any(np.abs(k1) >= a * k2):
-        raise InputError("k1: at high frequency the rate correction outweighs the hysteresis itself (|k1| / k2 is not below the "
-                         "mean slope): it has no stable inverse; take kind mhl_static")
+        raise InputError(
+            "k1: at high frequency the rate correction outweighs the hysteresis itself (|k1| / k2 is not below the "
+            "mean slope): it has no stable inverse; take kind mhl_static"
+        )
     return RateCorrection((-k1 / a**2).tolist(), (k2 + k1 / a).tolist(), 0.0, b2.tolist())
 
 
@@ -72,8 +77,9 @@ def composite(hysteresis: Madelung, correction: RateCorrection | None, rate_filt
     return [Parallel(((hysteresis,), tuple(lead)))]
 
 
-def whole_inverse(stage: Madelung, correction: RateCorrection | None, after: Sequence[Stage], sampling: Sampling,
-                  passes: int) -> list[Stage]:
+def whole_inverse(
+    stage: Madelung, correction: RateCorrection | None, after: Sequence[Stage], sampling: Sampling, passes: int
+) -> list[Stage]:
     """v with H_S[v] + Ψ[v] = w, by v_0 = H_S^-1[w] + Ψ'[w], v_j+1 = H_S^-1[w - Ψ[v_j]]: a chain of chains, no algebraic loop.
 
     The error shrinks per pass by |Ψ| / a, with the published parameters 0.25 at 100 Hz and 0.56 at most. `after` is the
@@ -112,8 +118,15 @@ def sampled_correction(correction: RateCorrection, after: Sequence[Stage], sampl
         pole = np.exp(-b2[axis] / k2[axis] * sampling.sample_time)
         if lg.relative_degree < g.relative_degree:
             return correction
-        ratios.append(DiscreteSystem(lg.zeros, np.concatenate([g.zeros, [pole], np.zeros(
-            len(lg.zeros) + lg.relative_degree - g.relative_degree - len(g.zeros) - 1)]), lg.gain / g.gain))
+        ratios.append(
+            DiscreteSystem(
+                lg.zeros,
+                np.concatenate(
+                    [g.zeros, [pole], np.zeros(len(lg.zeros) + lg.relative_degree - g.relative_degree - len(g.zeros) - 1)]
+                ),
+                lg.gain / g.gain,
+            )
+        )
     stage = discrete_stage(ratios, sampling.sample_time)
     scale = np.diag(k1 / k2)
     c, d = (np.array(getattr(stage, part), dtype=float) for part in "CD")

@@ -67,8 +67,9 @@ class RunningPI:
         tracking_time = description.tracking_time or (description.kp / description.ki if description.ki else 0.0)
         share = 0.0 if not description.ki else min(1.0, description.sample_time / tracking_time) if tracking_time else 1.0
         step = description.slew_limit * description.sample_time if description.slew_limit else np.inf
-        self._constants = np.array([description.kp, description.ki * description.sample_time, description.lower,
-                                    description.upper, step, share])
+        self._constants = np.array(
+            [description.kp, description.ki * description.sample_time, description.lower, description.upper, step, share]
+        )
         self._state = np.empty((2, axes))
         self.saturated = 0
         self.reset()
@@ -101,8 +102,15 @@ class RunningPI:
         """
         shape = feedforward.shape
         command, feedback = np.empty((2, shape[0] if len(shape) == 2 else 1, self.axes))
-        self.saturated += _run(reference.reshape(-1, self.axes), measurement.reshape(-1, self.axes),
-                               feedforward.reshape(-1, self.axes), self._constants, self._state, command, feedback)
+        self.saturated += _run(
+            reference.reshape(-1, self.axes),
+            measurement.reshape(-1, self.axes),
+            feedforward.reshape(-1, self.axes),
+            self._constants,
+            self._state,
+            command,
+            feedback,
+        )
         return command.reshape(shape), feedback.reshape(shape)
 
     def pass_through(self, feedforward: Array) -> tuple[Array, Array]:
@@ -131,8 +139,9 @@ def _clamped(wanted: float, last: float, constants: Array) -> float:
 
 
 @njit(cache=True)
-def _run(reference: Array, measurement: Array, feedforward: Array, constants: Array, state: Array,
-         command: Array, feedback: Array) -> int:
+def _run(
+    reference: Array, measurement: Array, feedforward: Array, constants: Array, state: Array, command: Array, feedback: Array
+) -> int:
     kp, ki_step, share = constants[0], constants[1], constants[5]
     saturated = 0
     for k in range(command.shape[0]):

@@ -49,7 +49,7 @@ def static_gain(stage: LinearStage, axes: int) -> tuple[Array, Array]:
     gain = np.zeros((axes, axes))
     width = axes // len(systems)
     for i, system in enumerate(systems):
-        gain[i * width:(i + 1) * width, i * width:(i + 1) * width] = system.static_gain()
+        gain[i * width : (i + 1) * width, i * width : (i + 1) * width] = system.static_gain()
     return gain, np.concatenate([system.bias for system in systems])
 
 
@@ -64,8 +64,8 @@ def mean_line(model: Model, lower: Array, upper: Array) -> tuple[Array, Array]:
         lower, upper = np.maximum(lower, inside[:, 0]), np.minimum(upper, inside[:, 1])
     ramp = np.linspace(lower, upper, 201)
     loop = np.concatenate([ramp, ramp[::-1], ramp, ramp[::-1]])
-    output = quasi_static(model, loop)[-2 * len(ramp):]
-    lines = [np.polyfit(loop[-2 * len(ramp):, axis], output[:, axis], 1) for axis in range(output.shape[1])]
+    output = quasi_static(model, loop)[-2 * len(ramp) :]
+    lines = [np.polyfit(loop[-2 * len(ramp) :, axis], output[:, axis], 1) for axis in range(output.shape[1])]
     slope, offset = np.array(lines).T
     if np.any(slope == 0.0) or not np.all(np.isfinite(slope)):
         raise InputError("chain: the output does not depend on the command at rest: this model has no static gain to invert")

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from hyst_control.chain import Chain
 from hyst_control.chain.stage import Array
-from hyst_control.control.linearised import hysteresis_slopes, linearised, sampled_response, with_first_mode
+from hyst_control.control.linearization import hysteresis_slopes, linearised, sampled_response, with_first_mode
 from hyst_control.control.loop import run_loop
 from hyst_control.control.pi import PI
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model, Simulator
-from hyst_control.tables import Table
+from hyst_control.reporting.tables import Table
 
 Complex = NDArray[np.complex128]
 
@@ -72,17 +72,31 @@ class Tuning:
         table.add("PI feedback", where, "controller", "kp", f"V/{unit}", self.kp)
         table.add("PI feedback", where, "controller", "ki", f"V/({unit} s)", self.ki)
         for subject, case in (("nominal", self.nominal), ("worst case", self.worst)):
-            for quantity, symbol in (("gain_margin", "dB"), ("phase_margin", "deg"), ("peak_sensitivity", ""), ("crossover", "Hz"),
-                                     ("bandwidth", "Hz")):
+            for quantity, symbol in (
+                ("gain_margin", "dB"),
+                ("phase_margin", "deg"),
+                ("peak_sensitivity", ""),
+                ("crossover", "Hz"),
+                ("bandwidth", "Hz"),
+            ):
                 table.add("PI feedback", where, subject, quantity, symbol, getattr(case, quantity))
         table.add("PI feedback", where, "nominal", "settling_time", "s", self.settling_time)
         table.add("PI feedback", where, "nominal", "overshoot", "%", self.overshoot)
         return table
 
 
-def tune(model: Model, *, sample_time: float | None = None, gain_margin: float = 6.0, phase_margin: float = 45.0,
-         peak_sensitivity: float = 2.0, loop_delay: int = 0, gain_spread: float = 0.1, mode_spread: float = 0.2,
-         model_error: float = 0.15) -> Tuning:
+def tune(
+    model: Model,
+    *,
+    sample_time: float | None = None,
+    gain_margin: float = 6.0,
+    phase_margin: float = 45.0,
+    peak_sensitivity: float = 2.0,
+    loop_delay: int = 0,
+    gain_spread: float = 0.1,
+    mode_spread: float = 0.2,
+    model_error: float = 0.15,
+) -> Tuning:
     """PI gains for a model, one pair for all axes.
 
     sample_time s (the model's by default); gain_margin dB; phase_margin degrees; loop_delay: further ticks in the loop;
@@ -92,10 +106,17 @@ def tune(model: Model, *, sample_time: float | None = None, gain_margin: float =
     Raises `InputError` when no controller keeps the margins.
     """
     sample_time = float(sample_time or model.sample_time)
-    if not (gain_margin > 0 and 0 < phase_margin < 90 and peak_sensitivity > 1 and loop_delay >= 0
-            and all(0 <= spread < 1 for spread in (gain_spread, mode_spread, model_error))):
-        raise InputError("margins: gain margin above 0 dB, phase margin between 0 and 90 degrees, peak sensitivity above 1, "
-                         "spreads and model error from 0 to below 1 are due")
+    if not (
+        gain_margin > 0
+        and 0 < phase_margin < 90
+        and peak_sensitivity > 1
+        and loop_delay >= 0
+        and all(0 <= spread < 1 for spread in (gain_spread, mode_spread, model_error))
+    ):
+        raise InputError(
+            "margins: gain margin above 0 dB, phase margin between 0 and 90 degrees, peak sensitivity above 1, "
+            "spreads and model error from 0 to below 1 are due"
+        )
     z = np.exp(1j * np.geomspace(1e-5, 1.0, 1500) * np.pi)
     plants = _plants(model, sample_time, loop_delay, gain_spread, mode_spread, z)
     static = np.abs(plants[:, 0]).max()
@@ -133,8 +154,9 @@ def _plants(model: Model, sample_time: float, loop_delay: int, gain_spread: floa
     return np.concatenate(responses)
 
 
-def _largest_scale(loops: Complex, gain_margin: float, phase_margin: float, peak_sensitivity: float, error: float,
-                   above: float) -> float:
+def _largest_scale(
+    loops: Complex, gain_margin: float, phase_margin: float, peak_sensitivity: float, error: float, above: float
+) -> float:
     """The largest factor on loops (M, F) up to which all of them keep the margins; 0 when it is not larger than `above`."""
     ultimate = _crossing_180(loops).max() * (1.0 + error)
     highest = 1.0 / (max(ultimate, 1e-12) * gain_margin)
@@ -200,17 +222,23 @@ def margins(loop: Complex, z: Complex, sample_time: float, error: float = 0.0) -
     above = np.flatnonzero(np.abs(loop) >= 1.0)
     closed = np.abs(loop / (1.0 + loop))
     below = np.flatnonzero(closed < np.sqrt(0.5))
-    return Margins(gain_margin=-20.0 * float(np.log10(crossing)) if crossing > 0.0 else np.inf,
-                   phase_margin=float(np.degrees(_phase_margin(loop[None], error)[0])),
-                   peak_sensitivity=1.0 / _least_distance(loop, error),
-                   crossover=float(frequency[above[-1]]) if len(above) else 0.0,
-                   bandwidth=float(frequency[below[0]]) if len(below) else 0.5 / sample_time)
+    return Margins(
+        gain_margin=-20.0 * float(np.log10(crossing)) if crossing > 0.0 else np.inf,
+        phase_margin=float(np.degrees(_phase_margin(loop[None], error)[0])),
+        peak_sensitivity=1.0 / _least_distance(loop, error),
+        crossover=float(frequency[above[-1]]) if len(above) else 0.0,
+        bandwidth=float(frequency[below[0]]) if len(below) else 0.5 / sample_time,
+    )
 
 
 def _worst(cases: list[Margins]) -> Margins:
-    return Margins(min(case.gain_margin for case in cases), min(case.phase_margin for case in cases),
-                   max(case.peak_sensitivity for case in cases), min(case.crossover for case in cases),
-                   min(case.bandwidth for case in cases))
+    return Margins(
+        min(case.gain_margin for case in cases),
+        min(case.phase_margin for case in cases),
+        max(case.peak_sensitivity for case in cases),
+        min(case.crossover for case in cases),
+        min(case.bandwidth for case in cases),
+    )
 
 
 def step_response(model: Model, kp: float, ki: float, sample_time: float) -> tuple[float, float]:

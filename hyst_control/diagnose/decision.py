@@ -10,8 +10,8 @@ import numpy as np
 import yaml
 
 from hyst_control.chain.stage import Array
-from hyst_control.diagnose.leftover import leftover
-from hyst_control.diagnose.search import Found, Scored, strain, strained
+from hyst_control.diagnose.hypothesis_search import Found, Scored, strain, strained
+from hyst_control.diagnose.unexplained_residual import leftover
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,9 @@ def key(scored: Scored) -> tuple[str, ...]:
     return PARAMETERS if scored.inflated else scored.names
 
 
-def decide(found: Found, threshold: float, floor: float, limits: Thresholds, stated: float = 1.0,
-           lattice: Array | None = None) -> Decision:
+def decide(
+    found: Found, threshold: float, floor: float, limits: Thresholds, stated: float = 1.0, lattice: Array | None = None
+) -> Decision:
     """The verdict.
 
     threshold: 99 % quantile of the simulated null (nats); floor: practical size, rms in units of the noise; stated: energy (in
@@ -80,7 +81,7 @@ def decide(found: Found, threshold: float, floor: float, limits: Thresholds, sta
     size = len(found.linearised.measured)
     before = energy(found.none, size)
     # A model that states an error of its own leaves all kinds of it: an effect has to take off what goes beyond.
-    least = max(floor ** 2, limits.own_error * (stated - 1.0))
+    least = max(floor**2, limits.own_error * (stated - 1.0))
     before_strain = strain(found.none.solution)
 
     def worth_naming(scored: Scored) -> bool:
@@ -88,13 +89,22 @@ def decide(found: Found, threshold: float, floor: float, limits: Thresholds, sta
         relief = before_strain - strain(scored.solution)
         return before - energy(scored, size) > least or stated < 1.5 and found.temper * relief > threshold + limits.margin
 
-    claims = [scored for scored in (*found.singles, *found.combinations)
-              if scored.score > 0 and worth_naming(scored)
-              and found.temper * (found.none.solution.misfit - scored.solution.misfit) > threshold + limits.margin]
+    claims = [
+        scored
+        for scored in (*found.singles, *found.combinations)
+        if scored.score > 0
+        and worth_naming(scored)
+        and found.temper * (found.none.solution.misfit - scored.solution.misfit) > threshold + limits.margin
+    ]
     if found.parameters.score > limits.margin and (stated < 1.5 or before - energy(found.parameters, size) > least):
         claims.append(found.parameters)
-    claims = _without_idle_members(sorted(claims, key=lambda scored: -scored.score), threshold + limits.margin, found.temper,
-                                   found.none.solution.misfit, limits.further)
+    claims = _without_idle_members(
+        sorted(claims, key=lambda scored: -scored.score),
+        threshold + limits.margin,
+        found.temper,
+        found.none.solution.misfit,
+        limits.further,
+    )
     hypotheses = claims or [found.none]
     weights = np.exp(limits.sharpness * (np.array([scored.score for scored in hypotheses]) - hypotheses[0].score))
     weights /= weights.sum()
@@ -103,7 +113,7 @@ def decide(found: Found, threshold: float, floor: float, limits: Thresholds, sta
         probability[key(scored)] = probability.get(key(scored), 0.0) + float(weight)
     chosen = hypotheses[0]
     after = float(np.mean(leftover(problem, chosen, lattice) ** 2))
-    left_over = after - stated > max(floor ** 2, limits.least_excess * stated)
+    left_over = after - stated > max(floor**2, limits.least_excess * stated)
     remainder = float(np.clip((after - stated) / max(before - stated, 1e-12), 0.0, 1.0)) if left_over else 0.0
     if remainder > limits.unknown or len(chosen.names) > limits.most:
         return Decision("unknown", chosen, (chosen,), probability, remainder)
@@ -116,8 +126,13 @@ def decide(found: Found, threshold: float, floor: float, limits: Thresholds, sta
         if key(scored) not in seen and probability[key(scored)] >= limits.possible:
             seen.add(key(scored))
             listed.append(scored)
-    return Decision("ambiguous" if len(listed) > 1 else "parameters" if chosen.inflated else "effect", chosen, tuple(listed),
-                    probability, remainder)
+    return Decision(
+        "ambiguous" if len(listed) > 1 else "parameters" if chosen.inflated else "effect",
+        chosen,
+        tuple(listed),
+        probability,
+        remainder,
+    )
 
 
 def energy(scored: Scored, size: int) -> float:

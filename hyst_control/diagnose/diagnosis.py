@@ -8,19 +8,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hyst_control.chain.stage import Array
-from hyst_control.diagnose.candidates import catalogue
-from hyst_control.diagnose.checks import FEW_OUTLIERS, MANY_OUTLIERS, Finding, excess_noise, findings, lattice_of, lines, outliers
-from hyst_control.diagnose.coloured import Flicker, flicker
 from hyst_control.diagnose.decision import Decision, Thresholds, decide, energy, thresholds
-from hyst_control.diagnose.fit import Linearised, fit
-from hyst_control.diagnose.floor import noise_of
-from hyst_control.diagnose.null import threshold
+from hyst_control.diagnose.flicker_estimation import Flicker, flicker
+from hyst_control.diagnose.hypothesis import catalogue
+from hyst_control.diagnose.hypothesis_fit import Linearised, fit
+from hyst_control.diagnose.hypothesis_search import Found, search
+from hyst_control.diagnose.noise_floor import noise_of
+from hyst_control.diagnose.null_distribution import threshold
+from hyst_control.diagnose.parameter_uncertainty import scatter_of
 from hyst_control.diagnose.problem import Piece, Problem, check_units, split
-from hyst_control.diagnose.scatter import scatter_of
-from hyst_control.diagnose.search import Found, search
+from hyst_control.diagnose.record_checks import (
+    FEW_OUTLIERS,
+    MANY_OUTLIERS,
+    Finding,
+    excess_noise,
+    findings,
+    lattice_of,
+    lines,
+    outliers,
+)
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
-from hyst_control.record import Record
+from hyst_control.records.record import Record
 
 LEAST_ROWS = 200
 HIDDEN = 0.3
@@ -68,8 +77,16 @@ class Diagnosis:
     seed: int
 
 
-def diagnose(records: Sequence[Record], model: Model, seed: int = 0, without: Sequence[str] = (), cache: bool = True,
-             limits: Thresholds | None = None, progress: Callable[[str], None] = lambda _: None, warm_up: float = 0.0) -> Diagnosis:
+def diagnose(
+    records: Sequence[Record],
+    model: Model,
+    seed: int = 0,
+    without: Sequence[str] = (),
+    cache: bool = True,
+    limits: Thresholds | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+    warm_up: float = 0.0,
+) -> Diagnosis:
     """Diagnose records against a model.
 
     without: effects left out of the catalogue; cache: keep the null's threshold between runs; warm_up: as in `problem_of`.
@@ -108,8 +125,10 @@ def problem_of(records: Sequence[Record], model: Model, warm_up: float = 0.0) ->
         for i, stretch in enumerate(used):
             command, measurement = stretch.values["command"], stretch.values["measurement"]
             if measurement.shape[1] != len(model.axes) or command.shape[1] != len(model.axes):
-                raise InputError(f"{record.source}: has {command.shape[1]} commands and {measurement.shape[1]} measurements, the model "
-                                 f"{len(model.axes)} axes ({', '.join(model.axes)}): give the model of this plant")
+                raise InputError(
+                    f"{record.source}: has {command.shape[1]} commands and {measurement.shape[1]} measurements, the model "
+                    f"{len(model.axes)} axes ({', '.join(model.axes)}): give the model of this plant"
+                )
             if not np.ptp(command):
                 raise InputError(f"{record.source}: the command never moves: record with an excitation")
             keep = None
@@ -118,14 +137,18 @@ def problem_of(records: Sequence[Record], model: Model, warm_up: float = 0.0) ->
             elif warm_up:
                 keep = np.arange(len(command)) >= round(warm_up / stretch.sample_time)
                 if np.count_nonzero(keep) < LEAST_ROWS:
-                    raise InputError(f"{record.source}: {warm_up:g} s of warm-up leave {np.count_nonzero(keep)} samples, {LEAST_ROWS} "
-                                     "are due: shorten the warm-up or record longer")
+                    raise InputError(
+                        f"{record.source}: {warm_up:g} s of warm-up leave {np.count_nonzero(keep)} samples, {LEAST_ROWS} "
+                        "are due: shorten the warm-up or record longer"
+                    )
             pieces.append(Piece(command, measurement, keep))
             sample_times.add(stretch.sample_time)
         holds.add(model.hold if record.hold == "zoh" and model.hold == "foh" else record.hold)
     if len({float(f"{step:.6g}") for step in sample_times}) > 1:
-        raise InputError(f"records have different sample times ({', '.join(f'{step:g} s' for step in sorted(sample_times))}): "
-                         "diagnose them one by one")
+        raise InputError(
+            f"records have different sample times ({', '.join(f'{step:g} s' for step in sorted(sample_times))}): "
+            "diagnose them one by one"
+        )
     if len(holds) > 1:
         raise InputError("some records hold the command (zoh), others do not (foh): diagnose them one by one")
     problem = Problem(model, tuple(pieces), sample_times.pop(), holds.pop(), np.ones(len(model.axes)))
@@ -151,8 +174,15 @@ def _with_noise(problem: Problem, residuals: Array) -> Problem:
     return replace(problem, sigma=np.array(sigma))
 
 
-def _axis(problem: Problem, axes: tuple[int, ...], seed: int, without: Sequence[str], cache: bool, limits: Thresholds,
-          progress: Callable[[str], None]) -> AxisDiagnosis:
+def _axis(
+    problem: Problem,
+    axes: tuple[int, ...],
+    seed: int,
+    without: Sequence[str],
+    cache: bool,
+    limits: Thresholds,
+    progress: Callable[[str], None],
+) -> AxisDiagnosis:
     model = problem.model
     stated = stated_noise(model)
     progress("coefficients of the model")
@@ -182,8 +212,7 @@ def _axis(problem: Problem, axes: tuple[int, ...], seed: int, without: Sequence[
     decision = decide(found, null, floor, limits, leaves, lattice)
     noise = _flicker(problem, found, decision, null + limits.margin, floor) if "flicker_noise" not in without else None
     if noise is not None and _outweighs(noise, found, decision):
-        decision = replace(decide(replace(found, singles=(), combinations=()), null, floor, limits, leaves, lattice),
-                           remainder=0.0)
+        decision = replace(decide(replace(found, singles=(), combinations=()), null, floor, limits, leaves, lattice), remainder=0.0)
         if decision.verdict == "unknown":
             decision = replace(decision, verdict="no_gap")
     if "sensor_noise" not in without:
@@ -196,8 +225,10 @@ def _axis(problem: Problem, axes: tuple[int, ...], seed: int, without: Sequence[
             more = excess_noise(white / 1.5 if noise is not None else white, float(stated[axis]), looked, axis, len(left))
             count, rms = outliers(left[:, axis])
             if more is not None and FEW_OUTLIERS <= count <= MANY_OUTLIERS * len(left) and rms > OUTWEIGHS * more.rms:
-                strange.append(f"{model.axes[axis]}: {count} single samples ({count / len(left):.2%}) stand out of the noise: outliers, "
-                               f"{rms:.3g} {model.units['measurement']} rms")
+                strange.append(
+                    f"{model.axes[axis]}: {count} single samples ({count / len(left):.2%}) stand out of the noise: outliers, "
+                    f"{rms:.3g} {model.units['measurement']} rms"
+                )
                 decision = _left_unknown(decision, found, (rms / problem.sigma[axis]) ** 2 / len(axes), limits)
             elif more is not None:
                 looked.append(more)
@@ -226,7 +257,7 @@ def practical_floor(problem: Problem, stated: Array, limits: Thresholds) -> floa
     size = limits.practical_floor * np.ptp(measured, axis=0) / problem.sigma
     excess = np.sqrt(np.maximum((stated / problem.sigma) ** 2 - 1.0, 0.0))
     rounding = np.array([lattice_of(column) for column in measured.T]) / np.sqrt(12.0) / problem.sigma
-    return float(np.sqrt(np.mean(size ** 2 + (limits.discrepancy * excess) ** 2 + (limits.rounding * rounding) ** 2)))
+    return float(np.sqrt(np.mean(size**2 + (limits.discrepancy * excess) ** 2 + (limits.rounding * rounding) ** 2)))
 
 
 def _without_repeats(problem: Problem, found: Sequence[Finding]) -> Problem:
@@ -245,8 +276,10 @@ def _without_repeats(problem: Problem, found: Sequence[Finding]) -> Problem:
 def _white(problem: Problem, residuals: Array, axis: int, rests: bool = True) -> float:
     """Rms of an axis' noise from the residuals (rows, A) of all pieces; rests: whether stretches at rest count."""
     edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in problem.pieces)])
-    return noise_of([residuals[a:b, axis] for a, b in zip(edges[:-1], edges[1:], strict=True)],
-                    [piece.counted(piece.command)[:, axis] for piece in problem.pieces] if rests else None)
+    return noise_of(
+        [residuals[a:b, axis] for a, b in zip(edges[:-1], edges[1:], strict=True)],
+        [piece.counted(piece.command)[:, axis] for piece in problem.pieces] if rests else None,
+    )
 
 
 def _flicker(problem: Problem, found: Found, decision: Decision, threshold: float, floor: float) -> Flicker | None:

@@ -9,12 +9,12 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.diagnosis import AxisDiagnosis, Diagnosis
-from hyst_control.diagnose.fit import Linearised
+from hyst_control.diagnose.hypothesis_fit import Linearised
+from hyst_control.diagnose.hypothesis_search import Scored
+from hyst_control.diagnose.parameter_uncertainty import Scatter
 from hyst_control.diagnose.problem import Piece, Problem
-from hyst_control.diagnose.scatter import Scatter
-from hyst_control.diagnose.search import Scored
 from hyst_control.errors import InputError
-from hyst_control.excitation import build
+from hyst_control.records.excitation import build
 
 ENOUGH = 3.0
 """Distance (standard deviations) from which two explanations are told apart."""
@@ -27,13 +27,28 @@ def library(lower: float, upper: float, sample_time: float) -> dict[str, dict[st
     span, centre, nyquist = upper - lower, 0.5 * (upper + lower), 0.5 / sample_time
     return {
         "diagnostic record": {"signal": "diagnostic", "lowest": lower, "highest": upper, "duration": 1.5},
-        "multisine to a third of Nyquist": {"signal": "multisine", "period": 0.25, "lower_frequency": 4.0, "upper_frequency": nyquist / 3,
-                                            "rms": 0.12 * span, "offset": centre, "periods": 4, "lower": lower, "upper": upper},
+        "multisine to a third of Nyquist": {
+            "signal": "multisine",
+            "period": 0.25,
+            "lower_frequency": 4.0,
+            "upper_frequency": nyquist / 3,
+            "rms": 0.12 * span,
+            "offset": centre,
+            "periods": 4,
+            "lower": lower,
+            "upper": upper,
+        },
         "slow triangle": {"signal": "triangle", "frequency": 2.0, "amplitude": 0.5 * span, "offset": centre, "duration": DURATION},
         "steps": {"signal": "steps", "lowest": lower, "highest": upper, "hold": DURATION / 12, "count": 10},
         "long hold": {"signal": "step", "height": 0.8 * span, "offset": lower, "before": 0.1, "after": 5.0},
-        "sweep": {"signal": "sweep", "start_frequency": 5.0, "stop_frequency": nyquist / 4, "amplitude": 0.25 * span, "offset": centre,
-                  "duration": DURATION},
+        "sweep": {
+            "signal": "sweep",
+            "start_frequency": 5.0,
+            "stop_frequency": nyquist / 4,
+            "amplitude": 0.25 * span,
+            "offset": centre,
+            "duration": DURATION,
+        },
     }
 
 
@@ -57,8 +72,14 @@ def next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
         return None
     separates = ["+".join(scored.names) or "parameters" for scored in rivals]
     note = "" if best[0] >= ENOUGH else _channel(separates)
-    return {"excitation": best[1], "separates": separates, "expected_odds": float(np.exp(min(0.5 * best[0] ** 2, 300.0))),
-            "distance": float(best[0]), "configuration": best[2], "note": note}
+    return {
+        "excitation": best[1],
+        "separates": separates,
+        "expected_odds": float(np.exp(min(0.5 * best[0] ** 2, 300.0))),
+        "distance": float(best[0]),
+        "configuration": best[2],
+        "note": note,
+    }
 
 
 def _channel(names: list[str]) -> str:
@@ -73,8 +94,13 @@ def _distance(part: AxisDiagnosis, rivals: list[Scored], command: Array) -> floa
     problem = part.problem
     axes = list(part.axes)
     others = None if problem.pieces[0].others is None else np.zeros((len(command), problem.pieces[0].others.shape[1]))
-    fresh = Problem(problem.model, (Piece(np.ascontiguousarray(command[:, axes]), np.zeros((len(command), len(axes))), None, others),),
-                    problem.sample_time, problem.hold, problem.sigma)
+    fresh = Problem(
+        problem.model,
+        (Piece(np.ascontiguousarray(command[:, axes]), np.zeros((len(command), len(axes))), None, others),),
+        problem.sample_time,
+        problem.hold,
+        problem.sigma,
+    )
     linearised = Linearised(fresh, Scatter(part.linearised.scatter.model, part.linearised.scatter.coefficients))
     predictions = []
     for scored in rivals:
@@ -85,7 +111,7 @@ def _distance(part: AxisDiagnosis, rivals: list[Scored], command: Array) -> floa
         predictions.append(linearised.simulate(np.zeros(linearised.count), members.unknowns(), scored.solution.x))
     distances = []
     for i, one in enumerate(predictions):
-        for other in predictions[i + 1:]:
+        for other in predictions[i + 1 :]:
             apart = one - other
             distances.append(np.sqrt(max(float(apart @ linearised.unexplained(apart)), 0.0)))
     return float(min(distances, default=0.0))

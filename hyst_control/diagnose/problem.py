@@ -10,7 +10,7 @@ import numpy as np
 
 from hyst_control.chain import Chain, Parallel, Sampling, Stage
 from hyst_control.chain.stage import Array, depth
-from hyst_control.diagnose.scatter import LISTS, MATRICES
+from hyst_control.diagnose.parameter_uncertainty import LISTS, MATRICES
 from hyst_control.effects.effect import Surroundings
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
@@ -72,9 +72,14 @@ class Problem:
         command = np.concatenate([piece.command for piece in self.pieces])
         measurement = np.concatenate([piece.measurement for piece in self.pieces])
         slew = max(float(np.max(np.abs(np.diff(piece.command, axis=0)), initial=0.0)) for piece in self.pieces) / self.sample_time
-        return Surroundings(self.sample_time, max(len(piece.command) for piece in self.pieces) * self.sample_time,
-                            (float(command.min()), float(command.max())), slew,
-                            (float(measurement.min()), float(measurement.max())), len(self.model.axes))
+        return Surroundings(
+            self.sample_time,
+            max(len(piece.command) for piece in self.pieces) * self.sample_time,
+            (float(command.min()), float(command.max())),
+            slew,
+            (float(measurement.min()), float(measurement.max())),
+            len(self.model.axes),
+        )
 
 
 def mixes_axes(stages: Sequence[Stage]) -> bool:
@@ -105,8 +110,11 @@ def _of_axis(value: object, axis: int, due: int) -> object:
 def _stage_of_axis(stage: Stage, axis: int) -> Stage:
     if isinstance(stage, Parallel):
         return Parallel(tuple(tuple(_stage_of_axis(member, axis) for member in branch) for branch in stage.branches))
-    changed = {field.name: _of_axis(getattr(stage, field.name), axis, int(field.name in LISTS))
-               for field in fields(stage) if field.name not in MATRICES}
+    changed = {
+        field.name: _of_axis(getattr(stage, field.name), axis, int(field.name in LISTS))
+        for field in fields(stage)
+        if field.name not in MATRICES
+    }
     return replace(stage, **changed)
 
 
@@ -116,14 +124,22 @@ def split(problem: Problem) -> list[Problem]:
         return [problem]
     found = []
     for axis in range(len(problem.model.axes)):
-        pieces = tuple(Piece(np.ascontiguousarray(piece.command[:, axis:axis + 1]),
-                             np.ascontiguousarray(piece.measurement[:, axis:axis + 1]), piece.keep,
-                             np.delete(piece.measurement, axis, axis=1)) for piece in problem.pieces)
-        found.append(replace(problem, model=axis_model(problem.model, axis), pieces=pieces, sigma=problem.sigma[axis:axis + 1]))
+        pieces = tuple(
+            Piece(
+                np.ascontiguousarray(piece.command[:, axis : axis + 1]),
+                np.ascontiguousarray(piece.measurement[:, axis : axis + 1]),
+                piece.keep,
+                np.delete(piece.measurement, axis, axis=1),
+            )
+            for piece in problem.pieces
+        )
+        found.append(replace(problem, model=axis_model(problem.model, axis), pieces=pieces, sigma=problem.sigma[axis : axis + 1]))
     return found
 
 
 def check_units(model: Model, unit: str, source: str) -> None:
     """Raise `InputError` unless the record's measurement has the model's unit."""
     if unit not in ("unknown", model.units["measurement"]):
-        raise InputError(f"{source}: measurement is in {unit}, the model's in {model.units['measurement']}: give the model of this plant")
+        raise InputError(
+            f"{source}: measurement is in {unit}, the model's in {model.units['measurement']}: give the model of this plant"
+        )

@@ -10,24 +10,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.bag_reader import read_bag
-from hyst_control.diagnose.augmented import augmented as augmented_model
+from hyst_control.diagnose.attribution import explain
+from hyst_control.diagnose.augmented_model import augmented as augmented_model
+from hyst_control.diagnose.block_replay import replay
 from hyst_control.diagnose.diagnosis import Diagnosis, diagnose
-from hyst_control.diagnose.explained import explain
-from hyst_control.diagnose.foresight import foresee
-from hyst_control.diagnose.replay import replay
-from hyst_control.diagnose.report import gap_report, in_words
+from hyst_control.diagnose.foreseen_reduction import foresee
+from hyst_control.diagnose.gap_report import gap_report, in_words
 from hyst_control.effects import EFFECTS
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
 from hyst_control.model_file import Model, load_model, save_model
-from hyst_control.record import Record
+from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.record import Record
 
 
-def diagnose_bags(bags: Sequence[str | Path], model: str | Path, json: str | None = None, report: str | None = None,
-                  augmented: str | None = None, without: Sequence[str] = (), seed: int = 0, cache: bool = True,
-                  namespace: str | None = None, unit: str = "unknown", progress: bool = False, warm_up: float = 0.0,
-                  on: str | None = None) -> str:
+def diagnose_bags(
+    bags: Sequence[str | Path],
+    model: str | Path,
+    json: str | None = None,
+    report: str | None = None,
+    augmented: str | None = None,
+    without: Sequence[str] = (),
+    seed: int = 0,
+    cache: bool = True,
+    namespace: str | None = None,
+    unit: str = "unknown",
+    progress: bool = False,
+    warm_up: float = 0.0,
+    on: str | None = None,
+) -> str:
     """Diagnose bags, write what is asked for, and return the report in words. Raises `InputError`.
 
     on: a bag or a .npy file with the command (N, A) of a run to come, for which the report then says how far the gap will shrink.
@@ -48,7 +59,7 @@ def diagnose_bags(bags: Sequence[str | Path], model: str | Path, json: str | Non
         except InputError as error:
             raise InputError(f"--on {on}: {error}") from None
     if report is not None:
-        from hyst_control.diagnose.page import write_page
+        from hyst_control.diagnose.gap_page import write_page
 
         write_page(Path(report), document, diagnosis, better)
     if augmented is not None and better is not None:
@@ -58,8 +69,16 @@ def diagnose_bags(bags: Sequence[str | Path], model: str | Path, json: str | Non
     return in_words(document)
 
 
-def diagnosed(records: Sequence[Record], model: Model, seed: int = 0, without: Sequence[str] = (), cache: bool = True,
-              augmented: str | None = None, progress: bool = False, warm_up: float = 0.0) -> tuple[dict[str, Any], Diagnosis, Model | None]:
+def diagnosed(
+    records: Sequence[Record],
+    model: Model,
+    seed: int = 0,
+    without: Sequence[str] = (),
+    cache: bool = True,
+    augmented: str | None = None,
+    progress: bool = False,
+    warm_up: float = 0.0,
+) -> tuple[dict[str, Any], Diagnosis, Model | None]:
     """The report document, the diagnosis behind it, and the augmented model (None where there is nothing to add).
 
     augmented: the path that the report names for it.

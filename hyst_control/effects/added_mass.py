@@ -10,8 +10,8 @@ import numpy as np
 from hyst_control.chain.linear import LinearSystem, stacked, transfer_function_system
 from hyst_control.chain.stage import Array, Modifier, Stage, per_axis_scalar, register, require_finite
 from hyst_control.effects.effect import Effect, Parameter
-from hyst_control.effects.modifying import Changed
-from hyst_control.effects.places import mechanics_index
+from hyst_control.effects.modifiers import Changed
+from hyst_control.effects.placement import mechanics_index
 from hyst_control.errors import InputError
 
 SEEN = 0.1

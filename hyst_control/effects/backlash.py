@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from hyst_control.chain.play import PlayOperator
+from hyst_control.chain.prandtl_ishlinskii import PlayOperator
 from hyst_control.chain.stage import Filter, Sampling, Stage, register, require_positive
 from hyst_control.effects.effect import Effect, Parameter
 

@@ -10,8 +10,8 @@ from scipy.linalg import block_diag
 
 from hyst_control.chain.linear import LinearSystem, stacked
 from hyst_control.chain.stage import Modifier, Stage, register, require_finite, require_positive
-from hyst_control.effects.modifying import Changed
-from hyst_control.effects.places import with_mechanics
+from hyst_control.effects.modifiers import Changed
+from hyst_control.effects.placement import with_mechanics
 from hyst_control.errors import InputError
 
 
@@ -39,7 +39,9 @@ class CoupledResonance(Modifier):
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
         for field in ("in_phase", "quadrature"):
             if np.shape(getattr(self, field)) != (axes, axes):
-                raise InputError(f"{field}: shape {np.shape(getattr(self, field))} does not fit {axes} axes: [output][input] is due")
+                raise InputError(
+                    f"{field}: shape {np.shape(getattr(self, field))} does not fit {axes} axes: [output][input] is due"
+                )
         before, index = with_mechanics(before)
         return (*before[:index], ChangedTogether(before[index], self._with_mode, self.name), *before[index + 1 :])
 
@@ -49,9 +51,14 @@ class CoupledResonance(Modifier):
         # A mode per input, in position and velocity / ω.
         mode = np.kron(eye, [[0.0, w], [-w, -2.0 * float(self.damping) * w]])
         entering = np.kron(eye, [[0.0], [w]])
-        leaving = np.stack([np.array(self.in_phase, dtype=float), np.array(self.quadrature, dtype=float)], axis=2).reshape(axes, 2 * axes)
-        return [LinearSystem(block_diag(whole.A, mode), np.vstack([whole.B, entering]), np.hstack([whole.C, leaving]), whole.D,
-                             whole.bias)]
+        leaving = np.stack([np.array(self.in_phase, dtype=float), np.array(self.quadrature, dtype=float)], axis=2).reshape(
+            axes, 2 * axes
+        )
+        return [
+            LinearSystem(
+                block_diag(whole.A, mode), np.vstack([whole.B, entering]), np.hstack([whole.C, leaving]), whole.D, whole.bias
+            )
+        ]
 
 
 class ChangedTogether(Changed):

@@ -35,9 +35,7 @@ class Creep(LinearStage):
         count = DECADES * PER_DECADE
         rates = 1.0 / (BEGIN * 10.0 ** ((np.arange(count) + 0.5) / PER_DECADE))
         return [
-            LinearSystem(
-                -np.diag(rates), rates[:, None], np.full((1, count), gamma / PER_DECADE), np.ones((1, 1)), np.zeros(1)
-            )
+            LinearSystem(-np.diag(rates), rates[:, None], np.full((1, count), gamma / PER_DECADE), np.ones((1, 1)), np.zeros(1))
             for gamma in per_axis_scalar(self.gamma, axes, "gamma")
         ]
 

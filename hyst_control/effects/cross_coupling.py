@@ -11,7 +11,9 @@ from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """coupling: share of the other axis' motion; corner of the low-pass it comes through."""
     nyquist = 0.5 / around.sample_time
-    corner = Parameter("corner", "Hz", 0.5 * nyquist, (0.1 * nyquist, 0.5 * nyquist), 3.0 / around.duration, 5.0 * nyquist, 1.5, True)
+    corner = Parameter(
+        "corner", "Hz", 0.5 * nyquist, (0.1 * nyquist, 0.5 * nyquist), 3.0 / around.duration, 5.0 * nyquist, 1.5, True
+    )
     return (Parameter("coupling", "", 0.0, (0.01,), -0.2, 0.2, 0.03), corner)
 
 

@@ -34,7 +34,9 @@ class DacHold(Stage):
 
     def filter(self, sampling: Sampling) -> Filter:
         axes = sampling.axes
-        return DacHoldFilter(per_axis_scalar(self.samples, axes, "samples"), per_axis_scalar(self.step, axes, "step"), sampling.hold)
+        return DacHoldFilter(
+            per_axis_scalar(self.samples, axes, "samples"), per_axis_scalar(self.step, axes, "step"), sampling.hold
+        )
 
 
 class DacHoldFilter(Filter):
@@ -47,7 +49,9 @@ class DacHoldFilter(Filter):
 
     def settle(self, value: Array) -> Array:
         self.count = 0
-        take_and_hold(np.array(value, dtype=float).reshape(1, -1), 0, self.samples, self.step, self.held, np.empty((1, len(self.step))))
+        take_and_hold(
+            np.array(value, dtype=float).reshape(1, -1), 0, self.samples, self.step, self.held, np.empty((1, len(self.step)))
+        )
         return self.held.copy()
 
     def process(self, block: Array) -> Array:

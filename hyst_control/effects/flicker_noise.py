@@ -10,7 +10,7 @@ from numba import njit
 
 from hyst_control.chain.stage import Array, Filter, Sampling, register
 from hyst_control.effects.effect import Effect, Parameter
-from hyst_control.effects.noise import NoiseFilter, RandomStage, check_noise, noise_level
+from hyst_control.effects.random_stages import NoiseFilter, RandomStage, check_noise, noise_level
 
 LOWEST = 0.03
 PER_DECADE = 3

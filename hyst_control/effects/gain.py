@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.stage import frozen, thawed
-from hyst_control.chain.static import Gain
 from hyst_control.effects.effect import Effect, Parameter
 
 

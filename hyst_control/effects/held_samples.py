@@ -9,7 +9,7 @@ import numpy as np
 
 from hyst_control.chain.stage import Array, Filter, Sampling, per_axis_scalar, register, require_positive
 from hyst_control.effects.effect import Effect, Parameter
-from hyst_control.effects.noise import RandomStage, check_seed
+from hyst_control.effects.random_stages import RandomStage, check_seed
 from hyst_control.errors import InputError
 
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from hyst_control.chain.linear import RateCorrection
 from hyst_control.chain.madelung import Madelung
-from hyst_control.chain.play import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
-from hyst_control.chain.rate_dependent import RateDependentPrandtlIshlinskii
+from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
+from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.stage import Array, Modifier, Stage, frozen, per_axis, per_axis_scalar, register, require_positive
 from hyst_control.effects.effect import Effect, Parameter
-from hyst_control.effects.modifying import beside, numbers, replaced, scaled
+from hyst_control.effects.modifiers import beside, numbers, replaced, scaled
 from hyst_control.errors import InputError
 
 RATE_PARTS = {ModifiedPrandtlIshlinskii: ("m1", "m2"), RateDependentPrandtlIshlinskii: ("beta",), RateCorrection: ("k1",)}

@@ -9,8 +9,8 @@ import numpy as np
 
 from hyst_control.chain.stage import Array, Modifier, Stage, per_axis_scalar, register, require_finite
 from hyst_control.effects.effect import Effect, Parameter
-from hyst_control.effects.modifying import Memoryless, beside, settled
-from hyst_control.effects.places import hysteresis_index
+from hyst_control.effects.modifiers import Memoryless, beside, settled
+from hyst_control.effects.placement import hysteresis_index
 from hyst_control.errors import InputError
 
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.madelung import Madelung, end_slope
-from hyst_control.chain.play import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
-from hyst_control.chain.rate_dependent import RateDependentPrandtlIshlinskii
+from hyst_control.chain.memoryless import Gain, Offset
+from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
+from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.stage import (
     Array,
     Modifier,
@@ -23,10 +24,9 @@ from hyst_control.chain.stage import (
     require_finite,
     require_positive,
 )
-from hyst_control.chain.static import Gain, Offset
 from hyst_control.effects.effect import Effect, Parameter
-from hyst_control.effects.modifying import Memoryless, numbers, replaced, scaled
-from hyst_control.effects.places import hysteresis_index
+from hyst_control.effects.modifiers import Memoryless, numbers, replaced, scaled
+from hyst_control.effects.placement import hysteresis_index
 from hyst_control.errors import InputError
 
 OPERATORS, DENSER = 8, 1.5  # the exponent: a measured stack's nested loops, see docs/diagnosis.md
@@ -73,8 +73,10 @@ def _memory(width: Array, span: Array, centre: Array) -> tuple[Stage, ...]:
     opening = np.mean(np.minimum(2.0 * threshold, 1.0 - 2.0 * threshold))  # of the operators' mean, at the middle of a span of 1
     share, lost = width / opening, 2.0 * np.mean(threshold)  # of the span, where it is driven from end to end
     weights = np.repeat(share[:, None] / OPERATORS, OPERATORS, axis=1)
-    return (PrandtlIshlinskii(frozen(span[:, None] * threshold), frozen(weights), frozen(1.0 - share * (1.0 - lost))),
-            Offset(frozen(-share * lost * centre)))
+    return (
+        PrandtlIshlinskii(frozen(span[:, None] * threshold), frozen(weights), frozen(1.0 - share * (1.0 - lost))),
+        Offset(frozen(-share * lost * centre)),
+    )
 
 
 def _widened(stage: Stage, width: Array) -> Stage | None:
@@ -129,5 +131,7 @@ EFFECT = Effect(
     "hysteresis",
     "The loops are wider or narrower than the model's, about the same mean curve.",
     lambda around: (Parameter("width", "", 0.0, (0.02,), -0.6, 0.6, 0.1),),
-    lambda values, around: HysteresisWidth(values["width"], max(around.command[1] - around.command[0], 1e-300), sum(around.command) / 2),
+    lambda values, around: HysteresisWidth(
+        values["width"], max(around.command[1] - around.command[0], 1e-300), sum(around.command) / 2
+    ),
 )

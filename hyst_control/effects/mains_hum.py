@@ -10,7 +10,7 @@ import numpy as np
 
 from hyst_control.chain.stage import Array, per_axis_scalar, register, require_finite, require_positive
 from hyst_control.effects.effect import Effect, Parameter
-from hyst_control.effects.timed import TimedStage
+from hyst_control.effects.time_dependent import TimedStage
 
 
 @register
@@ -46,7 +46,9 @@ EFFECT = Effect(
     "sensor",
     "The mains and its third and fifth harmonic come into the measurement.",
     lambda around: (
-        Parameter("amplitude", "unit", 0.0, (0.005 * around.stroke,), -0.2 * around.stroke, 0.2 * around.stroke, 0.01 * around.stroke),
+        Parameter(
+            "amplitude", "unit", 0.0, (0.005 * around.stroke,), -0.2 * around.stroke, 0.2 * around.stroke, 0.01 * around.stroke
+        ),
         Parameter("frequency", "Hz", 50.0, (50.0, 60.0), 45.0, 65.0, 1.0),
     ),
     lambda values, around: MainsHum(values["amplitude"], values["frequency"], values.get("phase", 0.0)),

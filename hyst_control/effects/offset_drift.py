@@ -11,7 +11,7 @@ import numpy as np
 from hyst_control.chain.stage import Array, per_axis_scalar, register, require_finite, require_positive
 from hyst_control.effects.effect import Effect, Parameter
 from hyst_control.effects.gain_drift import tau_parameter
-from hyst_control.effects.timed import TimedStage
+from hyst_control.effects.time_dependent import TimedStage
 
 
 @register

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hyst_control.chain.static import Quantization
+from hyst_control.chain.memoryless import Quantization
 from hyst_control.effects.effect import Effect, Parameter
 
 EFFECT = Effect(

@@ -12,8 +12,8 @@ from hyst_control.chain.linear import LinearSystem
 from hyst_control.chain.stage import Modifier, Stage, per_axis_scalar, register, require_finite, require_positive
 from hyst_control.effects.coupled_resonance import CoupledResonance
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
-from hyst_control.effects.modifying import Changed
-from hyst_control.effects.places import with_mechanics
+from hyst_control.effects.modifiers import Changed
+from hyst_control.effects.placement import with_mechanics
 
 
 @register
@@ -86,8 +86,15 @@ def coupled_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     In phase with the mode's position, and in quadrature.
     """
     frequency, damping, _ = parameters(around)
-    return (frequency, damping, *(Parameter(name, "", 0.0, (0.0,), -1.0, 1.0, 0.1, told=False) for part in PARTS
-                                  for name in np.ravel(names(part, around.axes))))
+    return (
+        frequency,
+        damping,
+        *(
+            Parameter(name, "", 0.0, (0.0,), -1.0, 1.0, 0.1, told=False)
+            for part in PARTS
+            for name in np.ravel(names(part, around.axes))
+        ),
+    )
 
 
 PARTS = ("in_phase", "quadrature")

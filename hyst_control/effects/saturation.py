@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyst_control.chain.static import Saturation
+from hyst_control.chain.memoryless import Saturation
 from hyst_control.effects.effect import Effect, Parameter, Surroundings
 
 

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from hyst_control.chain.stage import Array, Filter, Sampling, register
 from hyst_control.effects.effect import Effect, Parameter
-from hyst_control.effects.noise import NoiseFilter, RandomStage, check_noise, noise_level
+from hyst_control.effects.random_stages import NoiseFilter, RandomStage, check_noise, noise_level
 
 
 @register

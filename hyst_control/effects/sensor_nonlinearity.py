@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from hyst_control.chain.memoryless import StaticFilter
 from hyst_control.chain.stage import Array, Filter, Sampling, Stage, per_axis_scalar, register, require_finite
-from hyst_control.chain.static import StaticFilter
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.errors import InputError
 

@@ -23,7 +23,7 @@ from hyst_control.chain.stage import (
     require_positive,
 )
 from hyst_control.effects.effect import Effect, Parameter
-from hyst_control.effects.places import mechanics_index
+from hyst_control.effects.placement import mechanics_index
 from hyst_control.errors import InputError
 
 MEMORY = 0.1  # s, over which the amplitude is averaged
@@ -58,7 +58,9 @@ class SofteningModes(Modifier):
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
         index = mechanics_index(before)
         if index is None:
-            raise InputError(f"{self.name}: no mechanics before it (transfer function or continuous state space): put it behind them")
+            raise InputError(
+                f"{self.name}: no mechanics before it (transfer function or continuous state space): put it behind them"
+            )
         softening, damping, amplitude = (per_axis_scalar(getattr(self, field.name), axes, field.name) for field in fields(self))
         if not softening.any() and not damping.any():
             return before
@@ -95,7 +97,9 @@ class ModesMovedFilter(Filter):
         for system, moved in zip(systems, values, strict=True):
             own, vectors = np.linalg.eig(system.A)
             if len(own) and not np.linalg.cond(vectors) < DEFECTIVE:
-                raise InputError("softening_modes: the mechanics' poles coincide, they have no modes of their own: separate them a little")
+                raise InputError(
+                    "softening_modes: the mechanics' poles coincide, they have no modes of their own: separate them a little"
+                )
             entering = np.linalg.solve(vectors, system.B.astype(complex)) if len(own) else system.B
             one = own.imag >= 0.0  # of every conjugate pair, whose sum is twice the real part
             poles.append((own[one], np.broadcast_to(np.array(moved), (int(one.sum()), 2))))
@@ -120,8 +124,22 @@ class ModesMovedFilter(Filter):
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
-        advance_modes_moved(block, self.step, self.smooth, self.poles, self.change, self.inputs, self.outputs, self.static, self.last,
-                            self.mean, self.square, self.whose, self.state, output)
+        advance_modes_moved(
+            block,
+            self.step,
+            self.smooth,
+            self.poles,
+            self.change,
+            self.inputs,
+            self.outputs,
+            self.static,
+            self.last,
+            self.mean,
+            self.square,
+            self.whose,
+            self.state,
+            output,
+        )
         return output
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from hyst_control.chain.stage import Array, per_axis_scalar, register, require_finite, require_positive
 from hyst_control.effects.effect import Effect, Parameter, Surroundings
-from hyst_control.effects.timed import TimedStage
+from hyst_control.effects.time_dependent import TimedStage
 
 
 @register

@@ -14,10 +14,10 @@ import numpy as np
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear import CrossCoupling, TransferFunction
 from hyst_control.chain.stage import Array
-from hyst_control.forked import forked
 from hyst_control.identify.dataset import Dataset
-from hyst_control.identify.windows import before
+from hyst_control.identify.fit_windows import before
 from hyst_control.model_file import Model, simulate
+from hyst_control.parallel import forked
 
 CORNERS = (None, 30.0, 60.0, 100.0, 150.0, 220.0, 320.0, 470.0, 700.0, 1000.0, 2000.0)
 """Corners (Hz) that are tried; none is a static coupling."""

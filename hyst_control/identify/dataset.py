@@ -35,8 +35,16 @@ class Dataset:
 
     def rows(self, begin: int, end: int) -> Dataset:
         """A cut of the record; unless it begins at row 0 its start is unknown."""
-        return Dataset(self.name, self.command[begin:end], self.measurement[begin:end], self.sample_time, self.axes, self.unit,
-                       self.hold, self.start if begin == 0 else "unknown")
+        return Dataset(
+            self.name,
+            self.command[begin:end],
+            self.measurement[begin:end],
+            self.sample_time,
+            self.axes,
+            self.unit,
+            self.hold,
+            self.start if begin == 0 else "unknown",
+        )
 
 
 @dataclass(frozen=True)

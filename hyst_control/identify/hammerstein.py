@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hyst_control.errors import InputError
-from hyst_control.forked import forked
 from hyst_control.identify.dataset import Dataset, Fit
-from hyst_control.identify.dynamics import Structure
-from hyst_control.identify.gram import Operators, Window
-from hyst_control.identify.prandtl_model import AxisFit, assemble
-from hyst_control.identify.varpro import Problem, Solution, solve
-from hyst_control.identify.windows import largest_drift, stretches, whole_records
+from hyst_control.identify.fit_windows import largest_drift, stretches, whole_records
+from hyst_control.identify.gram_sums import Operators, Window
+from hyst_control.identify.prandtl_ishlinskii_model import AxisFit, assemble
+from hyst_control.identify.stable_dynamics import Structure
+from hyst_control.identify.variable_projection import Problem, Solution, solve
+from hyst_control.parallel import forked
 
 FAMILIES = ("pi", "hapi", "rdpi", "hampi")
 SELECTION_ROWS = 60_000
@@ -62,8 +62,10 @@ def check(datasets: Sequence[Dataset]) -> None:
     first = datasets[0]
     for data in datasets:
         if data.axes != first.axes or data.unit != first.unit:
-            raise InputError(f"{data.name}: axes {', '.join(data.axes)} in {data.unit}, but {first.name} has "
-                             f"{', '.join(first.axes)} in {first.unit}: records of one plant are due")
+            raise InputError(
+                f"{data.name}: axes {', '.join(data.axes)} in {data.unit}, but {first.name} has "
+                f"{', '.join(first.axes)} in {first.unit}: records of one plant are due"
+            )
         if len(data.command) < 50:
             raise InputError(f"{data.name}: {len(data.command)} samples, at least 50 are needed")
     for axis, name in enumerate(first.axes):
@@ -79,8 +81,9 @@ def fit_axis(datasets: Sequence[Dataset], axis: int, family: str, options: Optio
     operators = default_operators(windows, family, options)
     travel = max(np.ptp(window.measurement) for window in windows)
     drive = max(np.ptp(window.command) for window in windows)
-    problem = Problem(windows, operators, options.nuisance, len(datasets), travel / drive,
-                      [largest_drift(data, axis) for data in datasets])
+    problem = Problem(
+        windows, operators, options.nuisance, len(datasets), travel / drive, [largest_drift(data, axis) for data in datasets]
+    )
     if family == "rdpi":
         return AxisFit(*rate_dependent(problem))
     if family == "pi":
@@ -111,7 +114,9 @@ def default_operators(windows: Sequence[Window], family: str, options: Options) 
         reach = span if options.one_sided else span / 2
         loading = np.array([0.5, 0.85]) * highest if highest > 1.4 * reach else reach * np.array([0.9, 0.97])
         inner = options.operators - len(loading) if options.operators >= FEW else options.operators
-        thresholds = np.concatenate([0.98 * reach * (np.arange(inner) / (inner - 0.5)) ** 1.4, loading[:options.operators - inner]])
+        thresholds = np.concatenate(
+            [0.98 * reach * (np.arange(inner) / (inner - 0.5)) ** 1.4, loading[: options.operators - inner]]
+        )
         thresholds = np.unique(np.round(thresholds, 9))
     return Operators(thresholds, options.one_sided, family == "hampi", center=0.5 * highest)
 

@@ -16,12 +16,12 @@ import numpy as np
 
 from hyst_control.chain.chain import Chain
 from hyst_control.chain.linear import Delay, StateSpace, TransferFunction
+from hyst_control.chain.memoryless import Offset
 from hyst_control.chain.stage import Array, Stage
-from hyst_control.chain.static import Offset
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.modal_fit import Layout, ModalModel, Problem, Spectra, refine, subspace
-from hyst_control.identify.report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.model_file import Model
 
 MOST_LINES = 6000

@@ -14,14 +14,14 @@ import numpy as np
 
 from hyst_control.chain import Chain, Stage
 from hyst_control.chain.madelung import Madelung
+from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import Array
-from hyst_control.chain.static import Gain, Offset
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset, Fit
-from hyst_control.identify.gram import NUISANCES, Window
-from hyst_control.identify.report import command_bandwidth, noise_sigma, record_rows
+from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
+from hyst_control.identify.fit_windows import whole_records
+from hyst_control.identify.gram_sums import NUISANCES, Window
 from hyst_control.identify.simulation_error import Parametrisation, Solution, minimise
-from hyst_control.identify.windows import whole_records
 from hyst_control.model_file import Model
 
 LEAST_SLOPE = 5e-3
@@ -168,7 +168,10 @@ def fit_axis(
     """Identify one axis. With `inverse` command and measurement have changed places, and so has the start."""
     scale = full_scale(windows, input_scale)
     sign = response_sign(windows)
-    travel = max(float(np.ptp(window.measurement)) / float(np.ptp(window.command)) for window in windows if np.ptp(window.command)) * scale
+    travel = (
+        max(float(np.ptp(window.measurement)) / float(np.ptp(window.command)) for window in windows if np.ptp(window.command))
+        * scale
+    )
     turned = [replace(window, measurement=sign * window.measurement) for window in windows]
 
     def stages(vector: Array) -> list[Stage]:

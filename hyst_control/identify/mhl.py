@@ -17,14 +17,14 @@ import numpy as np
 
 from hyst_control.chain import Chain, Parallel, Stage
 from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
+from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.stage import Array
-from hyst_control.chain.static import Gain
 from hyst_control.errors import InputError
-from hyst_control.forked import forked
 from hyst_control.identify.coupling import Coupling, fit_coupling, without_coupling
 from hyst_control.identify.dataset import Dataset, Fit
-from hyst_control.identify.dynamics import TAU_UNIT, Structure
-from hyst_control.identify.gram import Window
+from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
+from hyst_control.identify.fit_windows import whole_records
+from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.madelung import (
     Curves,
     check,
@@ -36,10 +36,10 @@ from hyst_control.identify.madelung import (
     range_notes,
     response_sign,
 )
-from hyst_control.identify.report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.simulation_error import Parametrisation, Solution, coarse, minimise, short_stretches
-from hyst_control.identify.windows import whole_records
+from hyst_control.identify.stable_dynamics import TAU_UNIT, Structure
 from hyst_control.model_file import Model
+from hyst_control.parallel import forked
 
 K2_UNIT = 1e-3
 """The unit (s) of k2 in the parameter vector, which holds its logarithm."""

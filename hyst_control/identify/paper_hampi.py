@@ -12,16 +12,16 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from hyst_control.errors import InputError
+from hyst_control.identify.bounded_least_squares import cost
 from hyst_control.identify.dataset import Dataset, Fit
-from hyst_control.identify.dynamics import Structure
-from hyst_control.identify.gram import Operators, Window, gram_matrices
+from hyst_control.identify.fit_windows import whole_records
+from hyst_control.identify.gram_sums import Operators, Window, gram_matrices
 from hyst_control.identify.hammerstein import Options, check, default_operators
-from hyst_control.identify.least_squares import cost
-from hyst_control.identify.prandtl_model import AxisFit, assemble
-from hyst_control.identify.roles import Stretch, pick
-from hyst_control.identify.turning import turning_points
-from hyst_control.identify.varpro import Problem, Solution, solve
-from hyst_control.identify.windows import whole_records
+from hyst_control.identify.prandtl_ishlinskii_model import AxisFit, assemble
+from hyst_control.identify.record_segmentation import Stretch, pick
+from hyst_control.identify.reversal_points import turning_points
+from hyst_control.identify.stable_dynamics import Structure
+from hyst_control.identify.variable_projection import Problem, Solution, solve
 
 DYNAMIC_FREQUENCY = 100.0
 PAPER_STRUCTURE = Structure(modes=1, zeros=1, slow_pair=True)
@@ -65,17 +65,18 @@ def _fit_axis(datasets: Sequence[Dataset], axis: int, family: str, options: Opti
 
 def _dynamic_weights(windows: Sequence[Window], operators: Operators, static: Solution, groups: int) -> AxisFit:
     count = len(operators.thresholds)
-    grams = gram_matrices(windows, operators, static.structure, static.parameters, np.append(static.theta, np.zeros(3)), "offset",
-                          groups)
+    grams = gram_matrices(
+        windows, operators, static.structure, static.parameters, np.append(static.theta, np.zeros(3)), "offset", groups
+    )
     gram = grams.fitted + grams.held_out
     size, total = static.structure.size, len(gram) - 1
-    keep = np.r_[0:operators.columns, operators.columns + size:total + 1]
+    keep = np.r_[0 : operators.columns, operators.columns + size : total + 1]
     gram = gram[np.ix_(keep, keep)]
     # Columns m1, m2, k, b and the offset; b adds to every weight alike.
     free = np.zeros((len(gram) - 1, 5))
-    free[count:count + 3, :3] = np.eye(3)
+    free[count : count + 3, :3] = np.eye(3)
     free[:count, 3] = 1.0
-    free = np.concatenate([free[:, :4], np.eye(len(gram) - 1)[:, operators.columns:]], axis=1)
+    free = np.concatenate([free[:, :4], np.eye(len(gram) - 1)[:, operators.columns :]], axis=1)
     fixed = np.concatenate([static.theta, np.zeros(len(gram) - 1 - count)])
     normal, target = free.T @ gram[:-1, :-1] @ free, free.T @ (gram[:-1, -1] - gram[:-1, :-1] @ fixed)
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
@@ -85,24 +86,41 @@ def _dynamic_weights(windows: Sequence[Window], operators: Operators, static: So
     found = lsq_linear(root[:, None] * vectors.T, (vectors.T @ (target / scale)) / root, (lower, np.inf)).x / scale
     vector = fixed + free @ found
     fitted = cost(gram, vector) / max(sum(grams.rows), 1)
-    solution = replace(static, theta=vector[:operators.columns], nuisances=vector[operators.columns:], fitted=fitted,
-                       held_out=fitted, grams=grams)
+    solution = replace(
+        static,
+        theta=vector[: operators.columns],
+        nuisances=vector[operators.columns :],
+        fitted=fitted,
+        held_out=fitted,
+        grams=grams,
+    )
     return AxisFit(solution, operators, fitted)
 
 
 def _windows(datasets: Sequence[Dataset], axis: int, kind: str, words: str, frequency: float | None = None) -> list[Window]:
     chosen = pick(datasets, axis, kind, frequency)
     if not chosen:
-        raise InputError(f"{', '.join(data.name for data in datasets)}: the paper's sequence needs {words}: add such a record or "
-                         "use the joint method")
+        raise InputError(
+            f"{', '.join(data.name for data in datasets)}: the paper's sequence needs {words}: add such a record or "
+            "use the joint method"
+        )
     return [_window(datasets[stretch.record], axis, stretch) for stretch in chosen]
 
 
 def _window(data: Dataset, axis: int, stretch: Stretch) -> Window:
     command = np.ascontiguousarray(data.command[:, axis])
     begin = max(stretch.begin - (20 if stretch.kind == "step" else 0), 0)
-    turning = turning_points(command[:begin + 1])
+    turning = turning_points(command[: begin + 1])
     memory = command[turning[turning < begin]] if begin else None
     part = slice(begin, stretch.end)
-    return Window(command[part], np.ascontiguousarray(data.measurement[part, axis]), data.sample_time, data.hold, 0,
-                  stretch.record, begin / len(command), (stretch.end - begin) / len(command), memory)
+    return Window(
+        command[part],
+        np.ascontiguousarray(data.measurement[part, axis]),
+        data.sample_time,
+        data.hold,
+        0,
+        stretch.record,
+        begin / len(command),
+        (stretch.end - begin) / len(command),
+        memory,
+    )

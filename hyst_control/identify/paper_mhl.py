@@ -13,17 +13,17 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from hyst_control.chain import Stage
+from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.stage import Array
-from hyst_control.chain.static import Gain
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset
-from hyst_control.identify.dynamics import TAU_UNIT, Structure
-from hyst_control.identify.gram import Window
+from hyst_control.identify.fit_report import command_bandwidth
+from hyst_control.identify.fit_windows import turning_points, whole_records
+from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.madelung import fit_axis, fit_inverse, full_scale, response_sign
 from hyst_control.identify.mhl import K2_UNIT, Axis, AxisFit, Options
-from hyst_control.identify.report import command_bandwidth
 from hyst_control.identify.simulation_error import Parametrisation, Solution, minimise, short_stretches, surviving_turns
-from hyst_control.identify.windows import turning_points, whole_records
+from hyst_control.identify.stable_dynamics import TAU_UNIT, Structure
 
 REST_TIME = 0.02
 """A command that holds still for this long (s) rests."""

@@ -16,10 +16,10 @@ from scipy.optimize import nnls
 
 from hyst_control.chain import Sampling, Stage
 from hyst_control.chain.stage import Array
-from hyst_control.identify.bundle import Bundle
-from hyst_control.identify.gram import HELD_OUT_BLOCKS, NUISANCES, Grams, Window, gram_product
-from hyst_control.identify.least_squares import covariance
-from hyst_control.identify.windows import turning_points
+from hyst_control.identify.bounded_least_squares import covariance
+from hyst_control.identify.chain_batch import Bundle
+from hyst_control.identify.fit_windows import turning_points
+from hyst_control.identify.gram_sums import HELD_OUT_BLOCKS, NUISANCES, Grams, Window, gram_product
 
 BLOCK, CHUNK = 4096, 32768
 """Rows of a Gram matrix of its own, at most, and rows simulated at a time."""

@@ -26,10 +26,10 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from hyst_control.errors import InputError
-from hyst_control.nodes.messages import Intake, Reception, Sender
-from hyst_control.nodes.ports import Input, Output
-from hyst_control.nodes.settings import Setting, declare
-from hyst_control.nodes.timing import Durations
+from hyst_control.nodes.duration_histogram import Durations
+from hyst_control.nodes.message_io import Intake, Reception, Sender
+from hyst_control.nodes.parameters import Setting, declare
+from hyst_control.nodes.signal_ports import Input, Output
 
 LOCKSTEP, TIMER = "lockstep", "timer"
 LONGEST_GAP = 1.0  # s, of missed ticks that are made up for
@@ -42,10 +42,18 @@ COMMON = (
     Setting("axes", ("x",), "", "names of the axes"),
     Setting("unit", "um", "", "unit of reference and measurement", choices=("um", "mrad")),
     Setting("timeout", 0.1, "s", "age from which an input is stale, under the timer", 1e-4, 1e3, live=True),
-    Setting("backwards", 1.0, "s", "an input that goes back by so much has another time: dropped, under the timer", 1e-3, 1e9, live=True),
+    Setting(
+        "backwards", 1.0, "s", "an input that goes back by so much has another time: dropped, under the timer", 1e-3, 1e9, live=True
+    ),
     Setting("most_sources", 1, "", "publishers of one input from which on the diagnostics warn, less one", 1, 1000, live=True),
-    Setting("most_waiting", 65536, "rows", "rows of an input that wait to be used; while there are so many, new ones are refused",
-            1, 100_000_000),
+    Setting(
+        "most_waiting",
+        65536,
+        "rows",
+        "rows of an input that wait to be used; while there are so many, new ones are refused",
+        1,
+        100_000_000,
+    ),
     Setting("realtime_priority", 0, "", "SCHED_FIFO priority of the process, 0 for the ordinary scheduler", 0, 99),
     Setting("cpu", -1, "", "core that the process is pinned to, -1 for any", -1, 1023),
     Setting("message_objects", False, "", "exchange message objects in place of serialized bytes"),
@@ -74,6 +82,7 @@ class EndingNode(Node):
 
     def once(self, callback: Callable[[], None]) -> None:
         """Call back once, as soon as the node spins."""
+
         def call() -> None:
             timer.cancel()
             callback()
@@ -82,6 +91,7 @@ class EndingNode(Node):
 
     def service(self, name: str, action: Callable[[], str]) -> None:
         """Offer `~/name` (std_srvs/Trigger): the action's text is the answer, an `InputError` the reason why it failed."""
+
         def answer(request: Any, response: Any) -> Any:
             try:
                 response.success, response.message = True, action()
@@ -297,23 +307,34 @@ class SignalNode(EndingNode):
         before, ticks_before = self._diagnosed
         self._diagnosed = (now, ticks)
         stale = [signal.topic for signal in self.inputs if not self.lockstep and signal.age > self.settings.timeout]
-        rivals = [signal.topic for signal in self.inputs
-                  if self.count_publishers(signal.topic) > self.settings.most_sources]
+        rivals = [signal.topic for signal in self.inputs if self.count_publishers(signal.topic) > self.settings.most_sources]
         for topic in rivals:
             self.warn(f"{topic}: sources", f"{topic}: {self.count_publishers(topic)} nodes publish it: was one started twice?")
         faults = {key: count for key, count in self.counts.items() if key != "ticks" and count}
-        values = {"schedule": self.settings.schedule, "rate [Hz]": f"{(ticks - ticks_before) / (now - before):.1f}",
-                  "ticks": ticks, "jitter [us]": f"{self._jitter.take() * 1e6:.1f}", "stale": ", ".join(stale) or "none",
-                  "several sources": ", ".join(rivals) or "none",
-                  "enabled": self.enabled, "handed over": ", ".join(sender.topic for sender in self.senders if sender.within) or "none",
-                  **{f"age of {signal.topic} [s]": f"{signal.age:.4f}" for signal in self.inputs},
-                  **self._intervals.entries("period"), **faults, **self.status()}
-        trouble = self.trouble() or (f"stale: {', '.join(stale)}" if stale else
-                                     f"several sources: {', '.join(rivals)}" if rivals else "")
-        status = DiagnosticStatus(name=f"{self.get_fully_qualified_name()}: loop", hardware_id="hyst_control",
-                                  level=DiagnosticStatus.WARN if trouble or not self.enabled else DiagnosticStatus.OK,
-                                  message=trouble or "running",
-                                  values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
+        values = {
+            "schedule": self.settings.schedule,
+            "rate [Hz]": f"{(ticks - ticks_before) / (now - before):.1f}",
+            "ticks": ticks,
+            "jitter [us]": f"{self._jitter.take() * 1e6:.1f}",
+            "stale": ", ".join(stale) or "none",
+            "several sources": ", ".join(rivals) or "none",
+            "enabled": self.enabled,
+            "handed over": ", ".join(sender.topic for sender in self.senders if sender.within) or "none",
+            **{f"age of {signal.topic} [s]": f"{signal.age:.4f}" for signal in self.inputs},
+            **self._intervals.entries("period"),
+            **faults,
+            **self.status(),
+        }
+        trouble = self.trouble() or (
+            f"stale: {', '.join(stale)}" if stale else f"several sources: {', '.join(rivals)}" if rivals else ""
+        )
+        status = DiagnosticStatus(
+            name=f"{self.get_fully_qualified_name()}: loop",
+            hardware_id="hyst_control",
+            level=DiagnosticStatus.WARN if trouble or not self.enabled else DiagnosticStatus.OK,
+            message=trouble or "running",
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)

@@ -19,16 +19,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.bag_writer import BagWriter
-from hyst_control.diagnose.live import GapAlarm, LiveTwin, Window
+from hyst_control.diagnose.live_twin import GapAlarm, LiveTwin, Window
 from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
 from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.messages import Sender
-from hyst_control.nodes.paired import Watched
+from hyst_control.nodes.message_io import Sender
+from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.settings import Setting
-from hyst_control.signal_message import Encoder, label_for
+from hyst_control.nodes.signal_pairing import Watched
+from hyst_control.records.bag_writer import BagWriter
+from hyst_control.records.signal_message import Encoder, label_for
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class Stretch(NamedTuple):
 
 
 class DiagnosisNode(SignalNode):
-    """Runs `model` from `command` and compares it with `measurement`; see `hyst_control.diagnose.live` for the alarm's statistics.
+    """Runs `model` from `command` and compares it with `measurement`; see `hyst_control.diagnose.live_twin` for the alarm's statistics.
 
     Publishes `residual` (measurement less prediction, by tick), `gap` (per window: NRMSE in % of the range, alarm 0 or 1) and its
     diagnostics. It listens only: nothing of the loop waits for it. Ticks without a command, up to `bridge` of them, count
@@ -64,7 +64,9 @@ class DiagnosisNode(SignalNode):
         Setting("model", "", "", "model file of the simulator"),
         Setting("window", 0.1, "s", "length of the windows that are judged", 1e-4, 1e3),
         Setting("settle", 0.1, "s", "not counted after the start and after a gap in the ticks", 0.0, 1e4),
-        Setting("calibrate", 0.5, "s", "at the start: the coefficients, within their tolerance, and the noise are learned", 1e-3, 1e4),
+        Setting(
+            "calibrate", 0.5, "s", "at the start: the coefficients, within their tolerance, and the noise are learned", 1e-3, 1e4
+        ),
         Setting("false_alarm_rate", 0.1, "1/h", "false alarms expected at most", 1e-9, 1e4, live=True),
         Setting("consecutive", 3, "windows", "in a row beyond the threshold that raise the alarm, or below that end it", 1, 1000),
         Setting("bridge", 10, "ticks", "without a command, up to which the newest one counts as held", 0, 1_000_000),
@@ -81,16 +83,24 @@ class DiagnosisNode(SignalNode):
         try:
             model = load_model(self._model_path)
             if model.axes != self.axes or model.units["measurement"] != self.unit:
-                raise InputError(f"{given.model} has axes [{', '.join(model.axes)}] in {model.units['measurement']}: set the "
-                                 "parameters axes and unit to them")
+                raise InputError(
+                    f"{given.model} has axes [{', '.join(model.axes)}] in {model.units['measurement']}: set the "
+                    "parameters axes and unit to them"
+                )
             self._twin = LiveTwin(model, self.period)
         except InputError as error:
             raise InputError(f"{self.get_name()}: {error}") from None
         self._twin.settle(np.zeros(len(self.axes)))
         self._twin.follow(np.zeros((1, len(self.axes))))  # compiled before the first message
         stated = np.broadcast_to(np.asarray(model.noise.get("sigma", 0.0), dtype=float), len(self.axes))
-        self.alarm = GapAlarm(self.period, max(round(given.window / self.period), 8), round(given.calibrate / self.period),
-                              stated, given.false_alarm_rate, given.consecutive)
+        self.alarm = GapAlarm(
+            self.period,
+            max(round(given.window / self.period), 8),
+            round(given.calibrate / self.period),
+            stated,
+            given.false_alarm_rate,
+            given.consecutive,
+        )
         self._residual = self.output("residual", self.unit)
         self._gap = Sender(self, "gap", GAP_LABEL, given.message_objects)
         self._command = Watched(self, "command", "V", self.reset)
@@ -120,10 +130,20 @@ class DiagnosisNode(SignalNode):
         entries["rate [Hz]"] = f"{(self._compared - self._told[1]) / max(now - self._told[0], 1e-9):.1f}"
         self._told = now, self._compared
         if newest is not None:
-            entries |= {f"rms [{self.unit}]": f"{newest.rms:.4g}", "nrmse [%]": f"{newest.nrmse:.4g}", "alarm": newest.alarm,
-                        "energy over threshold": "calibrating" if math.isnan(newest.excess) else f"{newest.excess:.3g}"}
-        return {**entries, "held samples [%]": f"{100.0 * self.held_share():.2f}", "rows compared": self._compared,
-                "ticks bridged": self._bridged, "settled anew": self._settled_anew, "diagnosis": self._job.text() if self._job else "none"}
+            entries |= {
+                f"rms [{self.unit}]": f"{newest.rms:.4g}",
+                "nrmse [%]": f"{newest.nrmse:.4g}",
+                "alarm": newest.alarm,
+                "energy over threshold": "calibrating" if math.isnan(newest.excess) else f"{newest.excess:.3g}",
+            }
+        return {
+            **entries,
+            "held samples [%]": f"{100.0 * self.held_share():.2f}",
+            "rows compared": self._compared,
+            "ticks bridged": self._bridged,
+            "settled anew": self._settled_anew,
+            "diagnosis": self._job.text() if self._job else "none",
+        }
 
     def held_share(self) -> float:
         """Share of the kept measurements that repeat the one before although the command moved."""
@@ -244,7 +264,7 @@ class DiagnosisNode(SignalNode):
                 encoder, rows = Encoder(label_for(self.axes, unit)), np.column_stack([ticks * self.period, values[topic][wanted]])
                 for run in runs:
                     for begin in range(run[0], run[-1] + 1, ROWS_PER_MESSAGE):
-                        part = rows[begin:min(begin + ROWS_PER_MESSAGE, run[-1] + 1)]
+                        part = rows[begin : min(begin + ROWS_PER_MESSAGE, run[-1] + 1)]
                         bag.write(f"/{topic}", encoder.encode(part), round(part[-1, 0] * 1e9))
 
 
@@ -255,15 +275,29 @@ class Job:
         self.folder, self.told = folder, False
         self._begun = time.monotonic()
         path = os.pathsep.join(filter(None, [str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH")]))
-        arguments = ["diagnose", str(folder / "record"), "--model", str(model), "--json", str(folder / "gap.json"),
-                     "--augmented", str(folder / "augmented.yaml"), "--quiet"]
-        if find_spec("hyst_control.diagnose.page"):
+        arguments = [
+            "diagnose",
+            str(folder / "record"),
+            "--model",
+            str(model),
+            "--json",
+            str(folder / "gap.json"),
+            "--augmented",
+            str(folder / "augmented.yaml"),
+            "--quiet",
+        ]
+        if find_spec("hyst_control.diagnose.gap_page"):
             arguments += ["--report", str(folder / "gap.html")]
         with open(folder / "gap.txt", "wb") as words:
             # In a session of its own, so that a Ctrl-C for the node does not reach it, and all of it can be ended at once.
-            self._process = subprocess.Popen([sys.executable, "-c", DIAGNOSE, *arguments], stdin=subprocess.DEVNULL, stdout=words,
-                                             stderr=subprocess.STDOUT, start_new_session=True,
-                                             env={**os.environ, "PYTHONPATH": path})
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", DIAGNOSE, *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=words,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                env={**os.environ, "PYTHONPATH": path},
+            )
 
     @property
     def running(self) -> bool:

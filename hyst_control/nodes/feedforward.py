@@ -8,12 +8,12 @@ import numpy as np
 
 from hyst_control.control.feedforward import KINDS, build_compensator
 from hyst_control.control.loop import Compensator
-from hyst_control.control.proportional import Proportional
+from hyst_control.control.static_gain import Proportional
 from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
 from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.ports import Input
-from hyst_control.nodes.settings import Setting
+from hyst_control.nodes.parameters import Setting
+from hyst_control.nodes.signal_ports import Input
 
 
 class Feedforward(SignalNode):
@@ -34,7 +34,9 @@ class Feedforward(SignalNode):
             Setting("discretisation", "zoh", "", "of the dynamics", choices=("zoh", "tustin")),
             Setting("preview", True, "", "look ahead where the inverse of the dynamics can; otherwise the command is late"),
             Setting("iterations", -1, "", "of the inverse of the hysteresis, -1 for the kind's own", -1, 1000),
-            Setting("smoothing", 0, "", "order of a low-pass without phase of the reference, which looks as many ticks ahead", 0, 20),
+            Setting(
+                "smoothing", 0, "", "order of a low-pass without phase of the reference, which looks as many ticks ahead", 0, 20
+            ),
             Setting("inverse_model", "", "", "model file with inverse curves identified by themselves"),
             Setting("limits", (0.0, 0.0), "V", "rating of the drive, lower and upper; equal: the model's valid range"),
             Setting("gain", (0.0,), "V per unit", "proportional: gain of all axes or of each"),
@@ -66,7 +68,7 @@ class Feedforward(SignalNode):
         self._next += len(output)
         if self._next > self._due:  # rows before the first reference are the compensator's filling
             start = max(first, self._due)
-            self.feedforward.send(start, output[start - first:])
+            self.feedforward.send(start, output[start - first :])
 
     def tick(self, tick: int) -> None:
         if self.enabled:
@@ -99,14 +101,23 @@ class Feedforward(SignalNode):
             raise InputError(f"{self.get_name()}: parameter model: give the model file to invert, or kind: proportional")
         model = load_model(self.settings.model)
         if tuple(model.axes) != self.axes or model.units["measurement"] != self.unit:
-            raise InputError(f"{self.get_name()}: {self.settings.model}: has axes {', '.join(model.axes)} in "
-                             f"{model.units['measurement']}, the node {', '.join(self.axes)} in {self.unit}")
+            raise InputError(
+                f"{self.get_name()}: {self.settings.model}: has axes {', '.join(model.axes)} in "
+                f"{model.units['measurement']}, the node {', '.join(self.axes)} in {self.unit}"
+            )
         given = self.settings
         try:
             return build_compensator(
-                model, given.kind, sample_time=self.period, inverse=given.inverse, discretisation=given.discretisation,
-                preview=given.preview, limits=given.limits if given.limits[0] != given.limits[-1] else None,
-                iterations=given.iterations if given.iterations >= 0 else None, smoothing=given.smoothing,
-                inverse_model=load_model(given.inverse_model) if given.inverse_model else None)
+                model,
+                given.kind,
+                sample_time=self.period,
+                inverse=given.inverse,
+                discretisation=given.discretisation,
+                preview=given.preview,
+                limits=given.limits if given.limits[0] != given.limits[-1] else None,
+                iterations=given.iterations if given.iterations >= 0 else None,
+                smoothing=given.smoothing,
+                inverse_model=load_model(given.inverse_model) if given.inverse_model else None,
+            )
         except InputError as error:
             raise InputError(f"{self.get_name()}: {given.model}: {error}") from None

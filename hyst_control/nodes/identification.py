@@ -7,8 +7,8 @@ from typing import Any
 from hyst_control.errors import InputError
 from hyst_control.identify.workflow import identify_bags
 from hyst_control.nodes.base import EndingNode
+from hyst_control.nodes.parameters import Setting, declare
 from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.settings import Setting, declare
 
 
 class Identification(EndingNode):

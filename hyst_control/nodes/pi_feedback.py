@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from hyst_control.control.pi import PI
 from hyst_control.errors import InputError
 from hyst_control.nodes.base import TIMER, SignalNode
-from hyst_control.nodes.ports import Input
+from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.settings import Setting
-from hyst_control.nodes.watch import MOTION, MeasurementWatch
+from hyst_control.nodes.sensor_watch import MOTION, MeasurementWatch
+from hyst_control.nodes.signal_ports import Input
 
 Array = NDArray[np.float64]
 
@@ -38,26 +38,52 @@ class PiFeedback(SignalNode):
         Setting("slew_limit", 0.0, "V/s", "greatest slope of the command, 0 for none", 0.0, 1e12),
         Setting("start", "rest", "", "the first command is slewed from 0 V, or is free", choices=("rest", "first_command")),
         Setting("safe_command", (0.0,), "V", "command of a stopped loop, of all axes or of each", -1e6, 1e6),
-        Setting("safe_rate", 1000.0, "V/s", "slope on the way to the safe command, and back where the integral cannot take over",
-                1e-6, 1e12, live=True),
+        Setting(
+            "safe_rate",
+            1000.0,
+            "V/s",
+            "slope on the way to the safe command, and back where the integral cannot take over",
+            1e-6,
+            1e12,
+            live=True,
+        ),
         Setting("recovery", "automatic", "", "after a fault", choices=("automatic", "manual"), live=True),
-        Setting("recovery_time", 0.1, "s", "time without a fault after which the loop goes on, with automatic recovery", 0.0, 1e6,
-                live=True),
+        Setting(
+            "recovery_time",
+            0.1,
+            "s",
+            "time without a fault after which the loop goes on, with automatic recovery",
+            0.0,
+            1e6,
+            live=True,
+        ),
         Setting("measurement_lower", -1e6, "um or mrad", "a measurement below is a fault", -1e12, 1e12),
         Setting("measurement_upper", 1e6, "um or mrad", "a measurement above is a fault", -1e12, 1e12),
-        Setting("frozen_time", 0.1, "s", "a measurement that stays the same for so long while the command moves by 1 % of its range "
-                "is a fault, 0 for never", 0.0, 1e6),
+        Setting(
+            "frozen_time",
+            0.1,
+            "s",
+            "a measurement that stays the same for so long while the command moves by 1 % of its range is a fault, 0 for never",
+            0.0,
+            1e6,
+        ),
         Setting("saturation_time", 0.5, "s", "a command at its limits for so long is warned of", 1e-6, 1e6, live=True),
-        Setting("overrun_ticks", 100, "ticks", "ticks in a row that take longer than their time are a fault, 0 for never", 0, 1_000_000,
-                live=True),
+        Setting(
+            "overrun_ticks",
+            100,
+            "ticks",
+            "ticks in a row that take longer than their time are a fault, 0 for never",
+            0,
+            1_000_000,
+            live=True,
+        ),
     )
 
     def __init__(self, name: str = "pi_feedback", **options: Any) -> None:
         super().__init__(name, **options)
         given, axes = self.settings, len(self.axes)
         try:
-            description = PI(given.kp, given.ki, self.period, given.lower, given.upper, given.slew_limit,
-                             given.tracking_time)
+            description = PI(given.kp, given.ki, self.period, given.lower, given.upper, given.slew_limit, given.tracking_time)
         except InputError as error:
             raise InputError(f"{self.get_name()}: parameter {error}") from None
         if len(given.safe_command) not in (1, axes):
@@ -66,8 +92,12 @@ class PiFeedback(SignalNode):
         self._controller = description.start(axes)
         self._controller.step(*np.zeros((3, 1, axes)))  # compiled before the first tick
         self._controller.pass_through(np.zeros((1, axes)))
-        self._watch = MeasurementWatch(given.measurement_lower, given.measurement_upper, self._ticks_in(given.frozen_time),
-                                       MOTION * (given.upper - given.lower))
+        self._watch = MeasurementWatch(
+            given.measurement_lower,
+            given.measurement_upper,
+            self._ticks_in(given.frozen_time),
+            MOTION * (given.upper - given.lower),
+        )
         self._newest: tuple[int, Any, Any] | None = None
         self._away = False
         self.command = self.output("command", "V")

@@ -33,8 +33,7 @@ def main() -> int:
     """The executable: names of nodes, then ROS arguments; parameters come per node from one `--params-file`."""
     arguments = sys.argv[1:]
     split = arguments.index("--ros-args") if "--ros-args" in arguments else len(arguments)
-    parser = argparse.ArgumentParser(prog="pipeline", description=__doc__,
-                                     epilog="Behind them: --ros-args --params-file FILE.yaml")
+    parser = argparse.ArgumentParser(prog="pipeline", description=__doc__, epilog="Behind them: --ros-args --params-file FILE.yaml")
     parser.add_argument("nodes", nargs="*", metavar="NODE", help=f"of {', '.join(NODES)}; default: {' '.join(DEFAULT)}")
     chosen = parser.parse_args(arguments[:split]).nodes or DEFAULT
     try:

@@ -26,9 +26,9 @@ from std_msgs.msg import Float64MultiArray
 
 from hyst_control.control.feedforward import build_compensator
 from hyst_control.control.pi import PI
-from hyst_control.launch import environment
 from hyst_control.model_file import Simulator, load_model
-from hyst_control.nodes.timing import Durations
+from hyst_control.nodes.duration_histogram import Durations
+from hyst_control.processes import environment
 
 LIMITS = (0.0, 100.0)
 MOST_WAITING = 5000  # rows of a signal
@@ -53,6 +53,7 @@ class PlainNode(Node):
 
     def hear(self, topic: str, callback: Any) -> None:
         """`callback(tick, values (1, A))` for every message."""
+
         def on_message(message: Float64MultiArray) -> None:
             row = np.array(message.data)
             callback(round(row[0] / self.period), row[1:].reshape(1, -1))
@@ -172,10 +173,15 @@ class PlainPlant(PlainNode):
         self.send(self.held)
 
     def tell(self) -> None:
-        values = {"ticks": self.count if self.timed else self.rounds, "commands": self.rounds, **self.latency.entries("loop latency"),
-                  **self.intervals.entries("period")}
-        status = DiagnosticStatus(name="plain_plant: loop", values=[KeyValue(key=key, value=str(value))
-                                                                    for key, value in values.items()])
+        values = {
+            "ticks": self.count if self.timed else self.rounds,
+            "commands": self.rounds,
+            **self.latency.entries("loop latency"),
+            **self.intervals.entries("period"),
+        }
+        status = DiagnosticStatus(
+            name="plain_plant: loop", values=[KeyValue(key=key, value=str(value)) for key, value in values.items()]
+        )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
         self.diagnostics.publish(message)

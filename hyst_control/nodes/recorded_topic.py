@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.errors import InputError
-from hyst_control.nodes.ports import Joining, tick_of
 from hyst_control.nodes.rows import DUPLICATE
-from hyst_control.signal_message import Encoder
+from hyst_control.nodes.signal_ports import Joining, tick_of
+from hyst_control.records.signal_message import Encoder
 
 if TYPE_CHECKING:
     from hyst_control.nodes.recorder import Recorder
@@ -87,11 +87,14 @@ class RecordedTopic:
             return
         tick = tick_of(block, recorder.period) if len(block) else None
         if tick is None:
-            recorder.drop(self.name, "off the clock", f"its times are not successive multiples of the period "
-                                                      f"{recorder.period:g} s: is rate_hz the same everywhere?")
+            recorder.drop(
+                self.name,
+                "off the clock",
+                f"its times are not successive multiples of the period {recorder.period:g} s: is rate_hz the same everywhere?",
+            )
             return
         if recorder.lockstep and recorder.settings.ticks:
-            block = block[:max(recorder.settings.ticks - tick, 0)]
+            block = block[: max(recorder.settings.ticks - tick, 0)]
             if not len(block):
                 return
         if self.end is None:
@@ -112,7 +115,7 @@ class RecordedTopic:
                     self._hold(tick, block)
                     return
                 self._leave_gap(tick)
-            block = block[max(self.end - tick, 0):]
+            block = block[max(self.end - tick, 0) :]
             tick = max(self.end, tick)
         self.end = tick
         self._append(block)
@@ -125,14 +128,16 @@ class RecordedTopic:
     def _go_on_behind_the_gap(self, give_up: bool = False) -> None:
         """Take the rows behind a gap once it is filled, or was waited for long enough, or too many rows wait."""
         recorder = self._recorder
-        give_up |= time.monotonic() - self._gap_since > PATIENCE or sum(map(len, self._behind.values())) > recorder.settings.most_waiting
+        give_up |= (
+            time.monotonic() - self._gap_since > PATIENCE or sum(map(len, self._behind.values())) > recorder.settings.most_waiting
+        )
         for tick in sorted(self._behind):
             if tick > self.end:
                 if not give_up:
                     return
                 recorder.warn(self.name, f"{self.name}: ticks {self.end} to {tick - 1} are lost: was their node killed?")
                 self._leave_gap(tick)
-            rows = self._behind.pop(tick)[self.end - tick:]
+            rows = self._behind.pop(tick)[self.end - tick :]
             if len(rows):
                 self._append(rows)
                 self._gap_since = time.monotonic()  # of the next one

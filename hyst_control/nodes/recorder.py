@@ -7,15 +7,15 @@ from typing import Any
 
 from std_msgs.msg import Int64
 
-from hyst_control.bag_writer import BagWriter
 from hyst_control.errors import InputError
 from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.interrupts import undivided
-from hyst_control.nodes.messages import QUEUE
-from hyst_control.nodes.ports import REPEAT_INTERVAL
+from hyst_control.nodes.message_io import QUEUE
+from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.recorded_topic import RecordedTopic
 from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.settings import Setting
+from hyst_control.nodes.signal_ports import REPEAT_INTERVAL
+from hyst_control.records.bag_writer import BagWriter
 
 SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
 PROGRESS_INTERVAL = 64  # ticks
@@ -129,8 +129,9 @@ class Recorder(SignalNode):
     def _failed(self, error: OSError) -> None:
         if not self._failure:
             self._failure = error.strerror or str(error)
-            self.get_logger().error(f"{self.settings.output}: {self._failure}: recording ends here; what was stored before is "
-                                    "readable")
+            self.get_logger().error(
+                f"{self.settings.output}: {self._failure}: recording ends here; what was stored before is readable"
+            )
             self.finish(self._progress, 2)
 
 

@@ -9,14 +9,14 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from hyst_control import excitation
-from hyst_control.control.reachable import check_reachable
+from hyst_control.control.reachable_stroke import check_reachable
 from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
 from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.ports import KEPT_ROWS, Input
+from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.settings import Setting
+from hyst_control.nodes.signal_ports import KEPT_ROWS, Input
+from hyst_control.records import excitation
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class ReferenceGenerator(SignalNode):
         if self.settings.repeat:
             first %= last + 1
         if first + count <= last + 1:
-            return self._signal[first:first + count]
+            return self._signal[first : first + count]
         ticks = np.arange(first, first + count)
         return self._signal[ticks % (last + 1) if self.settings.repeat else np.minimum(ticks, last)]
 
@@ -113,10 +113,14 @@ class ReferenceGenerator(SignalNode):
                 spec = yaml.safe_load(Path(signal).read_text(encoding="utf-8"))
             else:
                 own = {setting.name for setting in self.SETTINGS} | set(vars(self.settings))
-                spec = {"signal": signal, **{
-                    name: list(parameter.value) if hasattr(parameter.value, "tolist") else parameter.value
-                    for name, parameter in self.get_parameters_by_prefix("").items()
-                    if name not in own and not name.startswith(FOREIGN)}}
+                spec = {
+                    "signal": signal,
+                    **{
+                        name: list(parameter.value) if hasattr(parameter.value, "tolist") else parameter.value
+                        for name, parameter in self.get_parameters_by_prefix("").items()
+                        if name not in own and not name.startswith(FOREIGN)
+                    },
+                }
             return excitation.build(spec, self.period, len(self.axes))
         except OSError as error:
             raise InputError(f"{self.get_name()}: signal {signal}: {error.strerror}: give an existing file") from None

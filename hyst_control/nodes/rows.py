@@ -45,7 +45,7 @@ class Rows:
                 if self.contiguous:
                     return GAP
             else:
-                block = block[self.end - tick:]
+                block = block[self.end - tick :]
                 tick, rows = self.end, len(block)
         if self.available >= self.most:
             return FULL
@@ -79,7 +79,7 @@ class Rows:
             first, block = self._blocks.popleft()
             self.available -= min(len(block), tick - first)
             if first + len(block) > tick:
-                self._blocks.appendleft((tick, block[tick - first:]))
+                self._blocks.appendleft((tick, block[tick - first :]))
 
     def newest(self, tick: int) -> Array | None:
         """The newest row (A,) not later than this tick, or None; older ones are dropped, it stays."""

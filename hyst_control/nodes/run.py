@@ -17,11 +17,11 @@ from rclpy.experimental import EventsExecutor
 from rclpy.task import Future
 
 from hyst_control.errors import InputError
-from hyst_control.launch import environment
 from hyst_control.nodes import interrupts
 from hyst_control.nodes.base import EndingNode, SignalNode
-from hyst_control.nodes.handover import hand_over
-from hyst_control.nodes.leaving import leave_within
+from hyst_control.nodes.exit_watchdog import leave_within
+from hyst_control.nodes.intra_process import hand_over
+from hyst_control.processes import environment
 
 FOREVER = 1e6  # s
 
@@ -31,8 +31,9 @@ def spin(executor: Any, future: Future, timeout: float = FOREVER) -> None:
     executor.spin_until_future_complete(future, timeout_sec=timeout)
 
 
-def run(nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER,
-        leaving: Callable[[int], None] = lambda status: None) -> int | None:
+def run(
+    nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER, leaving: Callable[[int], None] = lambda status: None
+) -> int | None:
     """Spin the nodes on one executor until all that end by themselves have ended; the greatest of their exit statuses.
 
     None when that took longer than the timeout (s). The nodes are closed and destroyed whatever happens. `leaving` is told the status,

@@ -20,12 +20,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_plant_sim.physics import exact
-from hyst_plant_sim.physics.checks import check_positive
-from hyst_plant_sim.physics.line import Frame, Part
+from hyst_plant_sim.physics import exact_discretization
+from hyst_plant_sim.physics.elastic_slip import PushPull, Slip
 from hyst_plant_sim.physics.mechanics import mechanics, oscillator
+from hyst_plant_sim.physics.parameter_checks import check_positive
 from hyst_plant_sim.physics.parts import Chain, Clip, Delay, Held, Mixing, Straight, System
-from hyst_plant_sim.physics.slip import PushPull, Slip
+from hyst_plant_sim.physics.signal_path import Frame, Part
 
 Array = NDArray[np.float64]
 
@@ -62,23 +62,60 @@ class FsmParameters:
     noise: float
 
     def __post_init__(self) -> None:
-        check_positive(self, ("notch_frequency", "pole_frequency", "pole_damping", "amplifier_cutoff", "elastic_slope", "slip_range",
-                              "slip_decay", "relaxation_time", "mode_frequency", "sensor_cutoff"), PER_AXIS)
+        check_positive(
+            self,
+            (
+                "notch_frequency",
+                "pole_frequency",
+                "pole_damping",
+                "amplifier_cutoff",
+                "elastic_slope",
+                "slip_range",
+                "slip_decay",
+                "relaxation_time",
+                "mode_frequency",
+                "sensor_cutoff",
+            ),
+            PER_AXIS,
+        )
 
     def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
         """The parts of an axis by place, with what is changed in the hysteresis and in the mechanics."""
-        stacks = [Slip(self.elastic_slope[axis], self.slip_slope[axis], int(self.slip_elements), self.slip_range, self.slip_decay,
-                       self.saturation, hysteresis.get("width", 0.0)) for _ in range(2)]
+        stacks = [
+            Slip(
+                self.elastic_slope[axis],
+                self.slip_slope[axis],
+                int(self.slip_elements),
+                self.slip_range,
+                self.slip_decay,
+                self.saturation,
+                hysteresis.get("width", 0.0),
+            )
+            for _ in range(2)
+        ]
         rest = 0.5 * stacks[0].settle(self.bias)  # of the second stack at 0 V, halved: the zero of the tilt
-        late = Held(exact.slow_share(self.relaxation_share * hysteresis.get("rate", 1.0), self.relaxation_time), frame.step)
+        late = Held(
+            exact_discretization.slow_share(self.relaxation_share * hysteresis.get("rate", 1.0), self.relaxation_time), frame.step
+        )
         delay = Delay(self.delay[axis] + moving.get("delay", 0.0), frame.step)
         return {
             "drive": [delay, Clip(*frame.rating)],
-            "amplifier": [Held(exact.series(self._notch(), exact.lag(2 * np.pi * self.amplifier_cutoff)), frame.step)],
+            "amplifier": [
+                Held(
+                    exact_discretization.series(self._notch(), exact_discretization.lag(2 * np.pi * self.amplifier_cutoff)),
+                    frame.step,
+                )
+            ],
             "hysteresis": [Chain(PushPull(*stacks, self.bias, rest), late)],
-            "mechanics": [mechanics(lambda mass_ratio, ratio: oscillator(self.mode_frequency[axis], self.mode_damping[axis],
-                                                                         mass_ratio, ratio), frame, moving, delay.rest)],
-            "sensor": [Straight(exact.lag(2 * np.pi * self.sensor_cutoff), frame.step)],
+            "mechanics": [
+                mechanics(
+                    lambda mass_ratio, ratio: oscillator(self.mode_frequency[axis], self.mode_damping[axis], mass_ratio, ratio),
+                    frame,
+                    moving,
+                    delay.rest,
+                )
+            ],
+            "sensor": [Straight(exact_discretization.lag(2 * np.pi * self.sensor_cutoff), frame.step)],
         }
 
     def mixing(self) -> Mixing | None:
@@ -88,8 +125,8 @@ class FsmParameters:
     def _notch(self) -> System:
         """(s² + 2 ζn ωn s + ωn²) / (s² + 2 ζp ωp s + ωp²), of unit static gain."""
         zero, pole = 2 * np.pi * self.notch_frequency, 2 * np.pi * self.pole_frequency
-        a, b, _, _ = exact.oscillator(pole, self.pole_damping)
+        a, b, _, _ = exact_discretization.oscillator(pole, self.pole_damping)
         gain = (pole / zero) ** 2
         # num = gain * den + gain * ((2 ζn ωn - 2 ζp ωp) s + ωn² - ωp²), in states position and velocity / ωp
         slope = gain * 2.0 * (self.notch_damping * zero - self.pole_damping * pole)
-        return a, b, np.array([gain * (zero ** 2 - pole ** 2) / pole ** 2, slope / pole]), gain
+        return a, b, np.array([gain * (zero**2 - pole**2) / pole**2, slope / pole]), gain

@@ -13,9 +13,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hyst_plant_sim.physics import exact
-from hyst_plant_sim.physics.line import Frame, Part
+from hyst_plant_sim.physics import exact_discretization
 from hyst_plant_sim.physics.parts import Held, Sum, System
+from hyst_plant_sim.physics.signal_path import Frame, Part
 
 Array = NDArray[np.float64]
 
@@ -26,11 +26,10 @@ GRID = 201
 def oscillator(frequency: float, damping: float, mass_ratio: float = 0.0, frequency_ratio: float = 1.0) -> System:
     """A mode of unit static gain; frequency Hz of the bare mode."""
     heavier = np.sqrt(1.0 + mass_ratio)
-    return exact.oscillator(2 * np.pi * frequency * frequency_ratio / heavier, damping / heavier)
+    return exact_discretization.oscillator(2 * np.pi * frequency * frequency_ratio / heavier, damping / heavier)
 
 
-def mechanics(system: Callable[[float, float], System], frame: Frame, changes: Mapping[str, Any],
-              late: float) -> Part:
+def mechanics(system: Callable[[float, float], System], frame: Frame, changes: Mapping[str, Any], late: float) -> Part:
     """The part for a set of changes: added_mass, modes (see `beside`), duffing, friction, wander, period (s; see `Irregular`).
 
     Read `late` s before the end of a step (see `Delay`).
@@ -43,15 +42,16 @@ def mechanics(system: Callable[[float, float], System], frame: Frame, changes: M
     duffing, friction, wander = (changes.get(name, 0.0) for name in ("duffing", "friction", "wander"))
     if duffing == 0 and friction == 0 and wander == 0:
         return Held(system(mass_ratio, 1.0), frame.step, late)
-    return Irregular(system, frame, late, mass_ratio, duffing, friction, wander, changes.get("period", 1.0),
-                     changes.get("phase", 0.0))
+    return Irregular(
+        system, frame, late, mass_ratio, duffing, friction, wander, changes.get("period", 1.0), changes.get("phase", 0.0)
+    )
 
 
 def beside(main: System, mode: tuple[float, float, float], step: float, late: float) -> Held:
     """A further mode fed like the main system: frequency (Hz), damping, share of the main system's static gain."""
     frequency, damping, share = mode
     a, b, c, _ = main
-    static = float(c @ exact.rest(a, b, 1.0))
+    static = float(c @ exact_discretization.rest(a, b, 1.0))
     a, b, c, d = oscillator(frequency, damping)
     return Held((a, b, share * static * c, d), step, late)
 
@@ -65,17 +65,30 @@ class Irregular:
     The forces are those of the displacement in the middle of a step, on the straight line through the ends of the last two.
     """
 
-    def __init__(self, system: Callable[[float, float], System], frame: Frame, late: float, mass_ratio: float, duffing: float,
-                 friction: float, wander: float, period: float, phase: float) -> None:
+    def __init__(
+        self,
+        system: Callable[[float, float], System],
+        frame: Frame,
+        late: float,
+        mass_ratio: float,
+        duffing: float,
+        friction: float,
+        wander: float,
+        period: float,
+        phase: float,
+    ) -> None:
         ratios = 1.0 + wander * np.linspace(-1.0, 1.0, GRID) if wander else np.ones(1)
         systems = [system(mass_ratio, ratio) for ratio in ratios]
-        steps = [(*exact.held_step(a, b, frame.step), *exact.held_step(a, b, frame.step - late)) for a, b, _, _ in systems]
+        steps = [
+            (*exact_discretization.held_step(a, b, frame.step), *exact_discretization.held_step(a, b, frame.step - late))
+            for a, b, _, _ in systems
+        ]
         self._phi, self._to = (np.stack([row[i] for row in steps]) for i in range(2))
         self._a, self._b, self._c, _ = systems[len(systems) // 2]
         self._read = np.stack([np.append(self._c @ state, self._c @ shift) for _, _, state, shift in steps])
-        self._gain = float(self._c @ exact.rest(self._a, self._b, 1.0))
+        self._gain = float(self._c @ exact_discretization.rest(self._a, self._b, 1.0))
         span = frame.stroke[1] - frame.stroke[0]
-        self._force = np.array([duffing / self._gain / span ** 2, friction * span / self._gain, friction * span])
+        self._force = np.array([duffing / self._gain / span**2, friction * span / self._gain, friction * span])
         self._turn = np.array([2 * np.pi * frame.step / period, phase])
         self.settle(0.0)
 
@@ -84,7 +97,7 @@ class Irregular:
         drive = value
         for _ in range(200):  # the spring takes its share: a contraction for any share below one third
             drive = value - spring * (self._gain * drive) ** 3
-        self._x = exact.rest(self._a, self._b, drive)
+        self._x = exact_discretization.rest(self._a, self._b, drive)
         y = float(self._c @ self._x)
         # displacement one step ago, place of the guide's slip element, internal steps so far
         self._memory = np.array([y, self._gain * drive, 0.0])

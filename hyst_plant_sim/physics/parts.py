@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hyst_plant_sim.physics import exact
+from hyst_plant_sim.physics import exact_discretization
 
 Array = NDArray[np.float64]
 System = tuple[Array, Array, Array, float]
@@ -23,7 +23,7 @@ class Linear:
         self._rows, self._x, self._last = np.ascontiguousarray(rows), np.zeros(len(self._b)), np.zeros(1)
 
     def settle(self, value: float) -> float:
-        self._x, self._last = exact.rest(self._a, self._b, value), np.array([value])
+        self._x, self._last = exact_discretization.rest(self._a, self._b, value), np.array([value])
         return float(self._c @ self._x + self._d * value)
 
     def process(self, block: Array) -> Array:
@@ -42,8 +42,10 @@ class Held(Linear):
 
     def __init__(self, system: System, step: float, late: float | None = None) -> None:
         a, b, c, d = system
-        phi, gamma = exact.held_step(a, b, step)
-        state, shift = exact.mean_of_step(a, b, step) if late is None else exact.held_step(a, b, step - late)
+        phi, gamma = exact_discretization.held_step(a, b, step)
+        state, shift = (
+            exact_discretization.mean_of_step(a, b, step) if late is None else exact_discretization.held_step(a, b, step - late)
+        )
         none = np.zeros(len(b))
         super().__init__(system, np.vstack([np.column_stack([phi, none, gamma]), np.hstack([c @ state, 0.0, c @ shift + d])]))
 
@@ -53,7 +55,7 @@ class Straight(Linear):
 
     def __init__(self, system: System, step: float) -> None:
         a, b, c, d = system
-        rows = np.column_stack(exact.ramp_step(a, b, step))
+        rows = np.column_stack(exact_discretization.ramp_step(a, b, step))
         super().__init__(system, np.vstack([rows, c @ rows + np.append(np.zeros(len(b) + 1), d)]))
 
 
@@ -77,8 +79,8 @@ class Delay:
 
     def process(self, block: Array) -> Array:
         known = np.concatenate([self._past, block])
-        self._past = known[len(block):].copy()
-        return known[:len(block)]
+        self._past = known[len(block) :].copy()
+        return known[: len(block)]
 
 
 class LateReading:
@@ -94,7 +96,7 @@ class LateReading:
 
     def process(self, block: Array) -> Array:
         late = self._whole.process(block)
-        before = np.concatenate([[self._last], late])[:len(block)]
+        before = np.concatenate([[self._last], late])[: len(block)]
         self._last = float(late[-1]) if len(late) else self._last
         return (1.0 - self._share) * late + self._share * before
 
@@ -173,6 +175,7 @@ class Sum:
 
 # The states of the small systems stay in registers, which makes a step three times as fast as the one for any order.
 
+
 @njit(cache=True, error_model="numpy")
 def _of_any_order(block, rows, x, last, output):
     order = x.size
@@ -211,8 +214,10 @@ def _of_second_order(block, rows, x, last, output):
     for k in range(block.size):
         now = block[k]
         output[k] = y_from * before + y_to * now + (y * first + z * second)
-        first, second = (a_from * before + a_to * now + (a * first + b * second),
-                         b_from * before + b_to * now + (c * first + d * second))
+        first, second = (
+            a_from * before + a_to * now + (a * first + b * second),
+            b_from * before + b_to * now + (c * first + d * second),
+        )
         before = now
     x[0], x[1], last[0] = first, second, before
 
@@ -225,9 +230,11 @@ def _of_third_order(block, rows, x, last, output):
     for k in range(block.size):
         now = block[k]
         output[k] = y_from * before + y_to * now + (y * first + z * second + w * third)
-        first, second, third = (a_from * before + a_to * now + (a * first + b * second + c * third),
-                                b_from * before + b_to * now + (d * first + e * second + f * third),
-                                c_from * before + c_to * now + (g * first + h * second + i * third))
+        first, second, third = (
+            a_from * before + a_to * now + (a * first + b * second + c * third),
+            b_from * before + b_to * now + (d * first + e * second + f * third),
+            c_from * before + c_to * now + (g * first + h * second + i * third),
+        )
         before = now
     x[0], x[1], x[2], last[0] = first, second, third, before
 

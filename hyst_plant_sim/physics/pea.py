@@ -22,12 +22,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hyst_plant_sim.physics import exact
-from hyst_plant_sim.physics.checks import check_positive
-from hyst_plant_sim.physics.line import Frame, Part
+from hyst_plant_sim.physics import exact_discretization
+from hyst_plant_sim.physics.elastic_slip import Slip
 from hyst_plant_sim.physics.mechanics import mechanics, oscillator
+from hyst_plant_sim.physics.parameter_checks import check_positive
 from hyst_plant_sim.physics.parts import Chain, Delay, Held, Straight, System
-from hyst_plant_sim.physics.slip import Slip
+from hyst_plant_sim.physics.signal_path import Frame, Part
 
 Array = NDArray[np.float64]
 
@@ -60,26 +60,47 @@ class PeaParameters:
     noise: float
 
     def __post_init__(self) -> None:
-        check_positive(self, ("amplifier_cutoff", "elastic_slope", "slip_range", "slip_decay", "stroke", "mode_frequency",
-                              "slow_time", "sensor_cutoff", "drag_level"))
+        check_positive(
+            self,
+            (
+                "amplifier_cutoff",
+                "elastic_slope",
+                "slip_range",
+                "slip_decay",
+                "stroke",
+                "mode_frequency",
+                "slow_time",
+                "sensor_cutoff",
+                "drag_level",
+            ),
+        )
 
     def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
         """The parts of an axis by place, with what is changed in the hysteresis and in the mechanics."""
-        slip = Slip(self.elastic_slope, self.slip_slope, int(self.slip_elements), self.slip_range, self.slip_decay,
-                    self.saturation / self.stroke, hysteresis.get("width", 0.0))
+        slip = Slip(
+            self.elastic_slope,
+            self.slip_slope,
+            int(self.slip_elements),
+            self.slip_range,
+            self.slip_decay,
+            self.saturation / self.stroke,
+            hysteresis.get("width", 0.0),
+        )
         delay = Delay(self.delay + moving.get("delay", 0.0), frame.step)
         drag = Drag(self.drag_rise, self.drag_fall, self.drag_level, hysteresis.get("rate", 1.0), frame.step)
         return {
             "drive": [delay],
-            "amplifier": [Held(exact.lag(2 * np.pi * self.amplifier_cutoff), frame.step)],
+            "amplifier": [Held(exact_discretization.lag(2 * np.pi * self.amplifier_cutoff), frame.step)],
             "hysteresis": [Chain(slip, drag)],
             "mechanics": [mechanics(self._system, frame, moving, delay.rest)],
-            "sensor": [Straight(exact.lag(2 * np.pi * self.sensor_cutoff), frame.step)],
+            "sensor": [Straight(exact_discretization.lag(2 * np.pi * self.sensor_cutoff), frame.step)],
         }
 
     def _system(self, mass_ratio: float, frequency_ratio: float) -> System:
-        return exact.series(oscillator(self.mode_frequency, self.mode_damping, mass_ratio, frequency_ratio),
-                            exact.slow_share(self.slow_share, self.slow_time))
+        return exact_discretization.series(
+            oscillator(self.mode_frequency, self.mode_damping, mass_ratio, frequency_ratio),
+            exact_discretization.slow_share(self.slow_share, self.slow_time),
+        )
 
 
 class Drag:

@@ -19,10 +19,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hyst_plant_sim.physics.line import Frame, Part, PlantError
 from hyst_plant_sim.physics.mechanics import mechanics
 from hyst_plant_sim.physics.parts import Delay, Held, Sum
-from hyst_plant_sim.physics.rational import rational
+from hyst_plant_sim.physics.rational_mechanics import rational
+from hyst_plant_sim.physics.signal_path import Frame, Part, PlantError
 
 Array = NDArray[np.float64]
 
@@ -61,19 +61,24 @@ class PublishedFsmParameters:
         for axis in range(2):
             ends = sum(self.ascending[axis]), sum(self.descending[axis])
             if abs(ends[0] - ends[1]) > 1e-6 * abs(ends[0]):
-                raise PlantError(f"descending: axis {self.axes[axis]} ends at {ends[1]:g}, ascending at {ends[0]:g}: scale both alike")
+                raise PlantError(
+                    f"descending: axis {self.axes[axis]} ends at {ends[1]:g}, ascending at {ends[0]:g}: scale both alike"
+                )
 
     def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
         """The parts of an axis by place, with what is changed in the hysteresis and in the mechanics."""
-        static = Madelung(self.ascending[axis], self.descending[axis], self.span[axis], self.scale[axis],
-                          hysteresis.get("width", 0.0))
+        static = Madelung(
+            self.ascending[axis], self.descending[axis], self.span[axis], self.scale[axis], hysteresis.get("width", 0.0)
+        )
         rate = hysteresis.get("rate", 1.0) * self.k1[axis] / self.k2[axis]
         pole = self.b2[axis] / self.k2[axis]
         lead = Held((np.array([[-pole]]), np.array([pole]), np.array([-rate]), rate), frame.step)
         delay = Delay(self.delay[axis] + moving.get("delay", 0.0), frame.step)
-        return {"drive": [delay],
-                "hysteresis": [Sum(static, lead)],
-                "mechanics": [mechanics(partial(rational, self.num[axis], self.den[axis]), frame, moving, delay.rest)]}
+        return {
+            "drive": [delay],
+            "hysteresis": [Sum(static, lead)],
+            "mechanics": [mechanics(partial(rational, self.num[axis], self.den[axis]), frame, moving, delay.rest)],
+        }
 
 
 class Madelung:

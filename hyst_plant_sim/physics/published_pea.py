@@ -15,10 +15,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hyst_plant_sim.physics.line import Frame, Part, PlantError
 from hyst_plant_sim.physics.mechanics import mechanics
 from hyst_plant_sim.physics.parts import Delay
-from hyst_plant_sim.physics.rational import rational
+from hyst_plant_sim.physics.rational_mechanics import rational
+from hyst_plant_sim.physics.signal_path import Frame, Part, PlantError
 
 Array = NDArray[np.float64]
 
@@ -48,9 +48,11 @@ class PublishedPeaParameters:
     def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
         """The parts of an axis by place, with what is changed in the hysteresis and in the mechanics."""
         delay = Delay(moving.get("delay", 0.0), frame.step)
-        return {"drive": [delay],
-                "hysteresis": [DynamicWeights(self, frame, hysteresis.get("width", 0.0), hysteresis.get("rate", 1.0))],
-                "mechanics": [mechanics(partial(rational, self.num, self.den), frame, moving, delay.rest)]}
+        return {
+            "drive": [delay],
+            "hysteresis": [DynamicWeights(self, frame, hysteresis.get("width", 0.0), hysteresis.get("rate", 1.0))],
+            "mechanics": [mechanics(partial(rational, self.num, self.den), frame, moving, delay.rest)],
+        }
 
 
 class DynamicWeights:
@@ -69,9 +71,9 @@ class DynamicWeights:
 
     def process(self, block: Array) -> Array:
         known = np.concatenate([self._past, block])
-        self._past = known[len(block):].copy()
+        self._past = known[len(block) :].copy()
         output = np.empty(block.size)
-        _dynamic_weights(block, known[:len(block)], self._r, self._w, self._law, self._h, output)
+        _dynamic_weights(block, known[: len(block)], self._r, self._w, self._law, self._h, output)
         return output
 
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 import hyst_control.effects  # noqa: F401  (makes the effects' stages known)
 from hyst_control.chain import STAGES, Chain, Sampling
 from hyst_control.chain.linear import TransferFunction
-from hyst_control.chain.play import PlayOperator, PrandtlIshlinskii
-from hyst_control.chain.static import Gain
+from hyst_control.chain.memoryless import Gain
+from hyst_control.chain.prandtl_ishlinskii import PlayOperator, PrandtlIshlinskii
 
 SAMPLE_TIME = 1e-4
 RISING, FALLING = [0.2, 0.5, 0.3], [-0.3, -0.2, 1.5]
@@ -119,7 +119,15 @@ PLANT = (
     PrandtlIshlinskii([1.0, 9.0], [0.5, 0.4]),
     TransferFunction([4e7], [1.0, 900.0, 4e7]),
 )
-MODIFIERS = ("hysteresis_width", "hysteresis_shape", "hysteresis_rate", "resonance", "coupled_resonance", "added_mass", "softening_modes")
+MODIFIERS = (
+    "hysteresis_width",
+    "hysteresis_shape",
+    "hysteresis_rate",
+    "resonance",
+    "coupled_resonance",
+    "added_mass",
+    "softening_modes",
+)
 BEFORE = dict.fromkeys(MODIFIERS, PLANT)
 """What stands before a stage that changes others."""
 

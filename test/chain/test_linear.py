@@ -21,8 +21,8 @@ from hyst_control.chain.linear import (
 )
 from hyst_control.chain.linear_kernels import advance_linear
 from hyst_control.chain.madelung import Madelung
-from hyst_control.chain.play import PlayOperator
-from hyst_control.chain.static import Gain, Offset
+from hyst_control.chain.memoryless import Gain, Offset
+from hyst_control.chain.prandtl_ishlinskii import PlayOperator
 from hyst_control.effects.sensor_lowpass import SensorLowpass
 from hyst_control.errors import InputError
 
@@ -238,8 +238,12 @@ def test_an_offset_does_not_part_dynamics_from_a_low_pass_behind_it(hold):
     """The product of both, and the offset."""
     u, corner = command(), 2 * np.pi * 2500.0
     product = corner * np.asarray(MODE[0]), np.polymul([1.0, corner], MODE[1])
-    np.testing.assert_allclose(run([TransferFunction(*MODE), Offset(0.3), SensorLowpass(2500.0)], u, hold)[:, 0],
-                               simulated(*product, u[:, 0], hold, 0.0) + 0.3, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(
+        run([TransferFunction(*MODE), Offset(0.3), SensorLowpass(2500.0)], u, hold)[:, 0],
+        simulated(*product, u[:, 0], hold, 0.0) + 0.3,
+        rtol=1e-8,
+        atol=1e-8,
+    )
 
 
 def test_a_madelung_stage_between_dynamics_keeps_the_delay_exact():
@@ -304,7 +308,22 @@ def test_systems_of_one_input_are_advanced_to_the_same_bits_as_coupled_ones(orde
     for length in (1, 7, 300):
         block = random.normal(size=(length, 2))
         expected = np.empty_like(block)
-        other.position = advance_linear(block, other.a, other.reach, other.b, other.late, other.c, other.d, other.bias, other.whole,
-                                        other.state, other.scratch, other.taps, other.history, other.position, expected)
+        other.position = advance_linear(
+            block,
+            other.a,
+            other.reach,
+            other.b,
+            other.late,
+            other.c,
+            other.d,
+            other.bias,
+            other.whole,
+            other.state,
+            other.scratch,
+            other.taps,
+            other.history,
+            other.position,
+            expected,
+        )
         np.testing.assert_array_equal(one.process(block), expected)
         np.testing.assert_array_equal(one.state, other.state)

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.inverse_multiplicative import InverseMultiplicative, slope_range
 from hyst_control.chain.linear import Delay, TransferFunction
-from hyst_control.chain.play import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
-from hyst_control.chain.rate_dependent import RateDependentPrandtlIshlinskii
-from hyst_control.chain.static import Gain, Offset
+from hyst_control.chain.memoryless import Gain, Offset
+from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
+from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.control.feedforward import KINDS, build_compensator, split
 from hyst_control.control.loop import feedforward_rows
 from hyst_control.control.mhl_inverse import inverse_rate_correction, mean_slope, rate_dependent_parts
-from hyst_control.control.reachable import check_reachable
+from hyst_control.control.reachable_stroke import check_reachable
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model, Simulator, load_model
 
@@ -69,8 +69,15 @@ def test_equation_13_with_the_rate_from_the_demand_is_stable_at_50_khz():
 
 
 def static_model(stage, **changes) -> Model:
-    return Model(name="static", axes=("x",), units={"command": "V", "measurement": "um"}, sample_time=1e-4, chain=Chain((stage,)),
-                 valid={"command": [0.0, 60.0]}, **changes)
+    return Model(
+        name="static",
+        axes=("x",),
+        units={"command": "V", "measurement": "um"},
+        sample_time=1e-4,
+        chain=Chain((stage,)),
+        valid={"command": [0.0, 60.0]},
+        **changes,
+    )
 
 
 @settings(max_examples=40, deadline=None)
@@ -89,8 +96,9 @@ def test_exact_solution_inverts_a_classical_model_to_the_last_digits(seed, weigh
 
 
 @settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), kind=st.sampled_from(["hapi", "hampi"]), iterations=st.integers(0, 5),
-       scale=st.floats(0.1, 1e3))
+@given(
+    seed=st.integers(0, 2**32 - 1), kind=st.sampled_from(["hapi", "hampi"]), iterations=st.integers(0, 5), scale=st.floats(0.1, 1e3)
+)
 def test_drive_never_leaves_its_limits(seed, kind, iterations, scale):
     compensator = build_compensator(HAMPI, kind, limits=(0.0, 45.0), iterations=iterations)
     reference = scale * np.random.default_rng(seed).normal(size=(300, 1))
@@ -99,8 +107,19 @@ def test_drive_never_leaves_its_limits(seed, kind, iterations, scale):
     assert command.min() >= 0.0 and command.max() <= 45.0
 
 
-@pytest.mark.parametrize(("model", "kind"), [(HAMPI, "none"), (HAPI, "hapi"), (HAMPI, "hapi"), (HAMPI, "hampi"), (MHL, "none"),
-                                             (MHL, "mhl"), (MHL, "mhl_static"), (MHL, "mhl_inverse")])
+@pytest.mark.parametrize(
+    ("model", "kind"),
+    [
+        (HAMPI, "none"),
+        (HAPI, "hapi"),
+        (HAMPI, "hapi"),
+        (HAMPI, "hampi"),
+        (MHL, "none"),
+        (MHL, "mhl"),
+        (MHL, "mhl_static"),
+        (MHL, "mhl_inverse"),
+    ],
+)
 def test_any_cutting_into_blocks_gives_the_same_command(model, kind):
     axes = len(model.axes)
     compensator = build_compensator(model, kind)
@@ -153,8 +172,9 @@ def test_gain_and_offset_on_either_side_are_undone():
 
 def test_slope_range_is_that_of_finite_differences():
     stage = HAMPI.chain.stages[0]
-    least, greatest, mean, _ = slope_range(np.array(stage.thresholds), np.array(stage.thresholds), np.array(stage.weights), 0.0,
-                                           stage.k, stage.b, 0.0, 50.0)
+    least, greatest, mean, _ = slope_range(
+        np.array(stage.thresholds), np.array(stage.thresholds), np.array(stage.weights), 0.0, stage.k, stage.b, 0.0, 50.0
+    )
     u = np.concatenate([np.linspace(0, 50, 5001), np.linspace(50, 0, 5001)])[:, None]
     slow = replace(stage, m1=0.0, m2=0.0).filter(Sampling(1.0, 1, "foh"))
     slow.settle(u[0])
@@ -164,14 +184,17 @@ def test_slope_range_is_that_of_finite_differences():
     assert mean == pytest.approx((slow.settle(np.array([50.0])) / 50.0)[0])
 
 
-@pytest.mark.parametrize(("stage", "kind", "options", "word"), [
-    (PrandtlIshlinskii([0.0, 10.0], [0.5, -0.6]), "hapi", {}, "falls while the command rises"),
-    (ModifiedPrandtlIshlinskii([0.0, 10.0], [0.5, 0.1], k=-0.02), "hampi", {}, "falls while the command rises"),
-    (PrandtlIshlinskii([0.0], [0.5]), "mhl", {}, "madelung"),
-    (PrandtlIshlinskii([0.0], [0.5]), "hapi", {"limits": (50.0, 0.0)}, "limits"),
-    (PrandtlIshlinskii([0.0], [0.5]), "hapi", {"inverse": "best"}, "zpetc"),
-    (PrandtlIshlinskii([0.0], [0.5]), "inverse", {}, "kind"),
-])
+@pytest.mark.parametrize(
+    ("stage", "kind", "options", "word"),
+    [
+        (PrandtlIshlinskii([0.0, 10.0], [0.5, -0.6]), "hapi", {}, "falls while the command rises"),
+        (ModifiedPrandtlIshlinskii([0.0, 10.0], [0.5, 0.1], k=-0.02), "hampi", {}, "falls while the command rises"),
+        (PrandtlIshlinskii([0.0], [0.5]), "mhl", {}, "madelung"),
+        (PrandtlIshlinskii([0.0], [0.5]), "hapi", {"limits": (50.0, 0.0)}, "limits"),
+        (PrandtlIshlinskii([0.0], [0.5]), "hapi", {"inverse": "best"}, "zpetc"),
+        (PrandtlIshlinskii([0.0], [0.5]), "inverse", {}, "kind"),
+    ],
+)
 def test_unusable_models_and_options_are_refused(stage, kind, options, word):
     with pytest.raises(InputError, match=word):
         build_compensator(static_model(stage).with_stages([stage, TransferFunction([1.0], [1e-3, 1.0])]), kind, **options)
@@ -229,8 +252,9 @@ def test_reference_outside_the_stroke_is_refused_with_the_interval():
 def test_whole_inverse_of_the_mhl_model_tracks_100_hz():
     """Delay, dynamics, rate correction and hysteresis of the published model undone at 5 kHz: far under the paper's 0.22 %."""
     reference = sine(100, 0.9, 1.0, 2e-4, axes=2, periods=10)
-    errors = [nrmse(track(MHL, build_compensator(MHL, "mhl_inverse", iterations=n), reference), reference, 100)
-              for n in (0, 2, 6, 10)]
+    errors = [
+        nrmse(track(MHL, build_compensator(MHL, "mhl_inverse", iterations=n), reference), reference, 100) for n in (0, 2, 6, 10)
+    ]
     assert all(after < 0.5 * before for before, after in zip(errors, errors[1:]))
     assert errors[2] < 0.05
 
@@ -245,7 +269,7 @@ def test_smoothing_looks_further_ahead_and_softens_jumps_alone():
     jumps = [np.abs(np.diff(feedforward_rows(jump, each)[150:], axis=0)).max() for each in (plain, smooth)]
     assert jumps[1] < 0.9 * jumps[0]
     error = track(MHL, smooth, jump) - jump
-    np.testing.assert_allclose(error[199 - 2:200, 0], -error[200:203, 0][::-1], atol=0.02 * 0.2)
+    np.testing.assert_allclose(error[199 - 2 : 200, 0], -error[200:203, 0][::-1], atol=0.02 * 0.2)
 
 
 def test_smoothing_is_refused_where_nothing_looks_ahead():
@@ -258,8 +282,10 @@ def test_smoothing_is_refused_where_nothing_looks_ahead():
 def test_fitted_inverse_curves_agree_with_the_closed_form_at_rest(kind):
     """The paper's separate inverse curves deviate from the inverse of its model by less than 0.5 % of the drive, slowly driven."""
     reference = sine(0.5, 0.95, 1.0, 1e-2, axes=2)
-    closed, fitted = (feedforward_rows(reference, build_compensator(MHL, kind, sample_time=1e-2, inverse_model=inverse))
-                      for inverse in (None, MHL_INVERSE))
+    closed, fitted = (
+        feedforward_rows(reference, build_compensator(MHL, kind, sample_time=1e-2, inverse_model=inverse))
+        for inverse in (None, MHL_INVERSE)
+    )
     lead = 0.3 if kind == "mhl" else 0.0
     assert np.abs(closed - fitted).max() < 0.5 + lead
 

@@ -47,8 +47,9 @@ def test_tustin_of_equation_11_gives_equation_12():
     inverse, _ = invert_system(tustin_systems([FAST_PART], Sampling(PAPER_SAMPLE_TIME, 1))[0], "zpetc")
     s = 2j * np.pi * np.array([10.0, 100.0, 500.0, 3000.0])
     z = (1 + s * PAPER_SAMPLE_TIME / 2) / (1 - s * PAPER_SAMPLE_TIME / 2)
-    published = (np.polyval([2.594e-2, 4.818e7, 1.016e12, 8.062e15, 3.593e19], s)
-                 / np.polyval([1.0, 1.6e5, 9.6e9, 2.56e14, 2.56e18], s))
+    published = np.polyval([2.594e-2, 4.818e7, 1.016e12, 8.062e15, 3.593e19], s) / np.polyval(
+        [1.0, 1.6e5, 9.6e9, 2.56e14, 2.56e18], s
+    )
     # Rounding of the printed digits, -0.0047 first of all, leaves up to 2 %.
     np.testing.assert_allclose(inverse.response(z), published, rtol=0.02)
 
@@ -115,8 +116,12 @@ def stable_systems(draw):
 
 
 @settings(max_examples=60, deadline=None)
-@given(system=stable_systems(), sample_time=st.sampled_from([2e-5, 1e-4, 3e-4]), delay=st.just(0.0) | st.floats(1e-8, 5e-4),
-       method=st.sampled_from(METHODS))
+@given(
+    system=stable_systems(),
+    sample_time=st.sampled_from([2e-5, 1e-4, 3e-4]),
+    delay=st.just(0.0) | st.floats(1e-8, 5e-4),
+    method=st.sampled_from(METHODS),
+)
 def test_inverse_of_any_stable_system_is_stable_and_tracks_slow_references(system, sample_time, delay, method):
     sampling = Sampling(sample_time, 1)
     plant = sampled_systems([Delay(delay), system], sampling)[0]
@@ -129,8 +134,13 @@ def test_inverse_of_any_stable_system_is_stable_and_tracks_slow_references(syste
 
 
 @settings(max_examples=40, deadline=None)
-@given(system=stable_systems(), sample_time=st.sampled_from([2e-5, 1e-4]), delay=st.just(0.0) | st.floats(1e-8, 2e-4),
-       method=st.sampled_from(METHODS), frequency=st.floats(0.001, 0.3))
+@given(
+    system=stable_systems(),
+    sample_time=st.sampled_from([2e-5, 1e-4]),
+    delay=st.just(0.0) | st.floats(1e-8, 2e-4),
+    method=st.sampled_from(METHODS),
+    frequency=st.floats(0.001, 0.3),
+)
 def test_stage_in_series_with_the_plant_answers_as_the_polynomials_say(system, sample_time, delay, method, frequency):
     """Run the inverse and the held plant as filters and compare with |G Ginv| at one frequency, in the time domain."""
     sampling = Sampling(sample_time, 1)
@@ -163,11 +173,14 @@ def test_axes_share_the_longest_preview():
     assert first[0] > first[1], "the axis without delay waits for the other one"
 
 
-@pytest.mark.parametrize(("system", "word"), [
-    (TransferFunction([1.0], [1.0, -5.0]), "stable"),
-    (TransferFunction([1.0, 0.0], [1.0, 5.0]), "static gain"),
-    (TransferFunction([[[1.0], [0.1]], [[0.1], [1.0]]], [1.0, 5.0], coupled=True), "mix the axes"),
-])
+@pytest.mark.parametrize(
+    ("system", "word"),
+    [
+        (TransferFunction([1.0], [1.0, -5.0]), "stable"),
+        (TransferFunction([1.0, 0.0], [1.0, 5.0]), "static gain"),
+        (TransferFunction([[[1.0], [0.1]], [[0.1], [1.0]]], [1.0, 5.0], coupled=True), "mix the axes"),
+    ],
+)
 def test_what_has_no_inverse_is_refused(system, word):
     with pytest.raises(InputError, match=word):
         invert_dynamics([system], Sampling(1e-4, 2 if system.coupled else 1))
@@ -181,9 +194,9 @@ def test_zero_phase_low_pass_has_the_gain_it_states_and_no_phase(order):
     for w in 2 * np.pi * np.array([0.02, 0.2, 0.35, 0.5]):
         signal_ = np.stack([np.cos(w * k), 3.0 * np.cos(w * k + 0.4)], axis=1)
         running.settle(signal_[0])
-        passed = running.process(signal_)[2 * order:]
+        passed = running.process(signal_)[2 * order :]
         expected = (1.0 - ((1.0 - np.cos(w)) / 2.0) ** order) * signal_[order:-order]
         np.testing.assert_allclose(passed, expected, atol=1e-12)
     ramp = np.stack([k, 5.0 - 2.0 * k], axis=1).astype(float)
     np.testing.assert_allclose(running.settle(ramp[0]), ramp[0], atol=1e-12)
-    np.testing.assert_allclose(running.process(ramp)[2 * order:], ramp[order:-order], atol=1e-9)
+    np.testing.assert_allclose(running.process(ramp)[2 * order :], ramp[order:-order], atol=1e-9)

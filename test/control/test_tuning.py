@@ -7,8 +7,8 @@ import pytest
 
 from hyst_control.chain import Chain
 from hyst_control.chain.linear import Delay, TransferFunction
-from hyst_control.chain.static import Gain
-from hyst_control.control.linearised import hysteresis_slopes, linearised, sampled_response, with_first_mode
+from hyst_control.chain.memoryless import Gain
+from hyst_control.control.linearization import hysteresis_slopes, linearised, sampled_response, with_first_mode
 from hyst_control.control.loop import run_loop
 from hyst_control.control.pi import PI
 from hyst_control.control.tuning import margins, tune
@@ -21,8 +21,9 @@ SAMPLE_TIME = 1e-3
 
 
 def plain(*stages) -> Model:
-    return Model(name="plain", axes=("x",), units={"command": "V", "measurement": "um"}, sample_time=SAMPLE_TIME,
-                 chain=Chain(stages))
+    return Model(
+        name="plain", axes=("x",), units={"command": "V", "measurement": "um"}, sample_time=SAMPLE_TIME, chain=Chain(stages)
+    )
 
 
 @pytest.mark.parametrize("k", [0.2, 0.5, 1.0, 1.4])
@@ -39,8 +40,7 @@ def test_margins_of_an_integrator_with_one_sample_of_delay(k):
 
 def test_static_plant_gets_at_least_the_integrator_that_its_margins_allow():
     """For a pure gain g the integrator k = g ki T = 1 meets 6 dB, 60 degrees and a peak of 2; a proportional part may add to it."""
-    result = tune(plain(Gain(0.1)), gain_margin=20 * np.log10(2), gain_spread=0.0, mode_spread=0.0,
-                  model_error=0.0)
+    result = tune(plain(Gain(0.1)), gain_margin=20 * np.log10(2), gain_spread=0.0, mode_spread=0.0, model_error=0.0)
     assert 0.1 * result.ki * SAMPLE_TIME >= 0.99
     assert result.worst.gain_margin >= 6.02 and result.worst.phase_margin >= 45.0 and result.worst.peak_sensitivity <= 2.001
 
@@ -65,8 +65,10 @@ def test_sampled_response_is_the_spectrum_of_the_simulated_impulse_response(mode
 def test_first_mode_moves_and_stiffness_stays():
     stages = (Delay(1e-4), TransferFunction([3e6], [1.0, 200.0, 1e6]), TransferFunction([4e8], [1.0, 9000.0, 4e8]))
     w = 2 * np.pi * np.linspace(20.0, 400.0, 2000) * SAMPLE_TIME
-    before, after = (np.abs(sampled_response(each, 1, SAMPLE_TIME, np.exp(1j * w)))[:, 0, 0]
-                     for each in (stages, with_first_mode(stages, 1, 1.2)))
+    before, after = (
+        np.abs(sampled_response(each, 1, SAMPLE_TIME, np.exp(1j * w)))[:, 0, 0]
+        for each in (stages, with_first_mode(stages, 1, 1.2))
+    )
     assert w[np.argmax(after)] / w[np.argmax(before)] == pytest.approx(1.2, abs=0.01)
     assert after[0] == pytest.approx(before[0], rel=0.02)
     assert after.max() == pytest.approx(before.max(), rel=0.05), "the damping ratio stays"
@@ -74,8 +76,14 @@ def test_first_mode_moves_and_stiffness_stays():
 
 def test_hysteresis_slopes_of_a_classical_model():
     stage = HAMPI.chain.stages[0].__class__([0.0, 10.0, 20.0], [0.5, 0.3, 0.2])
-    model = Model(name="m", axes=("x",), units={"command": "V", "measurement": "um"}, sample_time=1e-3, chain=Chain((stage,)),
-                  valid={"command": [0.0, 100.0]})
+    model = Model(
+        name="m",
+        axes=("x",),
+        units={"command": "V", "measurement": "um"},
+        sample_time=1e-3,
+        chain=Chain((stage,)),
+        valid={"command": [0.0, 100.0]},
+    )
     mean, greatest = hysteresis_slopes(model)
     assert greatest[0] == pytest.approx(1.0, rel=1e-6)
     assert 0.85 < mean[0] <= 1.0
@@ -105,7 +113,9 @@ def test_margins_hold_for_every_plant_within_the_model_error(error):
     """L = k / (z - 1) times 1 + d for errors d all round the circle: none has less margin than the worst that is reported."""
     z = np.exp(1j * np.geomspace(1e-4, 1.0, 3000) * np.pi)
     worst = margins(0.6 / (z - 1.0), z, SAMPLE_TIME, error)
-    found = [margins(0.6 * (1.0 + error * np.exp(1j * turn)) / (z - 1.0), z, SAMPLE_TIME) for turn in np.linspace(-np.pi, np.pi, 61)]
+    found = [
+        margins(0.6 * (1.0 + error * np.exp(1j * turn)) / (z - 1.0), z, SAMPLE_TIME) for turn in np.linspace(-np.pi, np.pi, 61)
+    ]
     assert min(each.phase_margin for each in found) >= worst.phase_margin - 1e-6
     assert max(each.peak_sensitivity for each in found) == pytest.approx(worst.peak_sensitivity, rel=0.02)
     assert margins(0.6 * (1.0 + error) / (z - 1.0), z, SAMPLE_TIME).gain_margin == pytest.approx(worst.gain_margin, abs=1e-6)
@@ -127,10 +137,13 @@ def test_settling_time_is_that_of_the_simulated_step():
     assert overshoot == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize(("model", "options", "word"), [
-    (plain(Gain(-0.1)), {}, "falls"),
-    (plain(Gain(0.1)), {"phase_margin": 95.0}, "phase margin"),
-])
+@pytest.mark.parametrize(
+    ("model", "options", "word"),
+    [
+        (plain(Gain(-0.1)), {}, "falls"),
+        (plain(Gain(0.1)), {"phase_margin": 95.0}, "phase margin"),
+    ],
+)
 def test_what_cannot_be_tuned_is_refused(model, options, word):
     with pytest.raises(InputError, match=word):
         tune(model, **options)

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hyst_control.blind_test.cases import scatter
+from hyst_control.config_files import config_path
 from hyst_control.diagnose.diagnosis import Diagnosis
 from hyst_control.diagnose.workflow import diagnosed
-from hyst_control.excitation import build
 from hyst_control.model_file import Model, load_model
-from hyst_control.record import Record, Signal
-from hyst_control.share import config_path
-from hyst_plant_sim.cases import scatter
+from hyst_control.records.excitation import build
+from hyst_control.records.record import Record, Signal
 from hyst_plant_sim.physics import load_plant
 
 MODELS = {"pea_published": "models/pea_hampi.yaml", "fsm_published": "models/fsm_mhl.yaml"}
@@ -39,12 +39,18 @@ def record_of(plant: str, effects: Sequence[Mapping[str, Any]], seed: int = 3, *
     step, top, axes = (1e-4, 100.0, ("x", "y")) if mirror else (5e-5, 50.0, ("x",))
     command = build({"signal": "diagnostic", "lowest": 0.0, "highest": top, "duration": 0.4 if mirror else 0.7}, step, len(axes))
     changes = {**(scatter(plant, seed, 0.0) if mirror else {}), **changes}  # the shipped mirror's axes differ, its model's do not
-    truth = load_plant({"plant": plant, "rating": [0.0, top], "effects": [dict(effect) for effect in effects]}, seed=seed, sample_time=step,
-                       **changes)
+    truth = load_plant(
+        {"plant": plant, "rating": [0.0, top], "effects": [dict(effect) for effect in effects]},
+        seed=seed,
+        sample_time=step,
+        **changes,
+    )
     measured = np.concatenate([truth.reset(command[0])[None], truth.step(command)[:-1]])
     time = np.arange(len(command)) * step
-    return Record({"command": Signal(time, command, axes, "V"),
-                   "measurement": Signal(time, measured, axes, "mrad" if mirror else "um")}, "record")
+    return Record(
+        {"command": Signal(time, command, axes, "V"), "measurement": Signal(time, measured, axes, "mrad" if mirror else "um")},
+        "record",
+    )
 
 
 def nominal(plant: str) -> Model:

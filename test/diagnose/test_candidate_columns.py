@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control.diagnose.candidates import Candidate, catalogue
+from hyst_control.blind_test import cases
 from hyst_control.diagnose.diagnosis import problem_of
+from hyst_control.diagnose.hypothesis import Candidate, catalogue
 from hyst_control.diagnose.problem import split
-from hyst_plant_sim import cases
 
 
 @pytest.mark.parametrize("names", [("vibration",), ("mains_hum",), ("vibration", "gain"), ("cross_coupling", "vibration")])

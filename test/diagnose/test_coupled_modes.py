@@ -9,10 +9,10 @@ from scipy.signal import cont2discrete
 
 from hyst_control.chain import Chain
 from hyst_control.chain.linear import StateSpace
-from hyst_control.diagnose.candidates import catalogue
+from hyst_control.diagnose.hypothesis import catalogue
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.model_file import Model, simulate
-from hyst_control.record import Record, Signal
+from hyst_control.records.record import Record, Signal
 
 STEP, COUNT, SIGMA = 1e-4, 6000, 1e-3
 MODES = ((310.0, 0.02), (820.0, 0.015), (1900.0, 0.03))
@@ -56,7 +56,9 @@ def answer():
     model = Model("poorer", ("x", "y"), {"command": "V", "measurement": "um"}, STEP, Chain((stage,)), noise={"sigma": SIGMA})
     command, time = drive(1), STEP * np.arange(COUNT)
     measured = played(command) + SIGMA * np.random.default_rng(2).normal(size=(COUNT, 2))
-    record = Record({"command": Signal(time, command, ("x", "y"), "V"), "measurement": Signal(time, measured, ("x", "y"), "um")}, "drive")
+    record = Record(
+        {"command": Signal(time, command, ("x", "y"), "V"), "measurement": Signal(time, measured, ("x", "y"), "um")}, "drive"
+    )
     report, diagnosis, better = diagnosed([record], model, cache=False)
     return model, report, better, diagnosis.problem
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import yaml
 
+from hyst_control.config_files import config_path
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
 from hyst_control.files import write_json
 from hyst_control.model_file import load_model, save_model, simulate
-from hyst_control.share import config_path
 from test.diagnose.conftest import nominal, record_of
 
 PEA, FSM = "pea_published", "fsm_published"
@@ -114,8 +114,16 @@ def test_the_report_has_the_form_of_the_interface(answer):
             low, high = row["ci90"]
             assert 0.0 <= low <= row["share"] + 1e-12 <= high + 2e-12 <= 1.0 + 1e-9, row
     for row in document["effects"]:
-        assert row["name"] in EFFECTS and set(row) >= {"equivalent", "parameters", "rms_before", "rms_after", "shrink", "shrink_ci90",
-                                                       "shrink_reidentified", "share"}
+        assert row["name"] in EFFECTS and set(row) >= {
+            "equivalent",
+            "parameters",
+            "rms_before",
+            "rms_after",
+            "shrink",
+            "shrink_ci90",
+            "shrink_reidentified",
+            "share",
+        }
         assert row["shrink_ci90"][0] <= row["shrink"] <= row["shrink_ci90"][1] <= 1.0
         assert row["rms_after"] < row["rms_before"] == pytest.approx(document["gap"]["rms"], rel=0.02)
     assert all(0.0 <= row["probability"] <= 1.0 for row in (*document["effects"], *document["candidates"]))
@@ -127,7 +135,7 @@ def test_the_gap_is_what_a_simulation_leaves(answer):
     document, diagnosis, _ = answer(PEA, DELAY)
     piece = diagnosis.problem.pieces[0]
     left = piece.measurement - simulate(diagnosis.model, piece.command, diagnosis.problem.sample_time)
-    assert document["gap"]["rms"] == pytest.approx(float(np.sqrt(np.mean(left ** 2))), rel=1e-6)
+    assert document["gap"]["rms"] == pytest.approx(float(np.sqrt(np.mean(left**2))), rel=1e-6)
     assert document["gap"]["nrmse"] == pytest.approx(100 * document["gap"]["rms"] / float(np.ptp(piece.measurement)), rel=1e-6)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control.diagnose.explained import _joined
+from hyst_control.diagnose.attribution import _joined
 
 
 def axis(value, half, name="tau", unit="s"):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-import hyst_control.diagnose.candidates as candidates
+import hyst_control.diagnose.hypothesis as candidates
 from hyst_control.chain import stage as stages
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
@@ -21,7 +21,9 @@ DEAD_BAND = {"name": "crossover_dead_band", "half_width": 1.5}
 @pytest.fixture
 def documented(tmp_path, monkeypatch):
     """The page's file as a module; the catalogue and the known stages are as before afterwards."""
-    (source,) = [block for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S) if "EFFECT = " in block]
+    (source,) = [
+        block for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S) if "EFFECT = " in block
+    ]
     (tmp_path / "documented_effect.py").write_text(source, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     kept = {name: dict(value) for name, value in vars(stages).items() if isinstance(value, dict) and not name.startswith("__")}

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control.diagnose.replay import replay
-from hyst_control.diagnose.scatter import scatter_of
-from hyst_control.diagnose.shrink import shrink
+from hyst_control.config_files import config_path
+from hyst_control.diagnose.block_replay import replay
+from hyst_control.diagnose.gap_reduction import shrink
+from hyst_control.diagnose.parameter_uncertainty import scatter_of
 from hyst_control.model_file import load_model
-from hyst_control.record import Record, Signal
-from hyst_control.share import config_path
+from hyst_control.records.record import Record, Signal
 
 
 @pytest.mark.parametrize("before, after, due", [(5.0, 2.0, 0.75), (5.0, 1.0, 1.0), (5.0, 5.0, 0.0), (3.0, 4.0, -0.5)])
@@ -49,7 +49,9 @@ def test_scatter_multiplies_every_coefficient_by_its_tolerance():
 def test_scattered_madelung_branches_still_meet_at_their_end():
     scatter = scatter_of(load_model(config_path("models/fsm_mhl.yaml")))
     stages = scatter.at(np.random.default_rng(2).standard_normal(len(scatter.coefficients)))
-    found = [member for stage in stages for branch in getattr(stage, "branches", ()) for member in branch if member.name == "madelung"]
+    found = [
+        member for stage in stages for branch in getattr(stage, "branches", ()) for member in branch if member.name == "madelung"
+    ]
     assert found
     for madelung in found:
         up, down = np.array(madelung.ascending), np.array(madelung.descending)
@@ -72,8 +74,13 @@ def looped(fault: float, law_fault: float = 0.0) -> Record:
     columns = np.array(rows).T
     time = np.arange(count) * step
     signals = dict(zip(("feedforward", "feedback", "command", "measurement"), columns, strict=True)) | {"reference": reference}
-    return Record({name: Signal(time, values[:, None], ("x",), "um" if name in ("reference", "measurement") else "V")
-                   for name, values in signals.items()}, "loop")
+    return Record(
+        {
+            name: Signal(time, values[:, None], ("x",), "um" if name in ("reference", "measurement") else "V")
+            for name, values in signals.items()
+        },
+        "loop",
+    )
 
 
 def test_replay_finds_a_sound_loop_faithful():

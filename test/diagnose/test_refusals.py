@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from hyst_control.cli import main as hyst
-from hyst_control.importing import write_bag
-from hyst_control.record import Record, Signal
-from hyst_control.share import config_path
+from hyst_control.config_files import config_path
+from hyst_control.records.importing import write_bag
+from hyst_control.records.record import Record, Signal
 
 COUNT = 400
 TIME = np.arange(COUNT) * 5e-5
@@ -29,8 +29,10 @@ def short(signal: Signal) -> Signal:
 GOOD = record().signals
 BAD = {
     "other unit": record(measurement=replace(GOOD["measurement"], unit="mrad")),
-    "other axes": record(command=Signal(TIME, np.repeat(MOVING, 2, axis=1), ("x", "y"), "V"),
-                         measurement=Signal(TIME, np.repeat(MOVING, 2, axis=1), ("x", "y"), "um")),
+    "other axes": record(
+        command=Signal(TIME, np.repeat(MOVING, 2, axis=1), ("x", "y"), "V"),
+        measurement=Signal(TIME, np.repeat(MOVING, 2, axis=1), ("x", "y"), "um"),
+    ),
     "constant command": record(command=replace(GOOD["command"], values=np.full((COUNT, 1), 7.0))),
     "too short": record(command=short(GOOD["command"]), measurement=short(GOOD["measurement"])),
     "no number": record(measurement=replace(GOOD["measurement"], values=np.where(MOVING > 20.0, np.nan, MOVING))),
@@ -55,8 +57,21 @@ def test_a_bag_that_is_none_is_refused_in_one_line(tmp_path, capsys):
 
 def refused(arguments: list[str], folder, capsys) -> str:
     outputs = [folder / name for name in ("gap.json", "gap.html", "better.yaml")]
-    status = hyst(["diagnose", *arguments, "--quiet", "--model", str(config_path("models/pea_hampi.yaml")), "--json", str(outputs[0]),
-                        "--report", str(outputs[1]), "--augmented", str(outputs[2])])
+    status = hyst(
+        [
+            "diagnose",
+            *arguments,
+            "--quiet",
+            "--model",
+            str(config_path("models/pea_hampi.yaml")),
+            "--json",
+            str(outputs[0]),
+            "--report",
+            str(outputs[1]),
+            "--augmented",
+            str(outputs[2]),
+        ]
+    )
     said = capsys.readouterr().err.strip()
     assert status == 2
     assert said and "\n" not in said

@@ -124,7 +124,9 @@ CASES = [  # effect, values, place if not its usual one, most disagreement allow
     ("cross_coupling", {"coupling": 0.03, "corner": 2000.0}, None, 1e-3),
 ]
 HERE = [
-    pytest.param(kind, name, values, place, most, id=f"{kind}-{name}-{'-'.join(f'{v:g}' for v in values.values())}-{place or 'usual'}")
+    pytest.param(
+        kind, name, values, place, most, id=f"{kind}-{name}-{'-'.join(f'{v:g}' for v in values.values())}-{place or 'usual'}"
+    )
     for kind in ("pea", "fsm")
     for name, values, place, most in CASES
     if not (EFFECTS[name].couples and kind == "pea")
@@ -164,6 +166,9 @@ def test_every_effect_with_a_waveform_is_compared():
 
 if __name__ == "__main__":
     for effect, values, place, _ in CASES:
-        found = [f"{kind} {100 * disagreement(kind, effect, values, place):.2f} %" for kind in ("pea", "fsm")
-                 if not (EFFECTS[effect].couples and kind == "pea")]
+        found = [
+            f"{kind} {100 * disagreement(kind, effect, values, place):.2f} %"
+            for kind in ("pea", "fsm")
+            if not (EFFECTS[effect].couples and kind == "pea")
+        ]
         print(f"{effect:20s} {values} {place or ''}", *found)

@@ -13,10 +13,10 @@ from scipy.signal import welch
 from hyst_control.chain import Chain, Parallel, Sampling
 from hyst_control.chain.linear import CrossCoupling, Delay, RateCorrection, StateSpace, TransferFunction, linear_filter
 from hyst_control.chain.madelung import Madelung
-from hyst_control.chain.play import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
+from hyst_control.chain.memoryless import Gain, Quantization
+from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
 from hyst_control.chain.softening_modal import SofteningModal
 from hyst_control.chain.stage import STAGES
-from hyst_control.chain.static import Gain, Quantization
 from hyst_control.effects import EFFECTS, insert
 from hyst_control.effects.added_mass import AddedMass
 from hyst_control.effects.backlash import Backlash
@@ -78,7 +78,9 @@ def around(kind: str) -> Surroundings:
 
 
 def fits(name: str, kind: str) -> bool:
-    return not (EFFECTS[name].couples and kind != "fsm_mhl") and not (kind == "linear" and name in ("hysteresis_shape", "hysteresis_rate"))
+    return not (EFFECTS[name].couples and kind != "fsm_mhl") and not (
+        kind == "linear" and name in ("hysteresis_shape", "hysteresis_rate")
+    )
 
 
 CASES = [(name, kind) for name in EFFECTS for kind in MODELS if fits(name, kind)]
@@ -274,13 +276,21 @@ def test_a_mode_of_all_axes_is_a_matrix_of_transfer_functions_more():
     values |= {p.name: random.normal() for p in EFFECTS["resonance"].coupled_parameters(record) if not p.told}
     size = record.stroke / (record.command[1] - record.command[0])
     base = TransferFunction([6e6], [1.0, 300.0, 3e6])
-    mode = TransferFunction([[[size * values[f"quadrature_{i}_{j}"] * w, size * values[f"in_phase_{i}_{j}"] * w**2] for j in range(2)]
-                             for i in range(2)], [1.0, 0.04 * w, w**2], coupled=True)
+    mode = TransferFunction(
+        [
+            [[size * values[f"quadrature_{i}_{j}"] * w, size * values[f"in_phase_{i}_{j}"] * w**2] for j in range(2)]
+            for i in range(2)
+        ],
+        [1.0, 0.04 * w, w**2],
+        coupled=True,
+    )
     u = command("fsm_mhl")
     found = run([base, EFFECTS["resonance"].stage(values, record)], u)
     np.testing.assert_allclose(found, run([Parallel(((base,), (mode,)))], u), rtol=1e-9, atol=1e-9 * np.abs(found).max())
     matrix = np.array([[values[f"in_phase_{i}_{j}"] + 1j * values[f"quadrature_{i}_{j}"] for j in range(2)] for i in range(2)])
-    assert EFFECTS["resonance"].summary(values) == {"gain": pytest.approx(np.sqrt(np.linalg.eigvalsh(matrix.conj().T @ matrix)[-1]))}
+    assert EFFECTS["resonance"].summary(values) == {
+        "gain": pytest.approx(np.sqrt(np.linalg.eigvalsh(matrix.conj().T @ matrix)[-1]))
+    }
 
 
 def test_play_is_half_as_wide_as_its_loop():

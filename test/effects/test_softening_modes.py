@@ -8,12 +8,12 @@ from scipy import signal
 
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear import TransferFunction
-from hyst_control.control.lifted import lifted_inverse
+from hyst_control.control.whole_inverse import lifted_inverse
 from hyst_control.effects import insert
 from hyst_control.effects.softening_modes import SofteningModes
 from hyst_control.errors import InputError
-from hyst_control.experiments import fsm_cubespec
 from hyst_control.model_file import load_model
+from hyst_control.reproduction import fsm_cubespec
 
 ROOT = Path(__file__).resolve().parents[2]
 STEP = 1e-5
@@ -21,7 +21,10 @@ STEP = 1e-5
 
 def test_at_a_steady_amplitude_the_mode_is_another_one():
     pole, softening, damping, amplitude = complex(-100.0, 2 * np.pi * 500.0), 0.03, 0.4, 2.0
-    stages = (TransferFunction([abs(pole) ** 2], [1.0, -2 * pole.real, abs(pole) ** 2]), SofteningModes(softening, damping, amplitude))
+    stages = (
+        TransferFunction([abs(pole) ** 2], [1.0, -2 * pole.real, abs(pole) ** 2]),
+        SofteningModes(softening, damping, amplitude),
+    )
     time = np.arange(200_000) * STEP
     u = 3.0 + 1.5 * np.sin(2 * np.pi * 450.0 * time)  # after 2 s the amplitude, 1.5 / sqrt(2), has settled to 1e-8
     running = Chain(stages).filter(Sampling(STEP, 1, "foh"))
@@ -77,8 +80,13 @@ def test_a_softening_structure_is_inverted_as_a_whole():
     model = load_model(ROOT / "config/models/fsm_cubespec.yaml")
     time = np.arange(1600) * model.sample_time
     window = signal.windows.tukey(len(time), 0.4)
-    reference = np.stack([window * (2.0 * np.sin(2 * np.pi * (40 + 7 * i) * time) + 0.5 * np.sin(2 * np.pi * (300 + 20 * i) * time + i))
-                          for i in range(3)], axis=1)
+    reference = np.stack(
+        [
+            window * (2.0 * np.sin(2 * np.pi * (40 + 7 * i) * time) + 0.5 * np.sin(2 * np.pi * (300 + 20 * i) * time + i))
+            for i in range(3)
+        ],
+        axis=1,
+    )
     found = lifted_inverse(model, reference, damping=1e-6)
     assert np.sqrt(np.mean((found.measurement - reference) ** 2)) < 1e-3 * np.sqrt(np.mean(reference**2))
     assert np.abs(found.command).max() <= max(model.valid["command"])

@@ -26,8 +26,13 @@ def run(inputs: Any, reader: Callable[[Any], None], count: int) -> int:
     """How many inputs were read; the first failure is raised with the smallest input that shows it."""
     seen = [0]
 
-    @settings(max_examples=count, deadline=HANG, database=None, suppress_health_check=list(HealthCheck),
-              phases=(Phase.generate, Phase.shrink))
+    @settings(
+        max_examples=count,
+        deadline=HANG,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+        phases=(Phase.generate, Phase.shrink),
+    )
     @given(inputs)
     def read(value):
         seen[0] += 1

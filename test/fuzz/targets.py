@@ -13,13 +13,13 @@ import numpy as np
 import yaml
 from hypothesis import strategies as st
 
-from hyst_control.bag_reader import read_bag
-from hyst_control.bag_writer import BagWriter
+from hyst_control.config_files import config_path
 from hyst_control.errors import InputError
-from hyst_control.excitation import KINDS, build
 from hyst_control.model_file import load_model, model_from_document, simulate
-from hyst_control.share import config_path
-from hyst_control.signal_message import Decoder, Encoder, decode
+from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.bag_writer import BagWriter
+from hyst_control.records.excitation import KINDS, build
+from hyst_control.records.signal_message import Decoder, Encoder, decode
 
 MODELS = ("pea_hampi", "pea_hapi", "fsm_mhl", "fsm_mhl_inverse")
 DOCUMENTS = [yaml.safe_load(config_path(f"models/{name}.yaml").read_text()) for name in MODELS]
@@ -31,9 +31,19 @@ def one_line(error: InputError) -> None:
     assert str(error).strip() and "\n" not in str(error)
 
 
-ODD = st.one_of(st.none(), st.booleans(), st.integers(-10**25, 10**25), st.floats(), st.text(max_size=6),
-                st.lists(st.floats(-1e6, 1e6), max_size=4), st.just({}), st.just([]), st.just([[]]), st.just([[1.0], [2.0, 3.0]]),
-                st.sampled_from([0, 1, -1, 1e-300, 1e300, 1e-9, "delay", [{"stage": "gain", "gain": 1.0}]]))
+ODD = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-(10**25), 10**25),
+    st.floats(),
+    st.text(max_size=6),
+    st.lists(st.floats(-1e6, 1e6), max_size=4),
+    st.just({}),
+    st.just([]),
+    st.just([[]]),
+    st.just([[1.0], [2.0, 3.0]]),
+    st.sampled_from([0, 1, -1, 1e-300, 1e300, 1e-9, "delay", [{"stage": "gain", "gain": 1.0}]]),
+)
 
 
 @st.composite
@@ -84,9 +94,9 @@ def damaged_bytes(draw, sources):
         at = draw(st.integers(0, max(len(data) - 1, 0)))
         action = draw(st.integers(0, 3))
         if action == 0:
-            data[at:at + 1] = draw(st.binary(min_size=1, max_size=1))
+            data[at : at + 1] = draw(st.binary(min_size=1, max_size=1))
         elif action == 1:
-            del data[at:at + draw(st.integers(1, 40))]
+            del data[at : at + draw(st.integers(1, 40))]
         elif action == 2:
             data[at:at] = draw(st.binary(min_size=1, max_size=8))
         else:
@@ -107,8 +117,11 @@ def model_text(data: bytes) -> None:
         assert [each.name for each in Path(folder).iterdir()] == ["model.yaml"]
 
 
-MESSAGES = [Encoder(label).encode(np.arange(float(rows * columns)).reshape(rows, columns))
-            for label, columns in (("t[s],x[um]", 2), ("t[s],x[mrad],y[mrad]", 3)) for rows in (0, 1, 7)]
+MESSAGES = [
+    Encoder(label).encode(np.arange(float(rows * columns)).reshape(rows, columns))
+    for label, columns in (("t[s],x[um]", 2), ("t[s],x[mrad],y[mrad]", 3))
+    for rows in (0, 1, 7)
+]
 MESSAGES.append(b"\x00\x01\x00\x00" + struct.pack("<III", 0, 0, 3) + bytes(28))
 _decoder = Decoder()
 
@@ -138,7 +151,7 @@ def bags() -> list[bytes]:
                 if k == 3:
                     writer.flush()
         data = (path / "bag_0.mcap").read_bytes()
-    return [data, data[:len(data) * 2 // 3]]
+    return [data, data[: len(data) * 2 // 3]]
 
 
 BAGS = bags()
@@ -163,8 +176,11 @@ def scratch() -> str | None:
     return "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
 
 
-NUMBERS = st.one_of(st.floats(-10, 10), st.integers(-3, 30), st.sampled_from([0.0, -0.0, 1e-12, 1e12, float("nan"), float("inf"), "1", None,
-                                                                            True, [1.0], []]))
+NUMBERS = st.one_of(
+    st.floats(-10, 10),
+    st.integers(-3, 30),
+    st.sampled_from([0.0, -0.0, 1e-12, 1e12, float("nan"), float("inf"), "1", None, True, [1.0], []]),
+)
 
 
 @st.composite
@@ -172,8 +188,7 @@ def descriptions(draw):
     """Excitations with parameters of all sorts."""
     kind = draw(st.sampled_from(sorted(KINDS)))
     names = [name for name in inspect.signature(KINDS[kind]).parameters if name not in ("sample_time", "axes")]
-    spec = {name: draw(st.one_of(NUMBERS, st.lists(st.floats(0.1, 10), max_size=3)))
-            for name in names if draw(st.integers(0, 3))}
+    spec = {name: draw(st.one_of(NUMBERS, st.lists(st.floats(0.1, 10), max_size=3))) for name in names if draw(st.integers(0, 3))}
     if "duration" in spec and isinstance(spec["duration"], (int, float)):
         spec["duration"] = min(spec["duration"], 5.0)
     return {"signal": kind, **spec}

@@ -7,14 +7,14 @@ import pytest
 
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear import Delay, TransferFunction
-from hyst_control.chain.play import ModifiedPrandtlIshlinskii, PlayOperator
+from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator
 from hyst_control.chain.stage import frozen
 from hyst_control.errors import InputError
 from hyst_control.identify import Dataset, identify
-from hyst_control.identify.dynamics import Structure
-from hyst_control.identify.gram import Operators, Window, gram_matrices
-from hyst_control.identify.turning import turning_points
-from hyst_control.identify.windows import stretches, whole_records
+from hyst_control.identify.fit_windows import stretches, whole_records
+from hyst_control.identify.gram_sums import Operators, Window, gram_matrices
+from hyst_control.identify.reversal_points import turning_points
+from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.model_file import Model, load_model, save_model, simulate
 
 SAMPLE_TIME = 5e-5
@@ -25,8 +25,11 @@ SIGMA = 0.004
 
 def plant(tau: float = 4e-5) -> Model:
     """A HAMPI of unit static gain of G (HAMPI paper Eq. 7's mode and zero), with a delay; b = -25 k, as identification sets it."""
-    stages = (ModifiedPrandtlIshlinskii(THRESHOLDS, WEIGHTS, m1=6e-8, m2=3e-8, k=-4e-5, b=0.001), Delay(tau),
-              TransferFunction([-5e3, 5.982e7], [1.0, 8602.0, 5.982e7]))
+    stages = (
+        ModifiedPrandtlIshlinskii(THRESHOLDS, WEIGHTS, m1=6e-8, m2=3e-8, k=-4e-5, b=0.001),
+        Delay(tau),
+        TransferFunction([-5e3, 5.982e7], [1.0, 8602.0, 5.982e7]),
+    )
     return Model("plant", ("x",), {"command": "V", "measurement": "um"}, SAMPLE_TIME, Chain(stages))
 
 
@@ -48,8 +51,9 @@ def record(model: Model, seed: int, scale: float = 1.0, sigma: float = SIGMA) ->
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
-@pytest.mark.parametrize("structure", [Structure(), Structure(modes=1, zeros=1, delay=True),
-                                       Structure(modes=1, lags=1, slow_pair=True, delay=True)])
+@pytest.mark.parametrize(
+    "structure", [Structure(), Structure(modes=1, zeros=1, delay=True), Structure(modes=1, lags=1, slow_pair=True, delay=True)]
+)
 def test_regressors_are_the_chain(hold, structure):
     """Every column of the Gram matrix's rows is what the chain gives for that parameter alone; another code computes it."""
     command = excitation(3)[:, 0]
@@ -58,8 +62,9 @@ def test_regressors_are_the_chain(hold, structure):
     rng = np.random.default_rng(0)
     theta = rng.normal(size=operators.columns) * np.array([*[0.02] * 6, 1e-7, 1e-7, 1e-5])
     count = len(THRESHOLDS)
-    stage = ModifiedPrandtlIshlinskii(THRESHOLDS, frozen(theta[:count]), m1=theta[count], m2=theta[count + 1], k=theta[count + 2],
-                                      b=-25.0 * theta[count + 2])
+    stage = ModifiedPrandtlIshlinskii(
+        THRESHOLDS, frozen(theta[:count]), m1=theta[count], m2=theta[count + 1], k=theta[count + 2], b=-25.0 * theta[count + 2]
+    )
     model = replace(plant(), chain=Chain((stage, *structure.stages(parameters))), hold=hold)
     measurement = simulate(model, command[:, None])[:, 0]
     window = Window(command, np.ascontiguousarray(measurement), SAMPLE_TIME, hold, 0, 0)
@@ -71,8 +76,9 @@ def test_regressors_are_the_chain(hold, structure):
 
 def test_recovers_a_hampi_and_predicts_another_record():
     truth = plant()
-    fit = identify([record(truth, 1), record(truth, 2, 0.8)], "hampi", thresholds=THRESHOLDS,
-                   structure=Structure(modes=1, zeros=1, delay=True))
+    fit = identify(
+        [record(truth, 1), record(truth, 2, 0.8)], "hampi", thresholds=THRESHOLDS, structure=Structure(modes=1, zeros=1, delay=True)
+    )
     rows = {row["name"]: row for row in fit.report["parameters"]}
     for name, value in {"weights[0]": 0.055, "weights[3]": 0.008, "m1": 6e-8, "m2": 3e-8, "k": -4e-5}.items():
         assert abs(rows[name]["value"] - value) < 5 * rows[name]["standard_error"] + 1e-3 * abs(value), name
@@ -80,7 +86,7 @@ def test_recovers_a_hampi_and_predicts_another_record():
     fresh = record(truth, 7, 0.95)
     clean = simulate(truth, fresh.command)
     error = simulate(fit.model, fresh.command) - clean
-    assert np.sqrt(np.mean(error ** 2)) / np.ptp(clean) < 5e-4
+    assert np.sqrt(np.mean(error**2)) / np.ptp(clean) < 5e-4
     # The delay and the right-half-plane zero look alike; their sum is what the phase shows.
     stages = {stage.name: stage for stage in fit.model.chain.stages}
     tau = stages["delay"].tau if "delay" in stages else 0.0
@@ -101,8 +107,10 @@ def test_the_richer_family_predicts_better():
     truth = plant()
     training, fresh = [record(truth, 1), record(truth, 2, 0.8)], record(truth, 8)
     clean = simulate(truth, fresh.command)
-    errors = {family: np.sqrt(np.mean((simulate(identify(training, family).model, fresh.command) - clean) ** 2))
-              for family in ("pi", "hapi", "hampi")}
+    errors = {
+        family: np.sqrt(np.mean((simulate(identify(training, family).model, fresh.command) - clean) ** 2))
+        for family in ("pi", "hapi", "hampi")
+    }
     assert errors["hampi"] < 0.5 * errors["hapi"] < 0.5 * errors["pi"]
 
 
@@ -110,8 +118,10 @@ def test_joint_beats_the_papers_sequence_on_a_held_out_record():
     truth = plant()
     training, fresh = [record(truth, 1)], record(truth, 5, 0.9)
     clean = simulate(truth, fresh.command)
-    errors = {method: np.sqrt(np.mean((simulate(identify(training, "hampi", method).model, fresh.command) - clean) ** 2))
-              for method in ("paper", "joint")}
+    errors = {
+        method: np.sqrt(np.mean((simulate(identify(training, "hampi", method).model, fresh.command) - clean) ** 2))
+        for method in ("paper", "joint")
+    }
     assert errors["joint"] < errors["paper"]
 
 
@@ -125,8 +135,10 @@ def test_standard_errors_tell_the_scatter():
         noisy = replace(data, measurement=data.measurement + np.random.default_rng(seed).normal(0, 0.02, data.measurement.shape))
         fit = identify([noisy], "hampi", thresholds=THRESHOLDS, structure=structure, nuisance="none")
         rows = {row["name"]: row for row in fit.report["parameters"]}
-        z += [(rows[name]["value"] - value) / rows[name]["standard_error"]
-              for name, value in {"weights[1]": 0.012, "weights[4]": 0.006, "m1": 6e-8, "k": -4e-5}.items()]
+        z += [
+            (rows[name]["value"] - value) / rows[name]["standard_error"]
+            for name, value in {"weights[1]": 0.012, "weights[4]": 0.006, "m1": 6e-8, "k": -4e-5}.items()
+        ]
     assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.7
 
 
@@ -144,11 +156,19 @@ def test_two_axes_are_identified_side_by_side():
     first, second = plant(), plant(9e-5)
     a, b = record(first, 1), record(second, 2)
     rows = min(len(a.command), len(b.command))
-    both = Dataset("both", np.hstack([a.command[:rows], b.command[:rows]]), np.hstack([a.measurement[:rows], b.measurement[:rows]]),
-                   SAMPLE_TIME, ("x", "y"), "um")
+    both = Dataset(
+        "both",
+        np.hstack([a.command[:rows], b.command[:rows]]),
+        np.hstack([a.measurement[:rows], b.measurement[:rows]]),
+        SAMPLE_TIME,
+        ("x", "y"),
+        "um",
+    )
     fit = identify([both], "hampi", structure=Structure(modes=1, zeros=1, delay=True))
     simulated = simulate(fit.model, both.command)
-    single = simulate(identify([a.rows(0, rows)], "hampi", structure=Structure(modes=1, zeros=1, delay=True)).model, a.command[:rows])
+    single = simulate(
+        identify([a.rows(0, rows)], "hampi", structure=Structure(modes=1, zeros=1, delay=True)).model, a.command[:rows]
+    )
     np.testing.assert_allclose(simulated[:, 0], single[:, 0], atol=1e-6)
     assert np.std(simulated[:, 1] - both.measurement[:, 1]) < 2 * SIGMA
 
@@ -175,11 +195,14 @@ def test_few_operators_are_for_the_loop(count):
     assert left < 0.2 * np.std(measured[2000:, 0] - straight)
 
 
-@pytest.mark.parametrize("change, words", [
-    ({"command": np.full((200, 1), 3.0)}, "never moves"),
-    ({"measurement": np.full((200, 1), 3.0)}, "never moves"),
-    ({"command": np.zeros((20, 1)), "measurement": np.zeros((20, 1))}, "at least 50"),
-])
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"command": np.full((200, 1), 3.0)}, "never moves"),
+        ({"measurement": np.full((200, 1), 3.0)}, "never moves"),
+        ({"command": np.zeros((20, 1)), "measurement": np.zeros((20, 1))}, "at least 50"),
+    ],
+)
 def test_records_that_tell_nothing_are_refused(change, words):
     k = np.arange(200.0)[:, None]
     data = replace(Dataset("dull", np.sin(k), np.sin(k), 1e-3, ("x",), "um"), **change)
@@ -213,8 +236,7 @@ def test_stretches_see_the_memory_of_what_came_before():
     data = record(truth, 2, sigma=0.0)
     windows = whole_records([data], 0)
     structure = Structure(modes=1, zeros=1, delay=True)
-    parameters = np.array([np.log(np.sqrt(5.982e7)), np.log(8602.0 / 2 / np.sqrt(5.982e7)),
-                           -5e3 / 5.982e7 * np.sqrt(5.982e7), 0.4])
+    parameters = np.array([np.log(np.sqrt(5.982e7)), np.log(8602.0 / 2 / np.sqrt(5.982e7)), -5e3 / 5.982e7 * np.sqrt(5.982e7), 0.4])
     theta = np.array([*WEIGHTS, 6e-8, 3e-8, -4e-5])
     operators = Operators(np.array(THRESHOLDS), dynamic=True, center=25.0)
     cut = stretches(windows, 12000, length=0.2)
@@ -222,8 +244,6 @@ def test_stretches_see_the_memory_of_what_came_before():
     grams = gram_matrices(cut, operators, structure, parameters, theta, "none", 1)
     vector = np.concatenate([theta, np.zeros(structure.size), [-1.0]])
     assert np.sqrt(max(vector @ (grams.fitted + grams.held_out) @ vector, 0.0) / sum(grams.rows)) < 1e-5
-
-
 
 
 def test_measured_nested_loops_of_a_piezo_stack(measured_data):

@@ -7,7 +7,7 @@ import pytest
 
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.madelung import Madelung
-from hyst_control.chain.static import Gain, Offset
+from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.errors import InputError
 from hyst_control.identify import madelung
 from hyst_control.identify.dataset import Dataset

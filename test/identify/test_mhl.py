@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from hyst_control.chain.linear import CrossCoupling, Delay, TransferFunction
+from hyst_control.config_files import config_path
 from hyst_control.errors import InputError
 from hyst_control.identify import mhl
 from hyst_control.identify.dataset import Dataset
-from hyst_control.identify.dynamics import Structure
+from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.model_file import Model, load_model, save_model, simulate
-from hyst_control.share import config_path
 
 TS = 5e-5
 SIGMA = 0.0008

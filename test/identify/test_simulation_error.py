@@ -13,9 +13,9 @@ from scipy.optimize import LinearConstraint, minimize
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear import TransferFunction
 from hyst_control.chain.madelung import Madelung
-from hyst_control.chain.play import PlayOperator
-from hyst_control.chain.static import Gain
-from hyst_control.identify.gram import Window
+from hyst_control.chain.memoryless import Gain
+from hyst_control.chain.prandtl_ishlinskii import PlayOperator
+from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.simulation_error import (
     Parametrisation,
     constrained_minimum,

@@ -12,7 +12,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 
-from hyst_control.nodes.messages import Reception, Sender
+from hyst_control.nodes.message_io import Reception, Sender
 from hyst_control.nodes.run import spin
 
 
@@ -41,6 +41,7 @@ class Bench:
 
     def listen_to_diagnostics(self):
         """From now on `said` holds the newest entries by node, the status' message among them."""
+
         def note(message):
             for status in message.status:
                 self.said[status.name] = {"message": status.message, **{each.key: each.value for each in status.values}}

@@ -11,14 +11,14 @@ import pytest
 from loop_case import MODEL, RATE, parameters, recorded
 
 from hyst_control.model_file import Simulator, load_model
-from hyst_control.nodes import base, ports, recorder
+from hyst_control.nodes import base, recorder
 from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.pipeline import DEFAULT, NODES
-from hyst_control.nodes.ports import KEPT_ROWS, REPEAT_INTERVAL, REPEATED_ROWS
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
+from hyst_control.nodes.signal_ports import KEPT_ROWS, REPEAT_INTERVAL, REPEATED_ROWS
 from hyst_plant_sim.node import PlantNode
 
 PERIOD = 1e-3
@@ -69,10 +69,12 @@ def test_rows_ahead_of_the_clock_stay_bounded(bench):
     assert node.command.rows.available == MOST and node.counts["command: too many waiting"] == 9 * MOST
 
 
-MAKES = {"feedback": (PiFeedback, {"upper": 50.0}),
-         "feedforward": (lambda **options: Feedforward("feedforward", **options), {"kind": "proportional", "gain": [10.0]}),
-         "generator": (ReferenceGenerator, {"signal": "rest", "duration": 1.0, "lead": 8}),
-         "plant": (PlantNode, {"model": MODEL})}
+MAKES = {
+    "feedback": (PiFeedback, {"upper": 50.0}),
+    "feedforward": (lambda **options: Feedforward("feedforward", **options), {"kind": "proportional", "gain": [10.0]}),
+    "generator": (ReferenceGenerator, {"signal": "rest", "duration": 1.0, "lead": 8}),
+    "plant": (PlantNode, {"model": MODEL}),
+}
 
 
 @pytest.mark.parametrize("name", MAKES)
@@ -121,7 +123,7 @@ def repeating(bench, monkeypatch):
     repeated = []
     node.repeat = lambda source, tick: repeated.append(tick)
     clock = Clock()
-    monkeypatch.setattr(ports, "time", clock)
+    monkeypatch.setattr(signal_ports, "time", clock)
     return node, repeated, clock
 
 
@@ -165,9 +167,12 @@ def test_what_is_repeated_is_what_may_be_lacking_in_messages_of_bounded_size(ben
     sent = []
     bring(node.reference, range(2 * KEPT_ROWS))
     node.feedforward._sender.send = lambda block: sent.append(np.rint(block[:, 0] / PERIOD).astype(int))
-    for tick, expected in ((2 * KEPT_ROWS - 3, range(2 * KEPT_ROWS - 3, 2 * KEPT_ROWS)), (2 * KEPT_ROWS, [2 * KEPT_ROWS - 1]),
-                           (5, range(KEPT_ROWS, 2 * KEPT_ROWS)),
-                           (KEPT_ROWS + 10, range(KEPT_ROWS + 10, 2 * KEPT_ROWS))):
+    for tick, expected in (
+        (2 * KEPT_ROWS - 3, range(2 * KEPT_ROWS - 3, 2 * KEPT_ROWS)),
+        (2 * KEPT_ROWS, [2 * KEPT_ROWS - 1]),
+        (5, range(KEPT_ROWS, 2 * KEPT_ROWS)),
+        (KEPT_ROWS + 10, range(KEPT_ROWS + 10, 2 * KEPT_ROWS)),
+    ):
         sent.clear()
         node.repeat(node.reference, tick)
         np.testing.assert_array_equal(np.concatenate(sent), expected)

@@ -10,8 +10,8 @@ import pytest
 import yaml
 from loop_case import recorded
 
+from hyst_control.config_files import config_folders, config_path
 from hyst_control.errors import InputError
-from hyst_control.share import config_folders, config_path
 
 
 def test_pipeline_runs_with_the_lockstep_file(tmp_path, domain):
@@ -21,8 +21,14 @@ def test_pipeline_runs_with_the_lockstep_file(tmp_path, domain):
         document[node]["ros__parameters"]["ticks"] = count
     file = tmp_path / "parameters.yaml"
     file.write_text(yaml.safe_dump(document))
-    ended = subprocess.run([sys.executable, "-m", "hyst_control.nodes.pipeline", "--ros-args", "--params-file", str(file)],
-                           cwd=tmp_path, env=environment_with_source(), timeout=120, capture_output=True, text=True)
+    ended = subprocess.run(
+        [sys.executable, "-m", "hyst_control.nodes.pipeline", "--ros-args", "--params-file", str(file)],
+        cwd=tmp_path,
+        env=environment_with_source(),
+        timeout=120,
+        capture_output=True,
+        text=True,
+    )
     assert ended.returncode == 0, ended.stderr
     rows = recorded(tmp_path / "bag")
     time = np.arange(count) / 20000.0
@@ -38,8 +44,9 @@ def environment_with_source():
 
 
 def test_pipeline_refuses_a_node_it_does_not_know():
-    ended = subprocess.run([sys.executable, "-m", "hyst_control.nodes.pipeline", "plnt"], timeout=60, capture_output=True,
-                           text=True)
+    ended = subprocess.run(
+        [sys.executable, "-m", "hyst_control.nodes.pipeline", "plnt"], timeout=60, capture_output=True, text=True
+    )
     assert ended.returncode == 2 and "'plnt' is not a node" in ended.stderr and len(ended.stderr.splitlines()) == 1
 
 

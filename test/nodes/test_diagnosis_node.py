@@ -10,12 +10,12 @@ from loop_case import MODEL, RATE, parameters
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from hyst_control.bag_reader import read_bag
-from hyst_control.diagnose.scatter import scatter_of
+from hyst_control.diagnose.parameter_uncertainty import scatter_of
 from hyst_control.errors import InputError
 from hyst_control.model_file import Simulator, load_model, simulate
 from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.pipeline import DEFAULT, NODES
+from hyst_control.records.bag_reader import read_bag
 from hyst_plant_sim.node import PlantNode
 from hyst_plant_sim.physics import load_plant
 
@@ -70,14 +70,15 @@ def test_silent_beside_a_plant_within_tolerance(bench, tmp_path):
     np.testing.assert_array_equal(residual[:, 0], measurement[:, 0])
     np.testing.assert_allclose(residual[:, 1:], measurement[:, 1:] - simulate(model, command[:, 1:], 1 / RATE), atol=1e-9)
     last = residual[:, 0] <= gap[-1, 0] + 1e-9
-    rows = residual[last][-round(WINDOW * RATE):, 1]
-    assert gap[-1, 1] == pytest.approx(100 * np.sqrt(np.mean(rows ** 2)) / np.ptp(measurement[round(0.02 * RATE):][:, 1]), rel=0.05)
+    rows = residual[last][-round(WINDOW * RATE) :, 1]
+    assert gap[-1, 1] == pytest.approx(100 * np.sqrt(np.mean(rows**2)) / np.ptp(measurement[round(0.02 * RATE) :][:, 1]), rel=0.05)
 
 
 def test_alarm_and_diagnosis_once_a_delay_switches_on(bench, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # calibrated anew, as on the first run
-    plant = load_plant({"plant": "pea_published", "seed": 3, "effects": [{"name": "delay", "tau": 2e-4, "from": 0.4}]},
-                       sample_time=1 / RATE)
+    plant = load_plant(
+        {"plant": "pea_published", "seed": 3, "effects": [{"name": "delay", "tau": 2e-4, "from": 0.4}]}, sample_time=1 / RATE
+    )
     bench.listen_to_diagnostics()
     node, gap, _ = run_loop(bench, tmp_path, plant, 14000, buffer=0.25)
     alarmed = gap[gap[:, 2] > 0, 0]
@@ -92,8 +93,9 @@ def test_alarm_and_diagnosis_once_a_delay_switches_on(bench, tmp_path, monkeypat
     assert "delay" in told
     [report] = (tmp_path / "diagnosis").glob("*/gap.json")
     document = json.loads(report.read_text())
-    assert "delay" in [effect["name"] for effect in document["effects"]] + \
-        [name for effect in document["effects"] for name in effect["equivalent"]]
+    assert "delay" in [effect["name"] for effect in document["effects"]] + [
+        name for effect in document["effects"] for name in effect["equivalent"]
+    ]
     bench.until(lambda: told in bench.said["/diagnosis: loop"]["diagnosis"])
 
 
@@ -146,7 +148,9 @@ def test_bad_messages_are_refused_and_a_new_time_begins_anew(talking):
     nan = np.full((100, 1), np.nan)
     stream(talking, ticks[:100], commands, nan)
     stream(talking, ticks[:100] + 0.5, commands, measured)
-    talking.until(lambda: talking.node.counts["measurement: not finite"] == 1 and talking.node.counts["command: off the clock"] == 1)
+    talking.until(
+        lambda: talking.node.counts["measurement: not finite"] == 1 and talking.node.counts["command: off the clock"] == 1
+    )
     stream(talking, ticks, commands, measured)
     talking.until(lambda: len(talking.rows("residual")) == 3000)
     stream(talking, np.arange(3000), commands, measured)

@@ -16,15 +16,15 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
+from hyst_control.config_files import config_folders
 from hyst_control.errors import InputError
-from hyst_control.launch.processes import Processes
 from hyst_control.nodes.feedforward import Feedforward
-from hyst_control.nodes.messages import QUEUE, to_message
+from hyst_control.nodes.message_io import QUEUE, to_message
 from hyst_control.nodes.pi_feedback import PiFeedback
-from hyst_control.nodes.ports import REPEAT_INTERVAL
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
-from hyst_control.share import config_folders
+from hyst_control.nodes.signal_ports import REPEAT_INTERVAL
+from hyst_control.processes.node_processes import Processes
 from hyst_plant_sim.node import PlantNode
 from hyst_plant_sim.physics import load_plant
 
@@ -54,8 +54,13 @@ def test_bad_messages_are_dropped_counted_and_leave_no_trace(bench):
     bench.until(lambda: node.counts["reference: duplicate"] == 1 and len(bench.rows("feedforward")) >= 3)
     np.testing.assert_allclose(bench.rows("feedforward"), [[0.0, 10.0], [0.0, 10.0], [1e-3, 30.0]])
     assert {key: count for key, count in node.counts.items() if count} == {
-        "reference: not finite": 2, "reference: wrong label": 2, "reference: off the clock": 1,
-        "reference: out of order": 1, "reference: duplicate": 1, "reference: conflict": 1}
+        "reference: not finite": 2,
+        "reference: wrong label": 2,
+        "reference: off the clock": 1,
+        "reference: out of order": 1,
+        "reference: duplicate": 1,
+        "reference: conflict": 1,
+    }
 
 
 @pytest.mark.parametrize("objects", [False, True])
@@ -81,12 +86,15 @@ def Feedforward_named(**options):
 
 
 def test_timer_stale_inputs_take_the_command_to_its_safe_value_and_back_without_a_jump(bench):
-    settings = dict(schedule="timer", rate_hz=200, kp=1.0, ki=200, upper=50, slew_limit=4000, safe_rate=400,
-                    safe_command=[2.0], timeout=0.25)
+    settings = dict(
+        schedule="timer", rate_hz=200, kp=1.0, ki=200, upper=50, slew_limit=4000, safe_rate=400, safe_command=[2.0], timeout=0.25
+    )
     bench.add(PiFeedback, **settings)
     bench.listen("command")
-    senders = {topic: bench.sender(topic, label) for topic, label in
-               [("reference", "t[s],x[um]"), ("measurement", "t[s],x[um]"), ("feedforward", "t[s],x[V]")]}
+    senders = {
+        topic: bench.sender(topic, label)
+        for topic, label in [("reference", "t[s],x[um]"), ("measurement", "t[s],x[um]"), ("feedforward", "t[s],x[V]")]
+    }
     period = 1 / 200
 
     def feed():
@@ -129,11 +137,13 @@ def test_stop_service_ramps_down_and_reset_returns(bench):
 def test_timer_loop_runs_on_the_clock_that_all_share(bench, tmp_path):
     common = dict(schedule="timer", rate_hz=200, timeout=1.0)
     bench.listen("measurement")
-    nodes = [bench.add(ReferenceGenerator_of(np.full((10, 1), 3.0)), lead=4, **common),
-             bench.add(Feedforward_named, kind="proportional", gain=[10], **common),
-             bench.add(PiFeedback, feedback=True, upper=100, **common),
-             bench.add(PlantNode, model=MODEL, **common),
-             bench.add(Recorder, output=str(tmp_path / "bag"), **common)]
+    nodes = [
+        bench.add(ReferenceGenerator_of(np.full((10, 1), 3.0)), lead=4, **common),
+        bench.add(Feedforward_named, kind="proportional", gain=[10], **common),
+        bench.add(PiFeedback, feedback=True, upper=100, **common),
+        bench.add(PlantNode, model=MODEL, **common),
+        bench.add(Recorder, output=str(tmp_path / "bag"), **common),
+    ]
     bench.until(lambda: len(bench.rows("measurement")) > 120)
     for node in nodes:
         node.close()
@@ -165,17 +175,29 @@ def ReferenceGenerator_of(signal):
     return lambda **options: ReferenceGenerator(signal=signal, **options)
 
 
-@pytest.mark.parametrize("kind, settings, words", [
-    (PlantNode, {}, "plant"), (PlantNode, {"model": "nowhere.yaml"}, "nowhere.yaml"),
-    (PlantNode, {"plant": "pea", "effects": "delay"}, "plant: effects: 'delay', a list"),
-    (PlantNode, {"plant": "pea", "effects": "[{name: dealy}]"}, "'dealy' is not known"),
-    (PlantNode, {"plant": "pea", "parameters": "{colour: 1}"}, "parameters.colour"),
-    (PlantNode, {"model": MODEL, "parameters": "{noise: 0.0}"}, "put them into the model file"),
-    (PlantNode, {"model": MODEL, "axes": ["x", "y"]}, "axes"), (PiFeedback, {"upper": -1.0}, "upper"),
-    (PiFeedback, {"kp": "fast"}, "kp"), (PiFeedback, {"kp": -1}, "kp"), (Recorder, {}, "output"),
-    (PiFeedback, {"schedule": "sometimes"}, "lockstep"), (ReferenceGenerator, {"signal": "nowhere.npy"}, "nowhere.npy"),
-    (ReferenceGenerator, {"signal": "rest", "duration": 0.1, "offset": 90.0, "model": MODEL}, "cannot be reached with 0 to 50 V"),
-])
+@pytest.mark.parametrize(
+    "kind, settings, words",
+    [
+        (PlantNode, {}, "plant"),
+        (PlantNode, {"model": "nowhere.yaml"}, "nowhere.yaml"),
+        (PlantNode, {"plant": "pea", "effects": "delay"}, "plant: effects: 'delay', a list"),
+        (PlantNode, {"plant": "pea", "effects": "[{name: dealy}]"}, "'dealy' is not known"),
+        (PlantNode, {"plant": "pea", "parameters": "{colour: 1}"}, "parameters.colour"),
+        (PlantNode, {"model": MODEL, "parameters": "{noise: 0.0}"}, "put them into the model file"),
+        (PlantNode, {"model": MODEL, "axes": ["x", "y"]}, "axes"),
+        (PiFeedback, {"upper": -1.0}, "upper"),
+        (PiFeedback, {"kp": "fast"}, "kp"),
+        (PiFeedback, {"kp": -1}, "kp"),
+        (Recorder, {}, "output"),
+        (PiFeedback, {"schedule": "sometimes"}, "lockstep"),
+        (ReferenceGenerator, {"signal": "nowhere.npy"}, "nowhere.npy"),
+        (
+            ReferenceGenerator,
+            {"signal": "rest", "duration": 0.1, "offset": 90.0, "model": MODEL},
+            "cannot be reached with 0 to 50 V",
+        ),
+    ],
+)
 def test_bad_parameters_are_refused_in_one_line(ros_context, kind, settings, words):
     with pytest.raises(InputError, match=words) as caught:
         kind(context=ros_context, parameter_overrides=[Parameter(key, value=value) for key, value in settings.items()])
@@ -186,8 +208,13 @@ def test_the_truth_plant_is_parametrised_by_ros_parameters(bench):
     """Effects and single physical parameters; without them it is the one of the file."""
     own = {"parameters": "{noise: 0.0, amplifier_cutoff: 500.0}", "effects": "[{name: offset, offset: 3.0, from: 0.01}]"}
     rows = np.full((400, 1), 20.0)
-    expected = load_plant({"plant": "pea", "effects": [{"name": "offset", "offset": 3.0, "from": 0.01}]}, seed=4, sample_time=5e-5,
-                          noise=0.0, amplifier_cutoff=500.0)
+    expected = load_plant(
+        {"plant": "pea", "effects": [{"name": "offset", "offset": 3.0, "from": 0.01}]},
+        seed=4,
+        sample_time=5e-5,
+        noise=0.0,
+        amplifier_cutoff=500.0,
+    )
     bench.listen("measurement")
     node = bench.add(PlantNode, plant="pea", seed=4, rate_hz=20000.0, start="first_command", **own)
     sender = bench.sender("command", "t[s],x[V]")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from loop_case import recorded
 
-from hyst_control.nodes import ports
+from hyst_control.nodes import signal_ports
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.interrupts import uninterrupted
 from hyst_control.nodes.pi_feedback import PiFeedback
@@ -55,12 +55,12 @@ def test_a_run_under_way_is_taken_up_where_its_repetition_begins(feedforward):
 def test_a_run_that_goes_on_and_repeats_nothing_is_taken_up_after_a_while(feedforward, monkeypatch):
     node, sent = feedforward
     now = [100.0]
-    monkeypatch.setattr(ports.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(signal_ports.time, "monotonic", lambda: now[0])
     for tick in range(500, 5000):
         now[0] += PERIOD
         receive(node.reference, rows(tick, tick + 1))
     assert sent[-1] == 4999 and sent == list(range(sent[0], 5000))
-    assert 500 + ports.LONGEST_JOINING / PERIOD <= sent[0] <= 505 + ports.LONGEST_JOINING / PERIOD
+    assert 500 + signal_ports.LONGEST_JOINING / PERIOD <= sent[0] <= 505 + signal_ports.LONGEST_JOINING / PERIOD
 
 
 def test_after_a_reset_the_first_rows_are_waited_for_again(feedforward):

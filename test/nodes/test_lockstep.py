@@ -7,14 +7,16 @@ import pytest
 from loop_case import assert_same_bits, offline, parameters, recorded
 from rclpy.parameter import Parameter
 
-from hyst_control.launch.processes import Processes
 from hyst_control.nodes.pipeline import DEFAULT, NODES
 from hyst_control.nodes.run import run
+from hyst_control.processes.node_processes import Processes
 
 
 def composed(context, settings, order=DEFAULT):
-    nodes = [NODES[name](context=context, parameter_overrides=[Parameter(key, value=value)
-                                                               for key, value in settings[name].items()]) for name in order]
+    nodes = [
+        NODES[name](context=context, parameter_overrides=[Parameter(key, value=value) for key, value in settings[name].items()])
+        for name in order
+    ]
     assert run(nodes, context, timeout=60.0) == 0
     return nodes
 
@@ -28,15 +30,23 @@ def test_composed_closed_loop_equals_offline(tmp_path, ros_context):
 
 @pytest.mark.parametrize("block, lead", [(1, 40), (64, 0), (300, 700)])
 def test_open_loop_streams_blocks_of_any_length(tmp_path, ros_context, block, lead):
-    settings = parameters(tmp_path, 1500, reference_generator={"block": block, "lead": max(lead, 40)},
-                          pi_feedback={"feedback": False, "start": "first_command"}, plant={"start": "first_command"})
+    settings = parameters(
+        tmp_path,
+        1500,
+        reference_generator={"block": block, "lead": max(lead, 40)},
+        pi_feedback={"feedback": False, "start": "first_command"},
+        plant={"start": "first_command"},
+    )
     composed(ros_context, settings)
     assert_same_bits(recorded(tmp_path / "bag"), offline(1500, feedback=False, start="first_command"))
 
 
 def test_starting_order_does_not_matter(tmp_path, ros_context):
-    composed(ros_context, parameters(tmp_path, 200, plant={"retry": 0.05}),
-             order=("plant", "recorder", "pi_feedback", "hampi_feedforward", "reference_generator"))
+    composed(
+        ros_context,
+        parameters(tmp_path, 200, plant={"retry": 0.05}),
+        order=("plant", "recorder", "pi_feedback", "hampi_feedforward", "reference_generator"),
+    )
     assert_same_bits(recorded(tmp_path / "bag"), offline(200))
 
 

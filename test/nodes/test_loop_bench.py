@@ -5,33 +5,35 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hyst_control.benchmarks import loops, suite
 from hyst_control.cli import main
 from hyst_control.errors import InputError
-from hyst_control.experiments import bench, loop_bench
-from hyst_control.importing import write_bag
-from hyst_control.nodes.timing import Durations
-from hyst_control.record import Record, Signal
+from hyst_control.nodes.duration_histogram import Durations
+from hyst_control.records.importing import write_bag
+from hyst_control.records.record import Record, Signal
 
 
-@pytest.mark.parametrize("case, subject, schedule", [("composed", "plain rclpy", "lockstep"), ("composed", "hyst", "timer"),
-                                                     ("processes", "hyst", "lockstep")])
+@pytest.mark.parametrize(
+    "case, subject, schedule",
+    [("composed", "plain rclpy", "lockstep"), ("composed", "hyst", "timer"), ("processes", "hyst", "lockstep")],
+)
 def test_a_short_run_measures_rate_and_load(case, subject, schedule, tmp_path):
     bag = tmp_path / "bag" if subject == "hyst" else None
-    measured = loop_bench.measure(case, subject, schedule, 1.0, bag)
+    measured = loops.measure(case, subject, schedule, 1.0, bag)
     assert measured.rate > 20 and measured.cpu > 1 and min(measured.memory) > 10
     if schedule == "timer":
         assert measured.rate < 1100
         assert 100 < measured.microseconds("period p50 [us]") < 20_000
         assert measured.microseconds("loop latency p50 [us]") <= measured.microseconds("loop latency p99 [us]")
     if bag:
-        loss, due = loop_bench.lost(bag)
+        loss, due = loops.lost(bag)
         assert due > 100 and 0 <= loss < 100 and (loss == 0 or schedule == "timer")
 
 
 def test_loss_is_the_share_of_rows_that_are_missing(tmp_path):
     time = np.delete(np.arange(100) * 1e-3, [10, 50, 51])
     write_bag(tmp_path / "bag", Record({"command": Signal(time, np.zeros((97, 1)), ("x",), "V")}, "test"))
-    assert loop_bench.lost(tmp_path / "bag") == (pytest.approx(3.0), 100)
+    assert loops.lost(tmp_path / "bag") == (pytest.approx(3.0), 100)
 
 
 def test_quantiles_are_those_of_the_values_to_a_class():
@@ -51,6 +53,6 @@ def test_quantiles_are_those_of_the_values_to_a_class():
 
 def test_times_that_make_no_sense_are_refused(capsys):
     with pytest.raises(InputError, match="seconds"):
-        bench.run("loops", seconds=0.0)
+        suite.run("loops", seconds=0.0)
     assert main(["bench", "--soak", "-1"]) == 2
     assert "soak" in capsys.readouterr().err

@@ -16,9 +16,15 @@ from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.run import run
 
 PERIOD = 1e-3
-LISTENERS = [("reference_generator", "measurement"), ("hampi_feedforward", "reference"), ("pi_feedback", "feedforward"),
-             ("pi_feedback", "reference"), ("pi_feedback", "measurement"), ("plant", "command"),
-             *(("recorder", topic) for topic in ("reference", "feedforward", "feedback", "command", "measurement"))]
+LISTENERS = [
+    ("reference_generator", "measurement"),
+    ("hampi_feedforward", "reference"),
+    ("pi_feedback", "feedforward"),
+    ("pi_feedback", "reference"),
+    ("pi_feedback", "measurement"),
+    ("plant", "command"),
+    *(("recorder", topic) for topic in ("reference", "feedforward", "feedback", "command", "measurement")),
+]
 
 
 class Lossy:
@@ -38,10 +44,17 @@ class Lossy:
 
 def composed(context, settings, lost):
     """Run the loop; `lost`: numbers of messages by (node, topic)."""
-    nodes = {name: NODES[name](context=context, parameter_overrides=[Parameter(key, value=value) for key, value in own.items()])
-             for name, own in settings.items()}
-    lossy = {(name, topic): Lossy(receiver, lost[name, topic]) for name, node in nodes.items()
-             for receiver in (*node.receptions, *node.polled) for topic in [receiver.topic.strip("/")] if (name, topic) in lost}
+    nodes = {
+        name: NODES[name](context=context, parameter_overrides=[Parameter(key, value=value) for key, value in own.items()])
+        for name, own in settings.items()
+    }
+    lossy = {
+        (name, topic): Lossy(receiver, lost[name, topic])
+        for name, node in nodes.items()
+        for receiver in (*node.receptions, *node.polled)
+        for topic in [receiver.topic.strip("/")]
+        if (name, topic) in lost
+    }
     assert set(lossy) == set(lost)
     assert run(list(nodes.values()), context, timeout=60.0) == 0
     assert all(each.missed for each in lossy.values())
@@ -58,8 +71,14 @@ def test_messages_that_one_node_lacks_come_again(tmp_path, ros_context, listener
 def test_messages_lost_everywhere_come_again(tmp_path, ros_context, block):
     """Streamed ahead, where a node that lacks rows is left behind by those that do not."""
     draw = np.random.default_rng(block)
-    settings = parameters(tmp_path, 1500, reference_generator={"block": block, "lead": 700}, recorder={"merge": 8},
-                          pi_feedback={"feedback": False}, plant={"retry": 0.05})
+    settings = parameters(
+        tmp_path,
+        1500,
+        reference_generator={"block": block, "lead": 700},
+        recorder={"merge": 8},
+        pi_feedback={"feedback": False},
+        plant={"retry": 0.05},
+    )
     listeners = [each for each in LISTENERS if each[0] != "pi_feedback" or each[1] == "feedforward"]
     composed(ros_context, settings, {each: set(draw.choice(np.arange(1, 8), 3, replace=False)) for each in listeners})
     assert_same_bits(recorded(tmp_path / "bag"), offline(1500, feedback=False))

@@ -6,7 +6,7 @@ import pytest
 import yaml
 from rclpy.parameter import Parameter
 
-from hyst_control.excitation import KINDS
+from hyst_control.config_files import config_folders, config_path
 from hyst_control.nodes.base import COMMON
 from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.hampi_feedforward import HampiFeedforward
@@ -15,22 +15,35 @@ from hyst_control.nodes.mhl_feedforward import MhlFeedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
-from hyst_control.share import config_folders, config_path
+from hyst_control.records.excitation import KINDS
 from hyst_plant_sim.node import PlantNode
 
-NODES = {"reference_generator": ReferenceGenerator, "hampi_feedforward": HampiFeedforward, "mhl_feedforward": MhlFeedforward,
-         "pi_feedback": PiFeedback, "plant": PlantNode, "recorder": Recorder, "identification": Identification,
-         "diagnosis": DiagnosisNode}
-NEEDED = {"reference_generator": {"signal": "rest", "duration": 1.0}, "hampi_feedforward": {"kind": "proportional", "gain": [1.0]},
-          "mhl_feedforward": {"kind": "proportional", "gain": [1.0]}, "plant": {"plant": "pea"},
-          "diagnosis": {"model": str(config_path("models/pea_hampi.yaml"))}}
+NODES = {
+    "reference_generator": ReferenceGenerator,
+    "hampi_feedforward": HampiFeedforward,
+    "mhl_feedforward": MhlFeedforward,
+    "pi_feedback": PiFeedback,
+    "plant": PlantNode,
+    "recorder": Recorder,
+    "identification": Identification,
+    "diagnosis": DiagnosisNode,
+}
+NEEDED = {
+    "reference_generator": {"signal": "rest", "duration": 1.0},
+    "hampi_feedforward": {"kind": "proportional", "gain": [1.0]},
+    "mhl_feedforward": {"kind": "proportional", "gain": [1.0]},
+    "plant": {"plant": "pea"},
+    "diagnosis": {"model": str(config_path("models/pea_hampi.yaml"))},
+}
 """What a node does not start without."""
 FILES = sorted((config_folders()[0] / "nodes").glob("*.yaml"))
 
 
 def started(name, context, folder):
     """The node of that name, with no more than it needs."""
-    given = {"output": str(folder / "output"), **NEEDED.get(name, {})} if name in ("recorder", "diagnosis") else NEEDED.get(name, {})
+    given = (
+        {"output": str(folder / "output"), **NEEDED.get(name, {})} if name in ("recorder", "diagnosis") else NEEDED.get(name, {})
+    )
     return NODES[name](context=context, parameter_overrides=[Parameter(key, value=value) for key, value in given.items()])
 
 

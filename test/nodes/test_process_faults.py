@@ -15,14 +15,14 @@ from rclpy.parameter import Parameter
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from hyst_control.bag_reader import read_bag
 from hyst_control.cli import main
+from hyst_control.config_files import config_folders
 from hyst_control.errors import InputError
 from hyst_control.identify.workflow import identify_bags
-from hyst_control.launch.processes import Processes
 from hyst_control.nodes.pipeline import NODES
 from hyst_control.nodes.run import run
-from hyst_control.share import config_folders
+from hyst_control.processes.node_processes import Processes
+from hyst_control.records.bag_reader import read_bag
 
 COUNT = 6000
 
@@ -123,7 +123,9 @@ def test_killed_plant_is_started_again_and_the_run_goes_on_to_its_end(tmp_path, 
     rows = recorded(tmp_path / "bag")
     ticks = np.rint(rows["measurement"][:, 0] * RATE)
     assert ticks[-1] == COUNT - 1 and np.all(np.diff(ticks) >= 1)
-    if "a run is under way" not in told:  # the commands were still there from the first on: the new plant repeats what the old one did
+    if (
+        "a run is under way" not in told
+    ):  # the commands were still there from the first on: the new plant repeats what the old one did
         assert_same_bits(rows, offline(COUNT))
 
 
@@ -164,8 +166,13 @@ def running():
 def test_killed_identification_leaves_nothing_half_written_and_starts_again(tmp_path, domain):
     """Killed in the middle of a fit, while its workers are at it: they end too, and the same call then gives the same model."""
     write_record(tmp_path / "bag")
-    settings = {"bags": [str(tmp_path / "bag")], "family": "hapi", "output": str(tmp_path / "model.yaml"),
-                "json": str(tmp_path / "fit.json"), "once": True}
+    settings = {
+        "bags": [str(tmp_path / "bag")],
+        "family": "hapi",
+        "output": str(tmp_path / "model.yaml"),
+        "json": str(tmp_path / "fit.json"),
+        "once": True,
+    }
     before = {path.name for path in tmp_path.iterdir()}
     with Processes(tmp_path / "log", domain) as processes:
         identification, end = processes.start("identification", settings), time.monotonic() + 60
@@ -224,8 +231,13 @@ def test_four_devices_run_side_by_side(tmp_path, ros_context):
         (tmp_path / f"device{device}").mkdir()
         np.save(tmp_path / f"device{device}" / "reference.npy", signal(count, device))
         for name, own in parameters(tmp_path / f"device{device}", count).items():
-            nodes.append(NODES[name](context=ros_context, namespace=f"/device{device}",
-                                     parameter_overrides=[Parameter(key, value=value) for key, value in own.items()]))
+            nodes.append(
+                NODES[name](
+                    context=ros_context,
+                    namespace=f"/device{device}",
+                    parameter_overrides=[Parameter(key, value=value) for key, value in own.items()],
+                )
+            )
     assert run(nodes, ros_context, timeout=60.0) == 0
     for device in range(4):
         rows = recorded(tmp_path / f"device{device}" / "bag")
@@ -238,4 +250,3 @@ def test_four_devices_run_side_by_side(tmp_path, ros_context):
 def signal(count, device):
     time = np.arange(count) / RATE
     return device * 2.0 * (1 - np.cos(2 * np.pi * 150.0 * time))[:, None]
-

@@ -7,7 +7,7 @@ import sys
 
 from loop_case import assert_same_bits, offline, parameters, recorded
 
-from hyst_control.launch.processes import Processes
+from hyst_control.processes.node_processes import Processes
 
 COMMAND = "import sys; from hyst_control.cli import main; raise SystemExit(main(sys.argv[1:]))"
 
@@ -18,8 +18,25 @@ def test_lockstep_run_is_recorded_whole(tmp_path, domain):
     bag = tmp_path / "bag"
     with Processes(tmp_path / "log", domain) as processes:
         processes.compose(settings)
-        ended = subprocess.run([sys.executable, "-c", COMMAND, "record", "--schedule", "lockstep", "--rate", "20000", "--ticks", "500",
-                                "--output", str(bag)], timeout=90, capture_output=True, text=True)
+        ended = subprocess.run(
+            [
+                sys.executable,
+                "-c",
+                COMMAND,
+                "record",
+                "--schedule",
+                "lockstep",
+                "--rate",
+                "20000",
+                "--ticks",
+                "500",
+                "--output",
+                str(bag),
+            ],
+            timeout=90,
+            capture_output=True,
+            text=True,
+        )
         assert ended.returncode == 0, ended.stderr
         processes.wait("pipeline", timeout=30)
     assert "/measurement: 500 messages" in ended.stdout
@@ -28,13 +45,18 @@ def test_lockstep_run_is_recorded_whole(tmp_path, domain):
 
 def test_bad_output_is_refused_in_one_line(tmp_path, domain):
     (tmp_path / "bag").mkdir()
-    ended = subprocess.run([sys.executable, "-c", COMMAND, "record", "--output", str(tmp_path / "bag")], timeout=60, capture_output=True,
-                           text=True)
+    ended = subprocess.run(
+        [sys.executable, "-c", COMMAND, "record", "--output", str(tmp_path / "bag")], timeout=60, capture_output=True, text=True
+    )
     assert ended.returncode == 2 and "exists already" in ended.stderr and len(ended.stderr.strip().splitlines()) == 1
 
 
 def test_duration_ends_the_recording_without_a_message(tmp_path, domain):
-    ended = subprocess.run([sys.executable, "-c", COMMAND, "record", "--duration", "0.3", "--topics", "command", "--output",
-                            str(tmp_path / "bag")], timeout=60, capture_output=True, text=True)
+    ended = subprocess.run(
+        [sys.executable, "-c", COMMAND, "record", "--duration", "0.3", "--topics", "command", "--output", str(tmp_path / "bag")],
+        timeout=60,
+        capture_output=True,
+        text=True,
+    )
     assert ended.returncode == 0 and "/command: 0 messages" in ended.stdout
     assert (tmp_path / "bag" / "metadata.yaml").is_file()

@@ -16,14 +16,24 @@ from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_control.nodes.run import spin
-from hyst_control.nodes.watch import MeasurementWatch
+from hyst_control.nodes.sensor_watch import MeasurementWatch
 from hyst_plant_sim.node import PlantNode
 
 RATE = 200.0
 PERIOD = 1 / RATE
 SLEW, SAFE_RATE, SAFE = 2000.0, 400.0, 2.0  # V/s, V/s, V
-SETTINGS = dict(schedule="timer", rate_hz=RATE, upper=50.0, slew_limit=SLEW, safe_rate=SAFE_RATE, safe_command=[SAFE], timeout=0.25,
-                measurement_lower=-1.0, measurement_upper=20.0, frozen_time=0.1)
+SETTINGS = dict(
+    schedule="timer",
+    rate_hz=RATE,
+    upper=50.0,
+    slew_limit=SLEW,
+    safe_rate=SAFE_RATE,
+    safe_command=[SAFE],
+    timeout=0.25,
+    measurement_lower=-1.0,
+    measurement_upper=20.0,
+    frozen_time=0.1,
+)
 
 
 class Loop:
@@ -34,8 +44,10 @@ class Loop:
         self.node = bench.add(PiFeedback, **{**SETTINGS, "kp": 0.5, "ki": 100.0, **changes})
         bench.listen("command")
         bench.listen_to_diagnostics()
-        self.senders = {topic: bench.sender(topic, label) for topic, label in
-                        [("reference", "t[s],x[um]"), ("measurement", "t[s],x[um]"), ("feedforward", "t[s],x[V]")]}
+        self.senders = {
+            topic: bench.sender(topic, label)
+            for topic, label in [("reference", "t[s],x[um]"), ("measurement", "t[s],x[um]"), ("feedforward", "t[s],x[V]")]
+        }
         self.measure = lambda honest: honest  # what the sensor makes of the position
         self.rival = None  # a second sensor's value
         self.shift = 0  # ticks by which the senders' clock is off
@@ -75,9 +87,9 @@ class Loop:
 
     def assert_ramps_down_from(self, start):
         way = self.command[start:]
-        way = way[:np.argmax(way == SAFE) + 1]
+        way = way[: np.argmax(way == SAFE) + 1]
         steps = np.diff(way)
-        falling = steps[np.argmax(steps < 0):]
+        falling = steps[np.argmax(steps < 0) :]
         assert len(falling) and np.all(falling[-10:] >= -SAFE_RATE * PERIOD * (1 + 1e-9))
 
 
@@ -120,8 +132,20 @@ def well_again(loop):
     loop.measure, loop.rival, loop.shift, loop.silent = lambda honest: honest, None, 0, ""
 
 
-@pytest.mark.parametrize("break_it", [frozen, out_of_range, below_range, second_plant, clock_set_back, goes_silent("reference"),
-                                      goes_silent("feedforward"), goes_silent("measurement")], ids=lambda break_it: break_it.__name__)
+@pytest.mark.parametrize(
+    "break_it",
+    [
+        frozen,
+        out_of_range,
+        below_range,
+        second_plant,
+        clock_set_back,
+        goes_silent("reference"),
+        goes_silent("feedforward"),
+        goes_silent("measurement"),
+    ],
+    ids=lambda break_it: break_it.__name__,
+)
 def test_fault_goes_to_safety_and_back_by_itself(bench, break_it):
     loop = Loop(bench)
     bench.until(loop.tracks)
@@ -141,8 +165,9 @@ def test_ticks_that_take_too_long_are_a_fault(bench, monkeypatch):
     node = bench.add(PiFeedback, **SETTINGS, overrun_ticks=3, kp=0.5, ki=100.0)
     node.set_timer(None)  # ticked by hand: a node that takes longer than its time leaves none to the test
     node._controller.reset(np.full(1, 30.0))
-    senders = [bench.sender(topic, f"t[s],x[{unit}]") for topic, unit in
-               [("reference", "um"), ("measurement", "um"), ("feedforward", "V")]]
+    senders = [
+        bench.sender(topic, f"t[s],x[{unit}]") for topic, unit in [("reference", "um"), ("measurement", "um"), ("feedforward", "V")]
+    ]
     commands = []
     monkeypatch.setattr(node.command, "send", lambda tick, rows: (commands.extend(rows[:, 0]), time.sleep(1.2 * PERIOD)))
     for _ in range(6):
@@ -167,7 +192,7 @@ def test_disabled_and_enabled_again_without_a_jump(bench, gains):
     loop.assert_smooth()
     if not gains.get("ki", 1.0):
         way = loop.command[back:]
-        rising = np.diff(way[:np.argmax(way > 20.0) + 1])
+        rising = np.diff(way[: np.argmax(way > 20.0) + 1])
         assert rising.max() <= SAFE_RATE * PERIOD * (1 + 1e-9)
 
 
@@ -218,15 +243,21 @@ def test_saturated_drive_is_told(bench):
 def test_safe_rate_and_recovery_may_change_while_running_and_gains_may_not(bench):
     loop = Loop(bench)
     bench.until(loop.tracks)
-    results = loop.node.set_parameters([Parameter("safe_rate", value=200), Parameter("recovery", value="manual"),
-                                        Parameter("kp", value=5.0), Parameter("recovery", value="perhaps")])
+    results = loop.node.set_parameters(
+        [
+            Parameter("safe_rate", value=200),
+            Parameter("recovery", value="manual"),
+            Parameter("kp", value=5.0),
+            Parameter("recovery", value="perhaps"),
+        ]
+    )
     assert [result.successful for result in results] == [True, True, False, False]
     assert "manual" in results[3].reason and "read-only" in results[2].reason
     start = len(loop.command)
     out_of_range(loop)
     bench.until(loop.safe)
     way = loop.command[start:]
-    assert np.diff(way)[np.argmax(np.diff(way) < 0) + 5:].min() >= -200 * PERIOD * (1 + 1e-9)
+    assert np.diff(way)[np.argmax(np.diff(way) < 0) + 5 :].min() >= -200 * PERIOD * (1 + 1e-9)
 
 
 def test_lost_late_and_repeated_rows_are_counted_apart(bench):
@@ -237,7 +268,11 @@ def test_lost_late_and_repeated_rows_are_counted_apart(bench):
         sender.send(np.array([[each * PERIOD, 1.0]]))
     bench.until(lambda: node.counts["reference: time ran backwards"] == 1)
     assert {key: count for key, count in node.counts.items() if key.startswith("reference") and count} == {
-        "reference: lost": 2, "reference: late": 1, "reference: duplicate": 1, "reference: time ran backwards": 1}
+        "reference: lost": 2,
+        "reference: late": 1,
+        "reference: duplicate": 1,
+        "reference: time ran backwards": 1,
+    }
 
 
 def test_plant_started_twice_shows_in_the_diagnostics(bench):

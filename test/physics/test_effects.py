@@ -55,7 +55,9 @@ def command(sample_time: float, axes: int, peak: float = 50.0, duration: float =
     """A jump that is held, then slow and fast swings; the second axis moves differently."""
     time = np.arange(int(duration / sample_time)) * sample_time
     first = np.where(time < 0.02, 0.0, 0.5 * peak)
-    first = np.where(time > 0.05, 0.5 * peak * (1 + 0.6 * np.sin(2 * np.pi * 40 * time) + 0.3 * np.sin(2 * np.pi * 310 * time)), first)
+    first = np.where(
+        time > 0.05, 0.5 * peak * (1 + 0.6 * np.sin(2 * np.pi * 40 * time) + 0.3 * np.sin(2 * np.pi * 310 * time)), first
+    )
     return np.stack([first, 0.5 * first[::-1]][:axes], axis=1)
 
 
@@ -91,7 +93,10 @@ def test_an_effect_that_is_not_there_changes_no_bit(name):
 def test_the_gap_grows_with_the_severity(name):
     for plant in PLANTS:
         if name != "cross_coupling" or plant.startswith("fsm"):
-            gaps = [np.sqrt(np.mean((run(plant, [{"name": name, **values}], noise=0.0) - without(plant)) ** 2)) for values in GROWING[name]]
+            gaps = [
+                np.sqrt(np.mean((run(plant, [{"name": name, **values}], noise=0.0) - without(plant)) ** 2))
+                for values in GROWING[name]
+            ]
             assert 0 < gaps[0] < gaps[1] < gaps[2], plant
 
 
@@ -130,7 +135,7 @@ def test_every_plant_is_the_same_however_it_is_cut_and_by_its_seed(name):
     rows = command(STEPS[name], len(plant.axes))
     pieces, begin = [plant.reset(rows[0])[None]], 0
     for size in (1, 7, 50, 333, 1, len(rows)):
-        pieces.append(plant.step(rows[begin:begin + size]))
+        pieces.append(plant.step(rows[begin : begin + size]))
         begin += size
     np.testing.assert_array_equal(np.concatenate(pieces)[:-1], whole)
     assert np.any(run(name, effects, seed=4) != whole)
@@ -153,13 +158,16 @@ def test_a_delay_is_exact_whatever_its_share_of_an_internal_step(together):
     np.testing.assert_allclose(found[2:], without("fsm_published")[:-2], rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("effects, words", [
-    ([{"name": "dealy", "tau": 1e-4}], "'dealy' is not known"),
-    ([{"name": "delay", "time": 1e-4}], "delay: time: no such parameter"),
-    ([{"name": "delay", "tau": "long"}], "tau: 'long': a number is due"),
-    ([{"name": "delay", "tau": 1e-4, "axis": "z"}], "axis: 'z'"),
-    ("delay", "a list of"),
-])
+@pytest.mark.parametrize(
+    "effects, words",
+    [
+        ([{"name": "dealy", "tau": 1e-4}], "'dealy' is not known"),
+        ([{"name": "delay", "time": 1e-4}], "delay: time: no such parameter"),
+        ([{"name": "delay", "tau": "long"}], "tau: 'long': a number is due"),
+        ([{"name": "delay", "tau": 1e-4, "axis": "z"}], "axis: 'z'"),
+        ("delay", "a list of"),
+    ],
+)
 def test_effects_that_make_no_sense_are_named(effects, words):
     with pytest.raises(PlantError, match=words):
         load_plant({"plant": "pea", "effects": effects})

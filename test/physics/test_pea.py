@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hyst_control.share import config_path
+from hyst_control.config_files import config_path
 from hyst_plant_sim.physics import PlantError, load_plant
 
 STEP = 5e-5
@@ -47,19 +47,25 @@ def test_stroke_and_lag_are_those_of_the_papers_actuator():
         assert lag(frequency) - slow - 180.0 * frequency * STEP == pytest.approx(published, abs=2.5)
 
 
-@pytest.mark.parametrize("change, words", [
-    ({"noise": -1.0}, "noise: -1.0: a number that is not negative"),
-    ({"elastic": 1.0}, "parameters.elastic: no such parameter"),
-    ({"stroke": 0.0}, "stroke: must be positive"),
-])
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"noise": -1.0}, "noise: -1.0: a number that is not negative"),
+        ({"elastic": 1.0}, "parameters.elastic: no such parameter"),
+        ({"stroke": 0.0}, "stroke: must be positive"),
+    ],
+)
 def test_unusable_plants_are_named(change, words):
     with pytest.raises(PlantError, match=words):
         plant(**change)
 
 
 def test_unusable_plant_files_are_named(tmp_path):
-    for text, words in (("plant: nothing", "plant: 'nothing' is not known"), (": :", "is not valid YAML"),
-                        ("plant: pea\nrating: 5", "rating: 5")):
+    for text, words in (
+        ("plant: nothing", "plant: 'nothing' is not known"),
+        (": :", "is not valid YAML"),
+        ("plant: pea\nrating: 5", "rating: 5"),
+    ):
         path = Path(tmp_path / "plant.yaml")
         path.write_text(text)
         with pytest.raises(PlantError, match=words):

@@ -10,10 +10,10 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyst_control.bag_reader import read_bag
-from hyst_control.excitation import build
+from hyst_control.config_files import config_path
 from hyst_control.model_file import load_model, simulate
-from hyst_control.share import config_path
+from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.excitation import build
 from hyst_plant_sim.physics import PLANTS, Plant, PlantError, load_plant
 
 MEMORY_OF_TURNS = {
@@ -53,8 +53,15 @@ RECORDS = {"pea": 140.0, "pea_published": 50.0, "fsm": 100.0, "fsm_published": 1
 EXCITATIONS = {
     "jumps": {"signal": "staircase", "levels": [0.0, 1.0, 0.0, 0.54, 0.1, 1.0, 0.3, 0.0], "hold": 0.003},
     "steps": {"signal": "steps", "lowest": 0.0, "highest": 1.0, "hold": 0.002, "count": 30, "seed": 3},
-    "multisine": {"signal": "multisine", "period": 0.05, "lower_frequency": 20.0, "upper_frequency": 1000.0, "rms": 0.13, "offset": 0.5,
-                  "periods": 2},
+    "multisine": {
+        "signal": "multisine",
+        "period": 0.05,
+        "lower_frequency": 20.0,
+        "upper_frequency": 1000.0,
+        "rms": 0.13,
+        "offset": 0.5,
+        "periods": 2,
+    },
     "triangle": {"signal": "triangle", "frequency": 50.0, "amplitude": 0.5, "offset": 0.5, "duration": 0.06},
     "sine": {"signal": "sine", "frequency": 200.0, "amplitude": 0.5, "offset": 0.5, "duration": 0.03},
     "diagnostic": {"signal": "diagnostic", "lowest": 0.0, "highest": 1.0, "duration": 0.4},
@@ -84,8 +91,9 @@ def test_cutting_the_command_changes_no_bit(name, cuts):
 @pytest.mark.parametrize("name", PLANTS)
 def test_the_seed_decides_the_noise_and_nothing_else(name):
     command = loop(name, 50.0, 0.5, 5)
-    one, again, other, clean = (run(plant(name, seed=seed, noise=noise), command) for seed, noise in
-                                ((3, 0.01), (3, 0.01), (4, 0.01), (3, 0.0)))
+    one, again, other, clean = (
+        run(plant(name, seed=seed, noise=noise), command) for seed, noise in ((3, 0.01), (3, 0.01), (4, 0.01), (3, 0.0))
+    )
     np.testing.assert_array_equal(one, again)
     assert np.std(one - clean) == pytest.approx(0.01, rel=0.1)
     assert np.std(other - one) == pytest.approx(0.01 * np.sqrt(2), rel=0.1)
@@ -116,7 +124,7 @@ def test_loops_within_loops_are_forgotten(name):
     truth, settle, full = plant(name, **MEMORY_OF_TURNS[name]), 400, described(name)["rating"][1]
 
     def staircase(levels):
-        return run(truth, np.repeat(full * np.array(levels), settle))[settle - 1::settle]
+        return run(truth, np.repeat(full * np.array(levels), settle))[settle - 1 :: settle]
 
     direct = staircase([0, 0.55, 0.15, 0.4, 0.6])
     detour = staircase([0, 0.55, 0.15, 0.4, 0.25, 0.4, 0.6])
@@ -132,7 +140,9 @@ def test_halving_the_internal_step_changes_little(name, excitation):
     assert np.all(np.max(np.abs(finer - coarse), axis=0) < 5e-4 * np.ptp(coarse, axis=0))
 
 
-@pytest.mark.parametrize("name, most", [("pea_multisine", 1e-4), ("pea_staircase", 1e-4), ("fsm_multisine", 2e-4), ("fsm_staircase", 1e-4)])
+@pytest.mark.parametrize(
+    "name, most", [("pea_multisine", 1e-4), ("pea_staircase", 1e-4), ("fsm_multisine", 2e-4), ("fsm_staircase", 1e-4)]
+)
 def test_the_published_plants_reproduce_the_conformance_records(conformance, name, most):
     """The mirror's multisine record shares its delay's fraction of an internal step between two commands.
 
@@ -153,18 +163,24 @@ def test_the_published_plants_and_the_chain_agree(name, model, excitation):
     # The model has one set of numbers for both axes.
     first = {key: [value[0]] * 2 for key, value in file["parameters"].items() if isinstance(value, list)} if name[0] == "f" else {}
     truth, command = plant(name, **first), record(name, excitation)
-    found, simulated = run(truth, command), simulate(load_model(config_path(f"models/{model}.yaml")), command, file["sample_time"], "zoh")
+    found, simulated = (
+        run(truth, command),
+        simulate(load_model(config_path(f"models/{model}.yaml")), command, file["sample_time"], "zoh"),
+    )
     assert np.all(np.max(np.abs(found - simulated), axis=0) < 2e-4 * np.ptp(found, axis=0))
 
 
-@pytest.mark.parametrize("name, change, words", [
-    ("fsm", {"mode_frequency": [1930.0]}, "mode_frequency"),
-    ("fsm_published", {"k1": -7.9e-6}, "k1: .* a list of 2 entries"),
-    ("fsm_published", {"descending": [[1.0], [1.0]]}, "descending: axis x ends at"),
-    ("pea_published", {"weights": [1.0]}, "weights: 1 for"),
-    ("third", {"ladder_times": [1.0]}, "ladder_times: 1 for 4"),
-    ("third", {"elastic": 1.0}, "parameters.elastic: no such parameter"),
-])
+@pytest.mark.parametrize(
+    "name, change, words",
+    [
+        ("fsm", {"mode_frequency": [1930.0]}, "mode_frequency"),
+        ("fsm_published", {"k1": -7.9e-6}, "k1: .* a list of 2 entries"),
+        ("fsm_published", {"descending": [[1.0], [1.0]]}, "descending: axis x ends at"),
+        ("pea_published", {"weights": [1.0]}, "weights: 1 for"),
+        ("third", {"ladder_times": [1.0]}, "ladder_times: 1 for 4"),
+        ("third", {"elastic": 1.0}, "parameters.elastic: no such parameter"),
+    ],
+)
 def test_unusable_plants_are_named(name, change, words):
     with pytest.raises(PlantError, match=words):
         plant(name, **change)

@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from hyst_plant_sim.physics.effects import drive, moving, piezo, sensing
+from hyst_plant_sim.physics.effects import drive, motion, piezo, sensing
 from hyst_plant_sim.physics.effects.effect import Context, Effect, Switch, Through
-from hyst_plant_sim.physics.line import Frame, Line, PlantError
+from hyst_plant_sim.physics.signal_path import Frame, Line, PlantError
 
-EFFECTS: dict[str, Effect] = {**drive.EFFECTS, **piezo.EFFECTS, **moving.EFFECTS, **sensing.EFFECTS}
+EFFECTS: dict[str, Effect] = {**drive.EFFECTS, **piezo.EFFECTS, **motion.EFFECTS, **sensing.EFFECTS}
 """Every effect by name, in the order in which a signal meets them."""
 
 ELSEWHERE = {"gain": ("amplifier", "piezo", "sensor"), "delay": ("drive", "sensor")}
@@ -121,8 +121,10 @@ def _change(line: Line, axis: int, place: str, kinds: Sequence[str], present: Se
         context = Context(frame, place, axis, start)
         for item in group:
             fresh = EFFECTS[item.name].make(item.values, context)
-            changes = {**changes, **{key: changes[key] + value if key in ADDED and key in changes else value
-                                     for key, value in fresh.items()}}
+            changes = {
+                **changes,
+                **{key: changes[key] + value if key in ADDED and key in changes else value for key, value in fresh.items()},
+            }
         stages.append((context.first, build(changes)))
-    stages = stages[max(i for i, (first, _) in enumerate(stages) if first <= 0):]
+    stages = stages[max(i for i, (first, _) in enumerate(stages) if first <= 0) :]
     line[place][at] = (axis, stages[0][1] if len(stages) == 1 else Switch(stages))

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hyst_plant_sim.physics import exact
+from hyst_plant_sim.physics import exact_discretization
 from hyst_plant_sim.physics.effects.effect import Context, Effect, Pointwise
 from hyst_plant_sim.physics.parts import Clip, Held, LateReading, Straight
 
@@ -77,7 +77,7 @@ class Stretch:
 
         output = share * at(whole + (share > 0)) + (1.0 - share) * at(whole)
         self._count += len(block)
-        self._past = known[max(int(whole[-1]) - oldest - 1, 0):].copy() if len(block) else self._past
+        self._past = known[max(int(whole[-1]) - oldest - 1, 0) :].copy() if len(block) else self._past
         return output
 
 
@@ -108,9 +108,9 @@ def _dead_band(values: Mapping[str, float], context: Context) -> Pointwise:
 
 def low_pass(values: Mapping[str, float], context: Context) -> Held | Straight:
     """`order` equal first-order low-passes in a row."""
-    system = single = exact.lag(2 * np.pi * values["cutoff"])
+    system = single = exact_discretization.lag(2 * np.pi * values["cutoff"])
     for _ in range(int(values["order"]) - 1):
-        system = exact.series(system, single)
+        system = exact_discretization.series(system, single)
     return (Straight if context.place == "sensor" else Held)(system, context.period)
 
 
@@ -124,19 +124,54 @@ def _delay(values: Mapping[str, float], context: Context) -> LateReading | dict[
 
 
 EFFECTS = {
-    "dac_hold": Effect("insert", "dac", {"samples": 1, "step": 0.0}, lambda v, c: Hold(int(v["samples"]), v["step"]),
-                       "Every n-th command is taken and held; or commands are rounded to a lattice.", {"samples": "", "step": "V"}),
-    "clock_rate_mismatch": Effect("insert", "drive", {"share": 0.0}, lambda v, c: Stretch(v["share"], c),
-                                  "The drive's clock runs slow: commands come later and later.", {"share": ""}),
+    "dac_hold": Effect(
+        "insert",
+        "dac",
+        {"samples": 1, "step": 0.0},
+        lambda v, c: Hold(int(v["samples"]), v["step"]),
+        "Every n-th command is taken and held; or commands are rounded to a lattice.",
+        {"samples": "", "step": "V"},
+    ),
+    "clock_rate_mismatch": Effect(
+        "insert",
+        "drive",
+        {"share": 0.0},
+        lambda v, c: Stretch(v["share"], c),
+        "The drive's clock runs slow: commands come later and later.",
+        {"share": ""},
+    ),
     "delay": Effect("delay", "drive", {"tau": 0.0}, _delay, "A transport delay; `at: sensor` puts it there.", {"tau": "s"}),
-    "slew_limit": Effect("insert", "drive", {"rate": np.inf}, lambda v, c: Slew(v["rate"], c.period),
-                         "The driver follows no faster.", {"rate": "V/s"}),
-    "saturation": Effect("insert", "drive", {"lower": -np.inf, "upper": np.inf}, lambda v, c: Clip(v["lower"], v["upper"]),
-                         "The driver clips.", {"lower": "V", "upper": "V"}),
-    "crossover_dead_band": Effect("insert", "drive", {"half_width": 0.0}, _dead_band,
-                                  "Around the middle of the rating the drive does not answer; beyond, it falls short by as much.",
-                                  {"half_width": "V"}),
-    "amplifier_lowpass": Effect("insert", "amplifier", {"cutoff": np.inf}, low_pass,
-                                "Equal first-order low-passes in a row, as many as `order`, before the hysteresis.",
-                                {"cutoff": "Hz", "order": ""}, {"order": 1}),
+    "slew_limit": Effect(
+        "insert",
+        "drive",
+        {"rate": np.inf},
+        lambda v, c: Slew(v["rate"], c.period),
+        "The driver follows no faster.",
+        {"rate": "V/s"},
+    ),
+    "saturation": Effect(
+        "insert",
+        "drive",
+        {"lower": -np.inf, "upper": np.inf},
+        lambda v, c: Clip(v["lower"], v["upper"]),
+        "The driver clips.",
+        {"lower": "V", "upper": "V"},
+    ),
+    "crossover_dead_band": Effect(
+        "insert",
+        "drive",
+        {"half_width": 0.0},
+        _dead_band,
+        "Around the middle of the rating the drive does not answer; beyond, it falls short by as much.",
+        {"half_width": "V"},
+    ),
+    "amplifier_lowpass": Effect(
+        "insert",
+        "amplifier",
+        {"cutoff": np.inf},
+        low_pass,
+        "Equal first-order low-passes in a row, as many as `order`, before the hysteresis.",
+        {"cutoff": "Hz", "order": ""},
+        {"order": 1},
+    ),
 }

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_plant_sim.physics.line import Frame, Part
+from hyst_plant_sim.physics.signal_path import Frame, Part
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_plant_sim.physics import exact
+from hyst_plant_sim.physics import exact_discretization
 from hyst_plant_sim.physics.effects.effect import Context, Effect
-from hyst_plant_sim.physics.line import Frame, Part
 from hyst_plant_sim.physics.parts import Held
+from hyst_plant_sim.physics.signal_path import Frame, Part
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ class Scheduled:
     def __init__(self, part: Part, mean: Part, amount: float, tau: float, frame: Frame) -> None:
         self._part, self._mean, self._amount = part, mean, amount
         self._lower, self._span = frame.rating[0], frame.rating[1] - frame.rating[0]
-        self._average = Held(exact.lag(1.0 / tau), frame.step)
+        self._average = Held(exact_discretization.lag(1.0 / tau), frame.step)
 
     def settle(self, value: float) -> float:
         share = (self._average.settle(value) - self._lower) / self._span
@@ -79,19 +79,46 @@ def _creep(values: Mapping[str, float], context: Context) -> Held:
 
 
 EFFECTS = {
-    "hysteresis_width": Effect("hysteresis", "hysteresis", {"width": 0.0}, lambda v, c: {"width": v["width"]},
-                               "The memory part is scaled by 1 + width; the mean curve (play operators: slope times voltage; Madelung: "
-                               "mean of the major branches; Bouc-Wen: without z) stays.", {"width": ""}),
-    "hysteresis_shape": Effect("hysteresis", "hysteresis", {"amount": 0.0}, lambda v, c: {"amount": v["amount"]},
-                               "A parabola of the voltage is added: 0 at the ends of the rating, `amount` of the stroke midway.",
-                               {"amount": ""}),
-    "hysteresis_rate": Effect("hysteresis", "hysteresis", {"factor": 1.0}, lambda v, c: {"rate": v["factor"]},
-                              "The rate part (m1 and m2, k1, drag, relaxation) is scaled by `factor`; 1 leaves it.", {"factor": ""}),
-    "gain_scheduled_hysteresis": Effect("hysteresis", "hysteresis", {"amount": 0.0},
-                                        lambda v, c: {"schedule": v["amount"], "schedule_tau": v["tau"]},
-                                        "The memory part grows with the voltage averaged over tau.", {"amount": "", "tau": "s"},
-                                        {"tau": 0.05}),
-    "creep": Effect("insert", "piezo", {"gamma": 0.0}, _creep,
-                    "After a step the output grows on by gamma log10(1 + t / 0.1 s) of it: a ladder of two elements per decade, 0.1 "
-                    "to 1000 s.", {"gamma": "1/decade"}),
+    "hysteresis_width": Effect(
+        "hysteresis",
+        "hysteresis",
+        {"width": 0.0},
+        lambda v, c: {"width": v["width"]},
+        "The memory part is scaled by 1 + width; the mean curve (play operators: slope times voltage; Madelung: "
+        "mean of the major branches; Bouc-Wen: without z) stays.",
+        {"width": ""},
+    ),
+    "hysteresis_shape": Effect(
+        "hysteresis",
+        "hysteresis",
+        {"amount": 0.0},
+        lambda v, c: {"amount": v["amount"]},
+        "A parabola of the voltage is added: 0 at the ends of the rating, `amount` of the stroke midway.",
+        {"amount": ""},
+    ),
+    "hysteresis_rate": Effect(
+        "hysteresis",
+        "hysteresis",
+        {"factor": 1.0},
+        lambda v, c: {"rate": v["factor"]},
+        "The rate part (m1 and m2, k1, drag, relaxation) is scaled by `factor`; 1 leaves it.",
+        {"factor": ""},
+    ),
+    "gain_scheduled_hysteresis": Effect(
+        "hysteresis",
+        "hysteresis",
+        {"amount": 0.0},
+        lambda v, c: {"schedule": v["amount"], "schedule_tau": v["tau"]},
+        "The memory part grows with the voltage averaged over tau.",
+        {"amount": "", "tau": "s"},
+        {"tau": 0.05},
+    ),
+    "creep": Effect(
+        "insert",
+        "piezo",
+        {"gamma": 0.0},
+        _creep,
+        "After a step the output grows on by gamma log10(1 + t / 0.1 s) of it: a ladder of two elements per decade, 0.1 to 1000 s.",
+        {"gamma": "1/decade"},
+    ),
 }

@@ -38,7 +38,7 @@ class Flicker:
         decades = np.log10(0.5 / context.period / FLICKER_LOWEST)
         corners = FLICKER_LOWEST * 10.0 ** (np.arange(int(decades * FLICKER_PER_DECADE) + 1) / FLICKER_PER_DECADE)
         self._keep = np.exp(-2 * np.pi * corners * context.period)
-        self._fresh = np.sqrt(1.0 - self._keep ** 2)
+        self._fresh = np.sqrt(1.0 - self._keep**2)
         self._rms = rms / np.sqrt(len(corners))
 
     def settle(self, value: float) -> float:
@@ -123,31 +123,95 @@ def _hum(values: Mapping[str, float], context: Context) -> Timed:
 
 
 EFFECTS = {
-    "sensor_lowpass": Effect("insert", "sensor", {"cutoff": np.inf}, low_pass,
-                             "Equal first-order low-passes in a row, as many as `order`, after the mechanics.",
-                             {"cutoff": "Hz", "order": ""}, {"order": 1}),
-    "sensor_nonlinearity": Effect("insert", "sensor", {"second": 0.0, "third": 0.0}, _nonlinearity,
-                                  "Legendre polynomials of degree 2 and 3 over the stroke are added.", {"second": "unit", "third": "unit"}),
-    "gain": Effect("insert", "sensor", {"gain": 0.0}, factor, "The sensor's gain is 1 + gain; `at: amplifier` or `at: piezo` puts it "
-                   "there.", {"gain": ""}),
-    "gain_drift": Effect("insert", "sensor", {"change": 0.0},
-                         lambda v, c: Timed(lambda y, t: y * (1.0 + v["change"] * _arrived(t, v["tau"])), c),
-                         "The gain drifts to 1 + change as 1 - exp(-t / tau).", {"change": "", "tau": "s"}, {"tau": 1.0}),
-    "offset": Effect("insert", "sensor", {"offset": 0.0}, lambda v, c: Pointwise(lambda y: y + v["offset"]),
-                     "The sensor's zero is off.", {"offset": "unit"}),
-    "offset_drift": Effect("insert", "sensor", {"change": 0.0},
-                           lambda v, c: Timed(lambda y, t: y + v["change"] * _arrived(t, v["tau"]), c),
-                           "The zero drifts by change as 1 - exp(-t / tau).", {"change": "unit", "tau": "s"}, {"tau": 1.0}),
-    "mains_hum": Effect("insert", "sensor", {"amplitude": 0.0}, _hum, "The mains, with 30 % of the third and 10 % of the fifth harmonic.",
-                        {"amplitude": "unit", "frequency": "Hz"}, {"frequency": 50.0}),
-    "sensor_noise": Effect("insert", "adc", {"rms": 0.0}, lambda v, c: White(v["rms"], c),
-                           "White noise besides the plant's own.", {"rms": "unit"}),
-    "flicker_noise": Effect("insert", "adc", {"rms": 0.0}, lambda v, c: Flicker(v["rms"], c), "Noise that falls as 1/f, from 0.03 Hz.",
-                            {"rms": "unit"}),
-    "outliers": Effect("insert", "adc", {"fraction": 0.0}, lambda v, c: Outliers(v["fraction"], v["size"], c),
-                       "A fraction of the samples is off by half to all of `size`.", {"fraction": "", "size": "unit"}, {"size": 1.0}),
-    "quantization": Effect("insert", "adc", {"step": 0.0}, lambda v, c: Pointwise(lambda y: np.rint(y / v["step"]) * v["step"]),
-                           "The measurement lies on a lattice.", {"step": "unit"}),
-    "held_samples": Effect("insert", "transport", {"fraction": 0.0}, lambda v, c: Held(v["fraction"], c),
-                           "A fraction of the samples, at random, repeats the one before.", {"fraction": ""}),
+    "sensor_lowpass": Effect(
+        "insert",
+        "sensor",
+        {"cutoff": np.inf},
+        low_pass,
+        "Equal first-order low-passes in a row, as many as `order`, after the mechanics.",
+        {"cutoff": "Hz", "order": ""},
+        {"order": 1},
+    ),
+    "sensor_nonlinearity": Effect(
+        "insert",
+        "sensor",
+        {"second": 0.0, "third": 0.0},
+        _nonlinearity,
+        "Legendre polynomials of degree 2 and 3 over the stroke are added.",
+        {"second": "unit", "third": "unit"},
+    ),
+    "gain": Effect(
+        "insert",
+        "sensor",
+        {"gain": 0.0},
+        factor,
+        "The sensor's gain is 1 + gain; `at: amplifier` or `at: piezo` puts it there.",
+        {"gain": ""},
+    ),
+    "gain_drift": Effect(
+        "insert",
+        "sensor",
+        {"change": 0.0},
+        lambda v, c: Timed(lambda y, t: y * (1.0 + v["change"] * _arrived(t, v["tau"])), c),
+        "The gain drifts to 1 + change as 1 - exp(-t / tau).",
+        {"change": "", "tau": "s"},
+        {"tau": 1.0},
+    ),
+    "offset": Effect(
+        "insert",
+        "sensor",
+        {"offset": 0.0},
+        lambda v, c: Pointwise(lambda y: y + v["offset"]),
+        "The sensor's zero is off.",
+        {"offset": "unit"},
+    ),
+    "offset_drift": Effect(
+        "insert",
+        "sensor",
+        {"change": 0.0},
+        lambda v, c: Timed(lambda y, t: y + v["change"] * _arrived(t, v["tau"]), c),
+        "The zero drifts by change as 1 - exp(-t / tau).",
+        {"change": "unit", "tau": "s"},
+        {"tau": 1.0},
+    ),
+    "mains_hum": Effect(
+        "insert",
+        "sensor",
+        {"amplitude": 0.0},
+        _hum,
+        "The mains, with 30 % of the third and 10 % of the fifth harmonic.",
+        {"amplitude": "unit", "frequency": "Hz"},
+        {"frequency": 50.0},
+    ),
+    "sensor_noise": Effect(
+        "insert", "adc", {"rms": 0.0}, lambda v, c: White(v["rms"], c), "White noise besides the plant's own.", {"rms": "unit"}
+    ),
+    "flicker_noise": Effect(
+        "insert", "adc", {"rms": 0.0}, lambda v, c: Flicker(v["rms"], c), "Noise that falls as 1/f, from 0.03 Hz.", {"rms": "unit"}
+    ),
+    "outliers": Effect(
+        "insert",
+        "adc",
+        {"fraction": 0.0},
+        lambda v, c: Outliers(v["fraction"], v["size"], c),
+        "A fraction of the samples is off by half to all of `size`.",
+        {"fraction": "", "size": "unit"},
+        {"size": 1.0},
+    ),
+    "quantization": Effect(
+        "insert",
+        "adc",
+        {"step": 0.0},
+        lambda v, c: Pointwise(lambda y: np.rint(y / v["step"]) * v["step"]),
+        "The measurement lies on a lattice.",
+        {"step": "unit"},
+    ),
+    "held_samples": Effect(
+        "insert",
+        "transport",
+        {"fraction": 0.0},
+        lambda v, c: Held(v["fraction"], c),
+        "A fraction of the samples, at random, repeats the one before.",
+        {"fraction": ""},
+    ),
 }

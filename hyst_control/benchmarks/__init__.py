@@ -1,0 +1,1 @@
+"""Speed of kernels, bags, the running loop and whole workflows."""

@@ -1,0 +1,254 @@
+"""Speed, latency, loss and load of the loop through the real nodes, beside the same loop written the plain way.
+
+The loop is the MHL paper's: two axes, inverse hysteresis and PI feedback on the published model, 5 kHz. Every case is a run of
+processes of its own on a ROS domain of its own; what is measured comes from the nodes' diagnostics, from the operating system
+(processor time, memory) and from the bag.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hyst_control import progress
+from hyst_control.config_files import config_path
+from hyst_control.errors import InputError
+from hyst_control.processes.node_processes import Processes
+from hyst_control.processes.ros_domain import own_domain
+from hyst_control.records.bag_reader import read_bag
+from hyst_control.reporting.tables import Table
+
+SECONDS = 6.0
+"""Length of one measurement; diagnostics come once a second."""
+LOCKSTEP_RATE, TIMER_RATE = 5000.0, 1000.0  # Hz
+START_TIMEOUT = 90.0  # s; a first start compiles the kernels
+SETTLING = 2.0  # s, of a run before it is measured
+STREAMED = 16
+"""Rows of a message where the reference is streamed: 3 ms of it at 5 kHz."""
+MIB = 2.0**20
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run showed between two diagnostics of its plant.
+
+    rate: rounds (ticks) per second; cpu: % of one core, all its processes; memory: MiB resident at every sample; values: the last
+    diagnostics by node.
+    """
+
+    rate: float
+    cpu: float
+    memory: list[float]
+    values: dict[str, dict[str, str]]
+
+    def microseconds(self, entry: str) -> float:
+        """An entry of the plant's diagnostics, NaN when it is not there."""
+        return float(
+            next((found[entry] for name, found in self.values.items() if name.endswith("plant") and entry in found), "nan")
+        )
+
+
+def run(table: Table, seconds: float = SECONDS) -> None:
+    """All cases, lockstep and wall clock, composed and as processes, plain and with the recorder."""
+    name = "lockstep, MHL loop of two axes"
+    streamed = f"composed, reference streamed in {STREAMED} rows"
+    table.add(
+        name, streamed, "hyst", "rounds_rate", "rounds/s", measure("composed", "hyst", "lockstep", seconds, block=STREAMED).rate
+    )
+    for case in ("composed", "processes"):
+        for subject in ("hyst", "plain rclpy"):
+            measured = measure(case, subject, "lockstep", seconds)
+            table.add(name, case, subject, "rounds_rate", "rounds/s", measured.rate)
+        for way in ("", " from outside") if case == "composed" else ("",):
+            with tempfile.TemporaryDirectory() as folder:
+                measured = measure(case, "hyst", "lockstep", seconds, Path(folder) / "bag", outside=bool(way))
+                table.add(name, f"{case}, recorded{way}", "hyst", "rounds_rate", "rounds/s", measured.rate)
+                table.add(name, f"{case}, recorded{way}", "hyst", "loss", "%", lost(Path(folder) / "bag")[0])
+    for case in ("composed", "processes"):
+        for subject in ("hyst", "plain rclpy"):
+            _add_timing(table, case, subject, measure(case, subject, "timer", seconds))
+        for way in ("", " from outside") if case == "composed" else ("",):
+            with tempfile.TemporaryDirectory() as folder:
+                measured = measure(case, "hyst", "timer", seconds, Path(folder) / "bag", outside=bool(way))
+                _add_timing(table, f"{case}, recorded{way}", "hyst", measured)
+                loss, count = lost(Path(folder) / "bag")
+                table.add("wall clock, 1 kHz", f"{case}, recorded{way}", "hyst", "loss", "%", loss, n=count)
+
+
+def _add_timing(table: Table, case: str, subject: str, measured: Run) -> None:
+    name = "wall clock, 1 kHz"
+    for label in ("p50", "p99", "p99.9"):
+        table.add(name, case, subject, f"period_{label}", "us", measured.microseconds(f"period {label} [us]"))
+    for label in ("p50", "p99", "p99.9"):
+        table.add(name, case, subject, f"latency_{label}", "us", measured.microseconds(f"loop latency {label} [us]"))
+    table.add(name, case, subject, "rate", "Hz", measured.rate)
+    table.add(name, case, subject, "cpu", "%", measured.cpu)
+
+
+def soak(table: Table, minutes: float) -> None:
+    """That long in lockstep, then a sixth of it on the wall clock, composed and recorded: rate, loss, memory from begin to end."""
+    for schedule, name, length in (("lockstep", "soak, lockstep", minutes), ("timer", "soak, wall clock 1 kHz", minutes / 6.0)):
+        with tempfile.TemporaryDirectory() as folder:
+            measured = measure("composed", "hyst", schedule, 60.0 * length, Path(folder) / "bag")
+            case = f"{length:g} min, composed, recorded"
+            quarter = max(len(measured.memory) // 4, 1)
+            begin, end = np.mean(measured.memory[:quarter]), np.mean(measured.memory[-quarter:])
+            table.add(name, case, "hyst", "rounds_rate", "rounds/s", measured.rate)
+            table.add(name, case, "hyst", "memory", "MiB", end)
+            table.add(name, case, "hyst", "memory_growth", "MiB", end - begin, n=len(measured.memory))
+            loss, count = lost(Path(folder) / "bag")
+            table.add(name, case, "hyst", "loss", "%", loss, n=count)
+
+
+def measure(
+    case: str, subject: str, schedule: str, seconds: float, bag: Path | None = None, block: int = 1, outside: bool = False
+) -> Run:
+    """One run of the loop; `case`: "composed" or "processes"; `subject`: "hyst" or "plain rclpy"; `bag`: recorded to it.
+
+    block: rows of the reference, which is known ahead, in one message, and so of the feedforward; all else goes tick by tick.
+    outside: the recorder is a process of its own beside the composed nodes, so that the middleware carries all messages.
+
+    Raises `InputError` when a node fails or the loop does not start.
+    """
+    progress.step(f"{schedule}, {case}, {subject}{', recorded' if bag else ''}{' from outside' if outside else ''}: {seconds:g} s")
+    with _running(case, subject, schedule, bag, block, outside) as (processes, plant):
+        pids = [process.pid for name, process in processes.running.items() if name != "monitor"]
+        log = _Diagnostics(processes.log("monitor"))
+        _until(lambda: int(log.read().get(plant, {}).get("ticks", 0)) > 0, processes, START_TIMEOUT)
+        time.sleep(SETTLING)
+        before, cpu_before, clock = log.read()[plant], _processor_time(pids), time.monotonic()
+        memory = []
+        while time.monotonic() - clock < seconds:
+            time.sleep(min(0.5, seconds))
+            processes.check()
+            memory.append(_resident(pids))
+        cpu = (_processor_time(pids) - cpu_before) / (time.monotonic() - clock)
+        _until(lambda: log.read()[plant]["stamp"] > before["stamp"], processes, 10.0)
+        after, values = log.read()[plant], log.read()
+        processes.stop()
+        processes.check()
+    rate = (int(after["ticks"]) - int(before["ticks"])) / (float(after["stamp"]) - float(before["stamp"]))
+    return Run(rate, 100.0 * cpu, memory, values)
+
+
+def lost(bag: Path) -> tuple[float, int]:
+    """Rows that are missing within the topics of a bag, in % of those that are due, and how many are due."""
+    missing = due = 0
+    for signal in read_bag(bag).signals.values():
+        step = float(np.median(np.diff(signal.time)))
+        rows = round((signal.time[-1] - signal.time[0]) / step) + 1
+        missing += rows - len(signal.time)
+        due += rows
+    return 100.0 * missing / due, due
+
+
+def settings(schedule: str, bag: Path | None, block: int = 1) -> dict[str, dict[str, Any]]:
+    """Parameters of the nodes of the MHL loop by name."""
+    rate = LOCKSTEP_RATE if schedule == "lockstep" else TIMER_RATE
+    common = {"schedule": schedule, "rate_hz": rate, "axes": ["x", "y"], "unit": "mrad", "timeout": 1.0}
+    model = str(config_path("models/fsm_mhl.yaml"))
+    each: dict[str, dict[str, Any]] = {
+        "reference_generator": {
+            "signal": "sine",
+            "frequency": 20.0,
+            "amplitude": 0.5,
+            "offset": 0.8,
+            "phase": -np.pi / 2,
+            "duration": 0.05,
+            "repeat": True,
+            "block": block,
+            "lead": block + 3,
+        },
+        "mhl_feedforward": {"model": model, "limits": [0.0, 100.0]},
+        "pi_feedback": {"kp": 2.0, "ki": 5000.0, "upper": 100.0},
+        "plant": {"model": model, "wait_for_recorder": bag is not None},
+    }
+    if bag is not None:
+        each["recorder"] = {"output": str(bag), "merge": 50}
+    return {name: {**common, **own} for name, own in each.items()}
+
+
+@contextmanager
+def _running(
+    case: str, subject: str, schedule: str, bag: Path | None, block: int, outside: bool
+) -> Iterator[tuple[Processes, str]]:
+    """The processes of a run, and the name of its plant."""
+    with tempfile.TemporaryDirectory() as folder, own_domain() as domain, Processes(Path(folder), domain) as processes:
+        processes.start("monitor", {})
+        each = settings(schedule, bag, block)
+        if subject == "hyst":
+            if outside:
+                processes.start("recorder", each.pop("recorder"))
+            if case == "composed":
+                processes.compose(each)
+            else:
+                for name, own in each.items():
+                    processes.start(name, own)
+            yield processes, "plant"
+            return
+        plain = {
+            "schedule": schedule,
+            "rate_hz": each["plant"]["rate_hz"],
+            "model": each["plant"]["model"],
+            "kp": 2.0,
+            "ki": 5000.0,
+            "range": [0.3, 1.3],
+            "frequency": 20.0,
+        }
+        file = Path(folder) / "plain.json"
+        file.write_text(json.dumps(plain), encoding="utf-8")
+        names = ("reference", "feedforward", "feedback", "plant")
+        for group in [names] if case == "composed" else [(name,) for name in names]:
+            processes.run("-".join(group), "hyst_control.nodes.plain_loop", *group, str(file))
+        yield processes, "plain_plant"
+
+
+class _Diagnostics:
+    """The newest entries by node out of the monitor's growing log, each read once."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = open(path, encoding="utf-8")
+        self._part = ""
+        self._values: dict[str, dict[str, str]] = {}
+
+    def read(self) -> Mapping[str, dict[str, str]]:
+        *lines, self._part = (self._part + self._file.read()).split("\n")
+        for line in lines:
+            if line.startswith("{"):
+                told = json.loads(line)
+                self._values[told["node"]] = {**told["values"], "stamp": repr(told["stamp"])}
+        return self._values
+
+
+def _until(condition: Any, processes: Processes, timeout: float) -> None:
+    end = time.monotonic() + timeout
+    while not condition():
+        processes.check()
+        if time.monotonic() > end:
+            raise InputError(
+                f"bench: the loop gave no sign of life within {timeout:g} s: see whether DDS may use the loopback network"
+            )
+        time.sleep(0.1)
+
+
+def _processor_time(pids: list[int]) -> float:
+    """Seconds of processor time that these processes have used."""
+    total = 0
+    for pid in pids:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        total += int(fields[11]) + int(fields[12])
+    return total / os.sysconf("SC_CLK_TCK")
+
+
+def _resident(pids: list[int]) -> float:
+    """MiB of memory that these processes hold."""
+    return sum(int(Path(f"/proc/{pid}/statm").read_text().split()[1]) for pid in pids) * os.sysconf("SC_PAGE_SIZE") / MIB

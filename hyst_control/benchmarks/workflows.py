@@ -1,0 +1,104 @@
+"""Time and memory of an identification and of a diagnosis, each in a process of its own, and the speed of the truth plants."""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+
+from hyst_control.blind_test import cases
+from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.identify import identify
+from hyst_control.identify.dataset import Dataset
+from hyst_control.records import excitation
+from hyst_control.records.record import Record
+from hyst_control.reporting.tables import Table
+from hyst_plant_sim.physics import load_plant
+
+RATE = 20e3  # Hz
+SECONDS = 60.0
+IDENTIFIED = {
+    "hampi": ("pea", ("x",), "um", 1e-4, excitation.hampi_identification),
+    "mhl": ("fsm", ("x", "y"), "mrad", 1e-6, partial(excitation.mhl_identification, axes=2)),
+}
+"""Family: truth plant, axes, unit, noise, and the records of the family's paper."""
+PLANTS = ("pea_published", "fsm_published", "third")
+TRUTH = ("pea", "pea_published", "fsm", "fsm_published", "third")
+REPEATS = 5
+
+
+def run(table: Table, seconds: float = SECONDS, plants: Sequence[str] = PLANTS) -> None:
+    """Truth plants at 20 kHz; identification from a record of `seconds`; diagnosis of a diagnostic record, its threshold cached or not."""
+    for name in TRUTH:
+        table.add("truth plants", f"{RATE / 1e3:g} kHz, one core", name, "speed", "x real time", _alone(speed, name), n=REPEATS)
+    for family in IDENTIFIED:
+        elapsed, memory, rows = _alone(identification, family, seconds)
+        case = f"{seconds:g} s at {RATE / 1e3:g} kHz"
+        table.add("identification", case, family, "identify_time", "s", elapsed, n=rows)
+        table.add("identification", case, family, "identify_memory", "MiB", memory, n=rows)
+    for plant in plants:
+        fresh, cached, rows, seconds_of_record = _alone(diagnosis, plant)
+        case = f"{seconds_of_record:.2g} s at {rows / seconds_of_record / 1e3:.3g} kHz"
+        table.add("diagnosis", f"{case}, threshold calibrated", plant, "diagnose_time", "s", fresh, n=rows)
+        table.add("diagnosis", f"{case}, threshold cached", plant, "diagnose_time", "s", cached, n=rows)
+
+
+def speed(name: str) -> float:
+    """Simulated seconds per second of processor time of a truth plant under a 50 Hz sine: the median of `REPEATS`."""
+    truth = load_plant({"plant": name}, seed=1, sample_time=1.0 / RATE)
+    lower, upper = np.broadcast_to(np.array(truth.rating, dtype=float), (2,))
+    time_axis = np.arange(round(RATE)) / RATE
+    column = lower + (upper - lower) * (0.5 - 0.45 * np.cos(2 * np.pi * 50.0 * time_axis))
+    rows = np.repeat(column[:, None], len(truth.axes), axis=1)
+    truth.reset(rows[0])
+    truth.step(rows[:100])  # compiles the kernels
+    spent = []
+    for _ in range(REPEATS):
+        begin = time.process_time()
+        truth.step(rows)
+        spent.append(time.process_time() - begin)
+    return len(rows) / RATE / float(np.median(spent))
+
+
+def identification(family: str, seconds: float) -> tuple[float, float, int]:
+    """Seconds, MiB at most, and rows of one identification; a tenth of the record goes before to compile the kernels."""
+    plant, axes, unit, noise, signal = IDENTIFIED[family]
+    rows = signal(1.0 / RATE).reshape(-1, len(axes))
+    once, count = len(rows), round(seconds * RATE)
+    rows = np.tile(rows, (-(-count // once), 1))[:count]
+    truth = load_plant({"plant": plant}, seed=1, sample_time=1.0 / RATE, noise=noise)
+    first = truth.reset(rows[0])
+    measured = np.concatenate([first[None], truth.step(rows)[:-1]])
+    dataset = Dataset("bench", rows, measured, 1.0 / RATE, axes, unit)
+    identify([dataset.rows(0, min(once, count))], family)
+    begin = time.perf_counter()
+    identify([dataset], family)
+    elapsed = time.perf_counter() - begin
+    return elapsed, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, count
+
+
+def diagnosis(plant: str) -> tuple[float, float, int, float]:
+    """Seconds without and with the threshold in the cache, rows, and seconds of the record: one effect, diagnostic excitation."""
+    case = cases.draw(0, 1, [plant], {"single": 1.0}, ["rich"])[0]
+    record: Record = cases.record_of(case, cases.run(case))
+    model = cases.nominal(plant, case.noise)
+    diagnosed([record], model, seed=1)  # compiles the kernels
+    begin = time.perf_counter()
+    diagnosed([record], model, seed=2, cache=False)
+    fresh = time.perf_counter() - begin
+    begin = time.perf_counter()
+    diagnosed([record], model, seed=1)
+    signal = record.signal("measurement")
+    return fresh, time.perf_counter() - begin, len(signal.time), float(signal.time[-1] - signal.time[0])
+
+
+def _alone(task: Callable[..., Any], *arguments: Any) -> Any:
+    """A task's result from a process of its own, whose memory is its own."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        return pool.submit(task, *arguments).result()

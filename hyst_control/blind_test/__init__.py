@@ -1,0 +1,1 @@
+"""The blind test of the diagnosis: cases, run, scores, page."""

@@ -1,0 +1,326 @@
+"""The diagnosis on measurements, an effect withheld: models of measured plants that lost one element.
+
+The mirror (`fsm_cubespec`): a linear model per level, fitted on realisations 1-4, its input delay chosen on the fifth, loses its
+delay, the coupling of its axes, 5 % of its gain, and each mode in turn; the sixth realisation is diagnosed. The error of the
+whole model on the fifth is what it states of itself. Then the true unknown: a level's model against the records of a higher
+one. The stack (`pea_p885`): a model without hysteresis, and one with too few operators, against the nested loops of another file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from hyst_control.chain import Chain
+from hyst_control.chain.linear import Delay, StateSpace, TransferFunction
+from hyst_control.chain.stage import Array, Stage, frozen
+from hyst_control.diagnose.gap_report import sentence
+from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.files import write_json, write_text
+from hyst_control.identify import identify
+from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.linear import Candidate, error_of, refined
+from hyst_control.identify.modal_fit import subspace
+from hyst_control.model_file import Model, model_to_document, simulate
+from hyst_control.parallel import forked
+from hyst_control.records.record import Record, Signal
+from hyst_control.reporting.tables import Table
+from hyst_control.reproduction import fsm_cubespec as mirror
+from hyst_control.reproduction import pea_p885 as stack
+
+ORDER = 46
+"""States of the mirror's linear models."""
+DELAYS = (0.0, 0.25, 0.5, 0.75)
+"""In samples: among these the fifth realisation chooses."""
+MODES = {"none": (), "middle": mirror.LEVELS[1:2], "all": mirror.LEVELS}
+"""Levels (mV) whose model loses each of its modes."""
+LOST_GAIN = 0.05
+LEAST_SHARE = 1.0
+"""Energy of a deleted mode, in units of what the whole model leaves, from which its loss is diagnosed."""
+FEW = 3
+"""Operators of the stack's crippled model: the fewest that are identified."""
+TITLE = "Measured, an effect withheld"
+
+
+@dataclass(frozen=True)
+class Withheld:
+    """A case: what was taken away, which names are right for it, the model without it, a record, and seconds to warm up.
+
+    floor: rms (measurement unit) that the whole model leaves on this record.
+    """
+
+    plant: str
+    element: str
+    right: tuple[str, ...]
+    model: Model
+    record: Record
+    warm_up: float
+    floor: float
+
+    def digest(self) -> str:
+        """SHA-256 of all that is diagnosed."""
+        signals = (self.record.signals[name] for name in sorted(self.record.signals))
+        head = json.dumps([model_to_document(self.model), self.warm_up])
+        return hashlib.sha256(head.encode() + b"".join(s.time.tobytes() + s.values.tobytes() for s in signals)).hexdigest()
+
+
+def run(out: str, page: str | None = None, modes: str = "all", note: Any = print) -> Table:
+    """Every case diagnosed; the table, and the page where asked for. Raises `InputError` when the measurements are absent.
+
+    out: folder of the reports. A case whose report is there already is not diagnosed again: a run goes on where it stopped.
+    modes: one of `MODES`.
+    """
+    folder = Path(out) / "measured"
+    folder.mkdir(parents=True, exist_ok=True)
+    table = Table("blind-test --measured")
+    rows = []
+    cases = [*stack_cases(), *mirror_cases(MODES[modes], note)]
+    for case, report in zip(cases, forked(lambda i: report_on(cases[i], folder), len(cases)), strict=True):
+        rows.append((case, report))
+        add(table, case, report)
+        note(f"{case.plant}, without {case.element}: {sentence(report)}")
+    summarise(table, rows)
+    if page is not None:
+        write_page(Path(page), rows, modes)
+    return table
+
+
+def report_on(case: Withheld, folder: Path) -> dict[str, Any]:
+    """The report on a case: the one in the folder where it is of this model and record, else diagnosed now and kept there."""
+    path = folder / (re.sub(r"[^a-z0-9]+", "_", f"{case.plant} {case.element}".lower()).strip("_") + ".json")
+    digest = case.digest()
+    if path.exists():
+        kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if kept["case"] == digest:
+            return kept
+    begin = time.monotonic()
+    report = {**diagnosed([case.record], case.model, warm_up=case.warm_up)[0], "case": digest}
+    write_json(path, {**report, "seconds": time.monotonic() - begin})
+    return report
+
+
+def add(table: Table, case: Withheld, report: dict[str, Any]) -> None:
+    """The figures of one case."""
+    table.add(TITLE, case.plant, f"without {case.element}", "gap_rms", report["gap"]["unit"], report["gap"]["rms"])
+    table.add(TITLE, case.plant, f"without {case.element}", "whole_model_rms", report["gap"]["unit"], case.floor)
+    table.add(TITLE, case.plant, f"without {case.element}", "named", "", float(named_right(case, report)))
+    table.add(TITLE, case.plant, f"without {case.element}", "shrink", "", best_shrink(report))
+    table.add(TITLE, case.plant, f"without {case.element}", "unexplained", "", float(report["unexplained_share"] or 0.0))
+
+
+def named_right(case: Withheld, report: dict[str, Any]) -> bool:
+    """Whether the withheld element, or what the data cannot tell from it, is the first name given."""
+    return bool(report["effects"]) and report["effects"][0]["name"] in case.right
+
+
+def best_shrink(report: dict[str, Any]) -> float:
+    """Share of the gap's energy above the noise that the named effects take off on held-out blocks, coefficients fitted; 0 without."""
+    return max((effect["shrink_reidentified"] or 0.0 for effect in report["effects"]), default=0.0)
+
+
+def summarise(table: Table, rows: Sequence[tuple[Withheld, dict[str, Any]]]) -> None:
+    """How often the withheld element was the first name, with its number of cases."""
+    from hyst_control.blind_test.scores import wilson
+
+    scored = [(case, report) for case, report in rows if case.right]
+    right = sum(named_right(case, report) for case, report in scored)
+    table.add(
+        TITLE,
+        "all",
+        "withheld elements",
+        "named_first",
+        "",
+        right / max(len(scored), 1),
+        n=len(scored),
+        ci95=wilson(right, len(scored)),
+    )
+
+
+def mirror_cases(modes: Sequence[int], note: Any = print) -> Iterator[Withheld]:
+    """The crippled models of the mirror, and every level's model against a higher level. modes: levels (mV) that lose each mode."""
+    levels = mirror.LEVELS
+    measured = dict(zip(mirror.LEVELS, mirror.load_levels(), strict=True))
+    middle = measured[mirror.LEVELS[1]]
+    fits = list(forked(lambda i: fit(middle, DELAYS[i]), len(DELAYS)))
+    delay = DELAYS[int(np.argmin([found.held_out for found in fits]))]
+    whole = dict(zip(levels, forked(lambda i: fit(measured[levels[i]], delay), len(levels)), strict=True))
+    note(
+        f"mirror: input delay of {delay:g} samples, errors on the fifth realisation "
+        + ", ".join(f"{100 * found.held_out:.2f} % ({late:g})" for late, found in zip(DELAYS, fits, strict=True))
+    )
+    for level, found in whole.items():
+        data = measured[level]
+        bare = mirror.model_of(found.model, f"fsm_{level}mV", float(np.abs(data.command).max()))
+        model = replace(bare, noise={"sigma": [float(value) for value in errors(bare, data, mirror.SELECT[0])]})
+        record, warm_up = record_of(data, mirror.TEST[0]), mirror.PERIOD * mirror.SAMPLE_TIME
+        floor = float(np.sqrt(np.mean(errors(model, data, mirror.TEST[0]) ** 2)))
+        yield Withheld(f"mirror, {level} mV", "nothing", (), model, record, warm_up, floor)
+        for element, right, crippled in crippled_models(model, level in modes, data, floor):
+            yield Withheld(f"mirror, {level} mV", element, right, crippled, record, warm_up, floor)
+        for other in (other for other in mirror.LEVELS if other > level):
+            higher = record_of(measured[other], mirror.TEST[0])
+            least = float(
+                np.sqrt(np.mean(errors(mirror.model_of(whole[other].model, "", 1.0), measured[other], mirror.TEST[0]) ** 2))
+            )
+            yield Withheld(
+                f"mirror, {level} mV model on {other} mV", "amplitude", ("softening_modes",), model, higher, warm_up, least
+            )
+
+
+def fit(level: mirror.Level, delay: float) -> Candidate:
+    """The level's linear model with an input delay (samples), with its relative error on the fifth realisation."""
+    data = [level.spectra(mirror.FIT)]
+    found = refined(data, subspace(data, [ORDER], np.full(3, delay), "zoh")[0], True, False, 25)
+    return replace(found, held_out=error_of(found.model, [level.spectra(mirror.SELECT)]))
+
+
+def errors(model: Model, level: mirror.Level, realisation: int) -> Array:
+    """Rms error (3,) of a model on a realisation, both periods."""
+    simulated = mirror.steady_state(model, level.command[:, :, [realisation]].mean(axis=3))[:, :, 0]
+    return np.sqrt(np.mean((level.measurement[:, :, realisation] - simulated[..., None]) ** 2, axis=(0, 2)))
+
+
+def record_of(level: mirror.Level, realisation: int) -> Record:
+    """Both periods of a realisation, one after the other; the first brings the simulation into its steady state."""
+    command, measurement = (
+        part[:, :, realisation].transpose(2, 0, 1).reshape(-1, 3) for part in (level.command, level.measurement)
+    )
+    time = mirror.SAMPLE_TIME * np.arange(len(command))
+    return Record(
+        {"command": Signal(time, command, mirror.AXES, "V"), "measurement": Signal(time, measurement, mirror.AXES, "um")},
+        f"{level.name}, realisation {realisation + 1}",
+    )
+
+
+def crippled_models(model: Model, modes: bool, level: mirror.Level, floor: float) -> Iterator[tuple[str, tuple[str, ...], Model]]:
+    """(element, right names, the model without it)."""
+    *before, whole = model.chain.stages
+    assert isinstance(whole, StateSpace)
+    if any(isinstance(stage, Delay) for stage in before):
+        yield "input delay", ("delay", "sensor_lowpass", "amplifier_lowpass", "dac_hold"), with_stages(model, whole)
+    yield "coupling", ("cross_coupling",), with_stages(model, *before, uncoupled(whole))
+    kept = 1.0 - LOST_GAIN
+    yield (
+        f"{100 * LOST_GAIN:g} % of its gain",
+        ("gain", "hysteresis_width"),
+        with_stages(model, *before, replace(whole, C=frozen(kept * np.array(whole.C)), D=frozen(kept * np.array(whole.D)))),
+    )
+    if not modes:
+        return
+    simulated = mirror.steady_state(model, level.command[:, :, [mirror.TEST[0]]].mean(axis=3))
+    for block, frequency in oscillating(whole):
+        crippled = with_stages(model, *before, without(whole, block))
+        lost = mirror.steady_state(crippled, level.command[:, :, [mirror.TEST[0]]].mean(axis=3)) - simulated
+        if np.mean(lost**2) > LEAST_SHARE * floor**2:
+            yield f"mode at {frequency:.0f} Hz", ("resonance",), crippled
+
+
+def with_stages(model: Model, *stages: Stage) -> Model:
+    """The model with other stages."""
+    return replace(model, chain=Chain(tuple(stages)))
+
+
+def uncoupled(whole: StateSpace) -> StateSpace:
+    """Every axis driven by its own input alone."""
+    a, b, c, d = (np.array(getattr(whole, part), dtype=float) for part in "ABCD")
+    axes = range(len(d))
+    return StateSpace(
+        frozen(block_diag(*(a for _ in axes))),
+        frozen(block_diag(*(b[:, [i]] for i in axes))),
+        frozen(block_diag(*(c[[i]] for i in axes))),
+        frozen(np.diag(np.diag(d))),
+    )
+
+
+def oscillating(whole: StateSpace) -> Iterator[tuple[slice, float]]:
+    """The states of every oscillating mode of a block-diagonal system, and its frequency in Hz, below the band's end."""
+    a = np.array(whole.A, dtype=float)
+    row = 0
+    while row < len(a):
+        size = 2 if row + 1 < len(a) and a[row, row + 1] else 1
+        if size == 2:
+            frequency = float(np.abs(np.linalg.eigvals(a[row : row + 2, row : row + 2])[0])) / (2 * np.pi)
+            if frequency < mirror.BANDS[-1] - 200.0:
+                yield slice(row, row + 2), frequency
+        row += size
+
+
+def without(whole: StateSpace, block: slice) -> StateSpace:
+    """The system without some of its states."""
+    a, b, c = (np.array(getattr(whole, part), dtype=float) for part in "ABC")
+    gone = np.arange(block.start, block.stop)
+    kept = np.delete(np.delete(a, gone, axis=0), gone, axis=1)
+    return replace(whole, A=frozen(kept), B=frozen(np.delete(b, gone, axis=0)), C=frozen(np.delete(c, gone, axis=1)))
+
+
+def stack_cases() -> Iterator[Withheld]:
+    """The stack's models without hysteresis and with too few operators, against the nested loops of the other file."""
+    full, nested = stack.load()
+    cycle = stack.cycles(full)[0]
+    rows = stack.SCORED["rows 7950-14150"]
+    whole = identify([cycle], "pi", operators=stack.OPERATORS, nuisance="offset").model
+    few = identify([cycle], "pi", operators=FEW, nuisance="offset").model
+    part = nested.rows(0, rows.stop)
+    for element, model in (("hysteresis", without_memory(few, cycle)), (f"all but {FEW} of {stack.OPERATORS} operators", few)):
+        # The sensor's zero differs between the files.
+        zero = float(np.mean((part.measurement - simulate(model, part.command))[rows]))
+        time = stack.SAMPLE_TIME * np.arange(len(part.command))
+        record = Record(
+            {
+                "command": Signal(time, part.command, ("x",), "V"),
+                "measurement": Signal(time, part.measurement - zero, ("x",), "um"),
+            },
+            nested.name,
+        )
+        left = part.measurement[rows, 0] - simulate(whole, part.command)[rows, 0]
+        right = ("hysteresis_width", "hysteresis_shape", "backlash", "hysteresis_rate")
+        yield Withheld("stack", element, right, model, record, rows.start * stack.SAMPLE_TIME, float(np.std(left)))
+
+
+def without_memory(model: Model, cycle: Dataset) -> Model:
+    """A static gain in place of the operators: the slope of the cycle's chord."""
+    slope = float(np.polyfit(cycle.command[:, 0], cycle.measurement[:, 0], 1)[0])
+    return with_stages(model, TransferFunction((slope,), (1.0,)))
+
+
+def write_page(path: Path, rows: Sequence[tuple[Withheld, dict[str, Any]]], modes: str) -> None:
+    """docs/blind-test-measured.md."""
+    lost = {
+        "none": "leaves out the cases that lose one mode",
+        "middle": "has the cases that lose one mode at the middle level only",
+    }
+    lines = [
+        "# The diagnosis on measurements, an effect withheld",
+        "",
+        f"Generated by `hyst blind-test --measured --modes {modes} --page`" + (f", which {lost[modes]}." if modes in lost else "."),
+        "",
+        *(line.strip() for line in (__doc__ or "").strip().splitlines()),
+        "",
+        "Shrink: share of the gap's energy above the noise that the named effects take off on blocks that neither chose nor fitted "
+        "them. The mirror's states are those of the model itself; nothing was fitted to the realisation that is diagnosed.",
+        "",
+        "| measured plant | withheld | gap, rms | whole model, rms | named | right | shrink | unexplained | in words |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for case, report in rows:
+        names = ", ".join(
+            effect["name"] + (f" ({', '.join(effect['axis'])})" if effect["axis"] else "") for effect in report["effects"]
+        )
+        right = "" if not case.right else "yes" if named_right(case, report) else "no"
+        lines.append(
+            f"| {case.plant} | {case.element} | {report['gap']['rms']:.3g} {report['gap']['unit']} | {case.floor:.3g} | "
+            f"{names or report['verdict']} | {right} | {best_shrink(report):.2f} | {report['unexplained_share'] or 0:.2f} | "
+            f"{sentence(report)} |"
+        )
+    scored = [(case, report) for case, report in rows if case.right]
+    lines += ["", f"Named first: {sum(named_right(*row) for row in scored)} of {len(scored)}."]
+    write_text(path, "\n".join(lines) + "\n")

@@ -1,0 +1,288 @@
+"""The blind test: cases drawn from truth plants, diagnosed by processes that never see their labels, then scored.
+
+Folder of a run: cases/NAME/{bag, model.yaml, next.npy} is all that a diagnosis gets (next.npy is the command of a fresh record, for
+which it foresees the shrink), labels.json stands apart (its SHA-256 is printed before anything is diagnosed), reports/NAME.json (and
+.yaml, the augmented model) is what the diagnosis wrote. A run that was interrupted goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from hyst_control.errors import InputError
+from hyst_control.files import write_json
+from hyst_control.reporting.tables import Table
+
+NEAR = {
+    "amplifier_lowpass": ("sensor_lowpass", "delay"),
+    "sensor_lowpass": ("amplifier_lowpass", "delay"),
+    "delay": ("amplifier_lowpass", "sensor_lowpass"),
+    "gain": ("hysteresis_width",),
+    "hysteresis_width": ("gain",),
+    "creep": ("offset_drift", "gain_drift"),
+    "offset_drift": ("creep", "gain_drift"),
+    "gain_drift": ("creep", "offset_drift"),
+}
+"""Effects of nearly one signature (gap-diagnosis: confusable by nature), left out together."""
+
+
+def run_all(
+    out: str,
+    seed: int,
+    count: int,
+    left_out: int = 0,
+    page: str | None = None,
+    json_path: str | None = None,
+    note: Callable[[str], None] = print,
+    so_far: bool = False,
+) -> Table:
+    """The whole test: draw, diagnose, leave out, hold the predictions against fresh records, score, write.
+
+    so_far: score what an earlier call has diagnosed, and diagnose nothing more.
+    """
+    from hyst_control.blind_test.scores import metrics, table
+
+    folder = _folder(out, count)
+    labels = make(folder, seed, count, note)
+    if not so_far:
+        diagnose_all(folder, note=note)
+        if left_out:
+            leave_out(folder, left_out, note)
+    realise(folder, note)
+    pairs = list(load(folder))
+    if not pairs:
+        raise InputError(f"{folder}: no case has been diagnosed yet: call without --so-far")
+    others = list(load(folder, "reports_left_out")) if left_out else []
+    found = metrics(pairs, others)
+    result = table(found, f"blind-test --seed {seed} --count {count}")
+    if json_path is not None:
+        result.write(json_path)
+    if page is not None:
+        from hyst_control.blind_test.page import write_page
+
+        write_page(Path(page), found, pairs, seed, count, _digest(labels), len(others))
+    return result
+
+
+def make_cases(
+    out: str,
+    seed: int,
+    count: int,
+    plants: Sequence[str] | None = None,
+    kinds: Sequence[str] | None = None,
+    excitations: Sequence[str] | None = None,
+    switched: float = 0.0,
+    note: Callable[[str], None] = print,
+) -> Path:
+    """Cases and labels only; see `make`, and `hyst_control.blind_test.cases.draw` for the options."""
+    from hyst_control.blind_test import cases as drawn
+
+    for option, asked, known in (
+        ("plants", plants, drawn.SETUPS),
+        ("kinds", kinds, drawn.KINDS),
+        ("excitations", excitations, drawn.EXCITATIONS),
+    ):
+        for name in asked or ():
+            if name not in known:
+                raise InputError(f"--{option} {name}: no such {option[:-1]}, one of {', '.join(known)} is due")
+    if not 0 <= switched <= 1:
+        raise InputError(f"--switched {switched:g}: a share from 0 to 1 is due")
+    given = {"plants": plants, "kinds": kinds, "excitations": excitations, "switched": switched}
+    return make(_folder(out, count), seed, count, note, **{name: value for name, value in given.items() if value})
+
+
+def _folder(out: str, count: int) -> Path:
+    if count < 1:
+        raise InputError(f"--count {count}: at least one case is due")
+    folder = Path(out)
+    if folder.exists() and not (folder / "labels.json").exists() and any(folder.iterdir()) and not (folder / "cases").is_dir():
+        raise InputError(f"{folder}: holds something else: choose another folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = print, **options: Any) -> Path:
+    """Draw the cases of a seed, record them, and write their labels apart; returns the labels' file.
+
+    Labels that are there already are kept: a run goes on where it stopped.
+    """
+    from hyst_control.blind_test import cases as drawn
+    from hyst_control.model_file import save_model
+
+    labels = folder / "labels.json"
+    if labels.exists():
+        known = json.loads(labels.read_text(encoding="utf-8"))
+        if (known["seed"], known["count"]) != (seed, count):
+            raise InputError(f"{labels}: is of seed {known['seed']} and {known['count']} cases: choose another folder")
+        if options and json.loads(json.dumps(options)) != known.get("options"):
+            raise InputError(f"{labels}: was drawn with other options: choose another folder")
+        note(f"labels: SHA-256 {_digest(labels)}")
+        return labels
+    (folder / "cases").mkdir(parents=True, exist_ok=True)
+    cases = drawn.draw(seed, count, **options)
+    stated = {key: drawn.stated_noise(*key) for key in sorted({(case.plant, case.noise) for case in cases})}
+    documents = []
+    jobs = [(case, str(folder / "cases"), stated[case.plant, case.noise]) for case in cases]
+    for case, document in zip(cases, _mapped(_make_one, jobs), strict=True):
+        documents.append(document)
+        if len(documents) % 50 == 0:
+            note(f"{len(documents)} of {count} cases recorded ({case.name})")
+    for plant, noise in stated:
+        path = folder / "models" / f"{plant}_{noise:g}.yaml"
+        path.parent.mkdir(exist_ok=True)
+        save_model(drawn.nominal(plant, noise), path)
+    for case in cases:
+        shutil.copy(folder / "models" / f"{case.plant}_{case.noise:g}.yaml", folder / "cases" / case.name / "model.yaml")
+    write_json(labels, {"seed": seed, "count": count, **({"options": options} if options else {}), "cases": documents})
+    note(f"labels: SHA-256 {_digest(labels)}")
+    return labels
+
+
+def diagnose_all(
+    folder: Path, without: dict[str, Sequence[str]] | None = None, reports: str = "reports", note: Callable[[str], None] = print
+) -> None:
+    """Diagnose every case that has no report yet, one process per core; they get a bag and a model, nothing else."""
+    (folder / reports).mkdir(exist_ok=True)
+    waiting = [
+        case
+        for case in sorted((folder / "cases").iterdir())
+        if not (folder / reports / f"{case.name}.json").exists() and (without is None or case.name in without)
+    ]
+    begin = time.monotonic()
+    jobs = [(str(case), str(folder / reports / f"{case.name}.json"), tuple((without or {}).get(case.name, ()))) for case in waiting]
+    for done, name in enumerate(_mapped(_diagnose_one, jobs), 1):
+        if done % 20 == 0 or done == len(jobs):
+            spent = time.monotonic() - begin
+            note(f"{done} of {len(jobs)} diagnosed ({name}), {spent:.0f} s, {spent / done * (len(jobs) - done):.0f} s to go")
+
+
+def leave_out(folder: Path, count: int, note: Callable[[str], None] = print) -> None:
+    """Diagnose single effects on the rich record once more, each with that effect and what is nearly it out of the catalogue."""
+    from hyst_control.effects import EFFECTS
+
+    without: dict[str, Sequence[str]] = {}
+    for case, _ in load(folder):
+        name = (case["label"]["names"] or [""])[0]
+        if (
+            len(without) < count
+            and case["label"]["kind"] == "single"
+            and case["label"]["excitation"] == "rich"
+            and EFFECTS[name].waveform
+        ):
+            without[case["name"]] = (name, *NEAR.get(name, ()))
+    diagnose_all(folder, without, "reports_left_out", note)
+
+
+def realise(folder: Path, note: Callable[[str], None] = print) -> None:
+    """Beside every shrink that a report predicts, the one measured on a fresh record of another excitation."""
+    jobs = [
+        (case, str(folder / "reports" / f"{case['name']}.json"), str(folder / "cases" / case["name"] / "model.yaml"))
+        for case, report in load(folder)
+        if "shrink_realised" not in report
+        and report["verdict"] == "effect"
+        and any(effect["shrink"] is not None for effect in report["effects"])
+    ]
+    for _ in _mapped(_realise_one, jobs):
+        pass
+    note(f"{len(jobs)} predicted shrinks held against fresh records")
+
+
+def load(folder: Path, reports: str = "reports") -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """(case document with its label, report) of every case that was diagnosed."""
+    for case in json.loads((folder / "labels.json").read_text(encoding="utf-8"))["cases"]:
+        file = folder / reports / f"{case['name']}.json"
+        if file.exists():
+            yield case, json.loads(file.read_text(encoding="utf-8"))
+
+
+def _fresh(case: Any) -> Any:
+    """The same plant under another excitation, on which predictions are checked."""
+    return replace(case, excitation="multisine" if case.excitation == "rich" else "rich")
+
+
+def _make_one(job: tuple[Any, str, float]) -> dict[str, Any]:
+    import numpy as np
+
+    from hyst_control.blind_test import cases as drawn
+    from hyst_control.records.importing import write_bag
+
+    case, folder, stated = job
+    bag = Path(folder) / case.name / "bag"
+    shutil.rmtree(bag.parent, ignore_errors=True)
+    bag.parent.mkdir(parents=True)
+    write_bag(bag, drawn.record_of(case, drawn.run(case)))
+    np.save(bag.parent / "next.npy", drawn.commands(_fresh(case)))
+    return drawn.as_document(drawn.labelled(case, stated))
+
+
+def _diagnose_one(job: tuple[str, str, tuple[str, ...]]) -> str:
+    import numpy as np
+
+    from hyst_control.diagnose.foreseen_reduction import foresee
+    from hyst_control.diagnose.workflow import diagnosed
+    from hyst_control.model_file import load_model, save_model
+    from hyst_control.records.bag_reader import read_bag
+
+    case, report, without = job
+    begin = time.monotonic()
+    document, diagnosis, better = diagnosed([read_bag(Path(case) / "bag")], load_model(Path(case) / "model.yaml"), without=without)
+    document["seconds"] = time.monotonic() - begin
+    document["foreseen"] = foresee(diagnosis, np.load(Path(case) / "next.npy")).document()
+    if better is not None:
+        save_model(better, Path(report).with_suffix(".yaml"))
+    write_json(report, document)
+    return Path(case).name
+
+
+def _realise_one(job: tuple[dict[str, Any], str, str]) -> None:
+    import numpy as np
+
+    from hyst_control.blind_test import cases as drawn
+    from hyst_control.model_file import load_model, simulate
+
+    document, path, nominal = job
+    report = json.loads(Path(path).read_text(encoding="utf-8"))
+    case = _fresh(
+        drawn.Case(
+            document["name"],
+            document["plant"],
+            document["kind"],
+            document["excitation"],
+            document["noise"],
+            document["seed"],
+            tuple(document["effects"]),
+            document["off"],
+        )
+    )
+    signals = drawn.run(case)
+    command, measured = signals["command"], signals["measurement"]
+    model, better = load_model(nominal), load_model(Path(path).with_suffix(".yaml"))
+    before, after = (float(np.mean((measured - simulate(m, command)) ** 2)) for m in (model, better))
+    floor = (case.noise * drawn.SETUPS[case.plant].stroke) ** 2
+    realised = 1.0 - (after - floor) / max(before - floor, 1e-300)
+    predicted = max(effect["shrink"] for effect in report["effects"] if effect["shrink"] is not None)
+    report["shrink_realised"] = [predicted, float(np.clip(realised, -10.0, 1.0)), case.excitation]
+    write_json(path, report)
+
+
+def _mapped(work: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
+    """In order, over all cores, in processes of their own."""
+    workers = min(os.cpu_count() or 1, len(jobs))
+    if workers < 2:
+        yield from map(work, jobs)
+        return
+    with multiprocessing.get_context("spawn").Pool(workers, maxtasksperchild=100) as pool:
+        yield from pool.imap(work, jobs)
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

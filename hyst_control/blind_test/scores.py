@@ -1,0 +1,287 @@
+"""Scores of a blind test: every metric with its Wilson interval and number of cases, beside its target."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hyst_control.effects import EFFECTS
+from hyst_control.reporting.tables import Table
+
+Pair = tuple[dict[str, Any], dict[str, Any]]
+
+FAMILIES = {
+    "lag": ("delay", "amplifier_lowpass", "sensor_lowpass", "slew_limit", "added_mass", "dac_hold"),
+    "hysteresis": ("hysteresis_width", "hysteresis_shape", "hysteresis_rate", "backlash"),
+    "drift": ("creep", "gain_drift", "offset_drift"),
+    "scale": ("gain", "offset", "sensor_nonlinearity", "saturation"),
+    "noise": ("sensor_noise", "flicker_noise", "quantization", "held_samples"),
+    "line": ("mains_hum", "vibration"),
+}
+"""Effects of like signature; those not named are a family of their own."""
+
+
+OTHERWISE = ("vibration", "flicker_noise", "dac_hold", "sensor_nonlinearity")
+"""Effects whose parameters are stated otherwise in the plants (a nonlinearity over their stroke instead of the record's range)."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A share k of n with its Wilson 95 % interval, or a plain value (n cases); the target, and whether more is better."""
+
+    name: str
+    value: float
+    n: int
+    ci95: tuple[float, float] | None
+    target: float
+    at_least: bool = True
+
+    @property
+    def met(self) -> bool:
+        """Whether the figure itself reaches its target."""
+        return self.value >= self.target if self.at_least else self.value <= self.target
+
+
+def wilson(k: int, n: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share."""
+    if not n:
+        return 0.0, 1.0
+    z, share = 1.96, k / n
+    centre, half = share + z * z / (2 * n), z * np.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
+    return max(float((centre - half) / (1 + z * z / n)), 0.0), min(float((centre + half) / (1 + z * z / n)), 1.0)
+
+
+def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric]:
+    """Every figure of the targets' table that the cases allow; pairs of (case with label, report)."""
+    found: list[Metric] = []
+
+    def share(name: str, target: float, cases: Iterable[Pair], right: Callable[[Pair], bool], at_least: bool = True) -> None:
+        chosen = list(cases)
+        if chosen:
+            k = sum(right(pair) for pair in chosen)
+            found.append(Metric(name, k / len(chosen), len(chosen), wilson(k, len(chosen)), target, at_least))
+
+    def value(name: str, target: float, amounts: Sequence[float], at_least: bool, reduce: Callable[[Any], Any]) -> None:
+        if len(amounts):
+            found.append(Metric(name, float(reduce(amounts)), len(amounts), None, target, at_least))
+
+    singles = [pair for pair in pairs if _label(pair)["kind"] == "single"]
+    rich = [p for p in singles if _label(p)["excitation"] == "rich" and _label(p)["gap_rms"] >= 3 * _label(p)["noise_rms"]]
+    quiet, loud = ([pair for pair in rich if _label(pair)["noise"] == noise] for noise in (5e-4, 3e-3))
+    share("top-1, single effects, rich record, gap >= 3 sigma, noise 0.05 %", 0.92, quiet, _first)
+    share("its family", 0.96, quiet, lambda pair: _family(_named(pair)[0] if _named(pair) else "") == _family(_truth(pair)[0]))
+    if quiet:
+        found.append(Metric("macro-F1", _macro_f1(quiet), len(quiet), None, 0.90))
+    share("top-1, the same at noise 0.3 %", 0.85, loud, _first)
+    for plant in sorted({_label(pair)["plant"] for pair in rich}):
+        share(f"top-1, rich record, {plant}", 0.92, [pair for pair in rich if _label(pair)["plant"] == plant], _first)
+    sine = [pair for pair in singles if _label(pair)["excitation"] == "sine"]
+    share("single sine: wrong name", 0.05, sine, _wrong, False)
+    share("single sine: truth among the candidates", 0.95, sine, lambda pair: _truth(pair)[0] in _candidates(pair))
+    for excitation in ("multisine", "closed_loop"):
+        share(f"top-1, {excitation.replace('_', ' ')}", 0.85, [p for p in singles if _label(p)["excitation"] == excitation], _first)
+    none = [pair for pair in pairs if _label(pair)["kind"] == "none" and not _label(pair).get("hidden")]
+    share(
+        "false alarm on records without a gap",
+        0.02,
+        none,
+        lambda pair: pair[1]["verdict"] in ("effect", "ambiguous", "unknown"),
+        False,
+    )
+    share(
+        "gap too small to be scored: a wrong name",
+        0.05,
+        [pair for pair in pairs if _label(pair).get("hidden")],
+        lambda pair: bool(_named(pair)) and not set(_named(pair)) & set(_label(pair)["hidden"]),
+        False,
+    )
+    share(
+        "coefficients beyond tolerance: verdict parameters",
+        0.90,
+        [p for p in pairs if _label(p)["kind"] == "parameters"],
+        lambda pair: pair[1]["verdict"] == "parameters",
+    )
+    opened = [pair for pair in pairs if _label(pair)["kind"] == "open_set"]
+    share("open set: called unknown", 0.90, opened, lambda pair: pair[1]["verdict"] == "unknown")
+    share("single effects called unknown", 0.05, singles, lambda pair: pair[1]["verdict"] == "unknown", False)
+    if opened and singles:
+        area = _auroc([_unknown(pair) for pair in opened], [_unknown(pair) for pair in singles])
+        found.append(Metric("open set: AUROC of the unexplained share", area, len(opened) + len(singles), None, 0.95))
+    if left_out and singles:
+        area = _auroc([_unknown(pair) for pair in left_out], [_unknown(pair) for pair in singles])
+        found.append(Metric("leave-one-out: AUROC", area, len(left_out) + len(singles), None, 0.90))
+    doubles = [pair for pair in pairs if _label(pair)["kind"] == "pair"]
+    share("pairs: exactly both", 0.75, doubles, lambda pair: set(_named(pair)) == set(_truth(pair)))
+    share(
+        "pairs: exactly both, where each shows beside the other",
+        0.75,
+        [pair for pair in doubles if len(_label(pair).get("shown", ())) == 2],
+        lambda pair: set(_named(pair)) == set(_truth(pair)),
+    )
+    share("pairs: at least one", 0.97, doubles, lambda pair: bool(set(_named(pair)) & set(_truth(pair))))
+    apart = [pair[1]["shrink_realised"] for pair in pairs if pair[1].get("shrink_realised")]
+    value("shrink, predicted - realised: median", 0.02, [abs(a - b) for a, b, _ in apart], False, np.median)
+    value(
+        "shrink, predicted - realised: 90 % quantile", 0.08, [abs(a - b) for a, b, _ in apart], False, lambda x: np.quantile(x, 0.9)
+    )
+    ahead = [
+        abs(pair[1]["foreseen"]["shrink"] - pair[1]["shrink_realised"][1])
+        for pair in pairs
+        if pair[1].get("shrink_realised") and pair[1].get("foreseen")
+    ]
+    value("shrink, foreseen for the fresh command - realised: median", 0.02, ahead, False, np.median)
+    value("shrink, foreseen for the fresh command - realised: 90 % quantile", 0.08, ahead, False, lambda x: np.quantile(x, 0.9))
+    share(
+        "true parameter within its 90 % interval",
+        0.85,
+        [p for p in singles if _covered(p) is not None],
+        lambda p: bool(_covered(p)),
+    )
+    sure = [
+        pair
+        for pair in singles + doubles
+        if pair[1]["effects"] and pair[1]["effects"][0]["probability"] >= 0.95 and pair[1]["verdict"] == "effect"
+    ]
+    share("right where it says >= 0.95", 0.97, sure, _first)
+    if singles:
+        found.append(Metric("calibration error (ECE)", _ece(singles), len(singles), None, 0.05, False))
+    value("seconds a record: median", 10.0, [pair[1]["seconds"] for pair in pairs], False, np.median)
+    return found
+
+
+def table(found: Sequence[Metric], source: str) -> Table:
+    """The metrics as a result table; the target stands where a published figure would."""
+    result = Table(source)
+    for metric in found:
+        result.add(
+            "Blind test",
+            metric.name,
+            "diagnosis",
+            "seconds" if "seconds" in metric.name else "share",
+            "s" if "seconds" in metric.name else "",
+            metric.value,
+            published=metric.target,
+            n=metric.n,
+            ci95=metric.ci95,
+        )
+    return result
+
+
+def confusion(pairs: Sequence[Pair]) -> tuple[list[str], list[str], np.ndarray]:
+    """True names (rows), names given (columns), and counts, over single effects and records without a gap."""
+    counts: Counter[tuple[str, str]] = Counter()
+    for pair in pairs:
+        kind = _label(pair)["kind"]
+        if kind in ("single", "none", "open_set", "parameters"):
+            truth = _truth(pair)[0] if kind == "single" else kind.replace("none", "no_gap")
+            verdict = pair[1]["verdict"]
+            counts[truth, _named(pair)[0] if verdict in ("effect", "ambiguous") and _named(pair) else verdict] += 1
+    order = [*EFFECTS, "no_gap", "parameters", "open_set", "unknown"]
+    rows = sorted({row for row, _ in counts}, key=order.index)
+    columns = sorted({column for _, column in counts}, key=order.index)
+    return rows, columns, np.array([[counts[row, column] for column in columns] for row in rows])
+
+
+def worst(pairs: Sequence[Pair], count: int = 12) -> list[Pair]:
+    """Cases that went wrong, the largest gaps first."""
+    wrong = [pair for pair in pairs if not _right(pair)]
+    return sorted(wrong, key=lambda pair: -_label(pair)["gap_rms"] / max(_label(pair)["noise_rms"], 1e-300))[:count]
+
+
+def _right(pair: Pair) -> bool:
+    kind, verdict = _label(pair)["kind"], pair[1]["verdict"]
+    if kind == "single":
+        return _first(pair)
+    if kind == "pair":
+        return set(_named(pair)) == set(_truth(pair))
+    if kind == "none" and set(_named(pair)) & set(_label(pair).get("hidden", ())):
+        return True  # seen all the same
+    return {"none": verdict in ("no_gap", "parameters"), "parameters": verdict == "parameters", "open_set": verdict == "unknown"}[
+        kind
+    ]
+
+
+def _label(pair: Pair) -> dict[str, Any]:
+    return pair[0]["label"]
+
+
+def _truth(pair: Pair) -> list[str]:
+    return list(_label(pair)["names"])
+
+
+def _named(pair: Pair) -> list[str]:
+    return [effect["name"] for effect in pair[1]["effects"]]
+
+
+def _candidates(pair: Pair) -> set[str]:
+    report = pair[1]
+    return (
+        set(_named(pair))
+        | {name for effect in report["effects"] for name in effect["equivalent"]}
+        | {row["name"] for row in report["candidates"]}
+    )
+
+
+def _first(pair: Pair) -> bool:
+    return pair[1]["verdict"] in ("effect", "ambiguous") and bool(_named(pair)) and _named(pair)[0] in _truth(pair)
+
+
+def _wrong(pair: Pair) -> bool:
+    """Named with certainty what is not there."""
+    return pair[1]["verdict"] == "effect" and not set(_named(pair)) & set(_truth(pair))
+
+
+def _family(name: str) -> str:
+    return next((family for family, members in FAMILIES.items() if name in members), name)
+
+
+def _unknown(pair: Pair) -> float:
+    return float(pair[1].get("unexplained_share") or 0.0)
+
+
+def _macro_f1(pairs: Sequence[Pair]) -> float:
+    right: Counter[str] = Counter()
+    given: Counter[str] = Counter()
+    true: Counter[str] = Counter()
+    for pair in pairs:
+        truth, named = (
+            _truth(pair)[0],
+            _named(pair)[0] if _first(pair) or pair[1]["verdict"] == "effect" and _named(pair) else "none",
+        )
+        true[truth] += 1
+        given[named] += 1
+        right[truth] += truth == named
+    return float(np.mean([2 * right[name] / max(true[name] + given[name], 1) for name in true]))
+
+
+def _auroc(positive: Sequence[float], negative: Sequence[float]) -> float:
+    wins = sum((a > b) + 0.5 * (a == b) for a in positive for b in negative)
+    return float(wins / (len(positive) * len(negative)))
+
+
+def _ece(pairs: Sequence[Pair], bins: int = 5) -> float:
+    """Expected calibration error of the first name's probability."""
+    boxes: dict[int, list[tuple[float, bool]]] = defaultdict(list)
+    for pair in pairs:
+        if pair[1]["effects"] and pair[1]["verdict"] in ("effect", "ambiguous"):
+            p = pair[1]["effects"][0]["probability"]
+            boxes[min(int(p * bins), bins - 1)].append((p, _first(pair)))
+    total = sum(map(len, boxes.values()))
+    return float(sum(abs(sum(p for p, _ in box) - sum(right for _, right in box)) for box in boxes.values()) / max(total, 1))
+
+
+def _covered(pair: Pair) -> bool | None:
+    """Whether the true value of the named effect's main parameter lies in its interval; None where it was not named."""
+    effect = _label(pair)["effects"][0]
+    named = next((row for row in pair[1]["effects"] if row["name"] == effect["name"]), None)
+    if named is None or effect["name"] in OTHERWISE:
+        return None
+    for name, row in named["parameters"].items():
+        if name in effect and name != "frequency":
+            low, high = row["ci90"]
+            return low is not None and low <= effect[name] <= high
+    return None

@@ -1,0 +1,28 @@
+"""Where the files of `config/` are: in the source tree, or in the share folder of an installed package."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from hyst_control.errors import InputError
+
+
+def config_folders() -> list[Path]:
+    """The `config` folders there are, the source tree first, then installed ones (colcon workspaces, then pip)."""
+    prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    folders = [
+        Path(__file__).resolve().parent.parent / "config",
+        *(prefix / "share" / "hyst_control" / "config" for prefix in (*prefixes, Path(sys.prefix))),
+    ]
+    return [folder for folder in folders if folder.is_dir()]
+
+
+def config_path(name: str | Path) -> Path:
+    """The path of a shipped configuration file such as ``plants/pea.yaml``. Raises `InputError` when there is none."""
+    for folder in config_folders():
+        if (folder / name).is_file():
+            return folder / name
+    siblings = sorted({path.name for folder in config_folders() for path in (folder / name).parent.glob("*.yaml")})
+    raise InputError(f"config/{name}: there is no such file: {', '.join(siblings) or 'reinstall hyst_control'}")

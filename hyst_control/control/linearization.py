@@ -1,0 +1,141 @@
+"""A model with its hysteresis replaced by a slope, and its sampled frequency response."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.chain import Chain, Parallel, Sampling, Stage
+from hyst_control.chain.chain import ParallelFilter, SeriesFilter, resolved
+from hyst_control.chain.linear import Delay, LinearFilter, LinearStage, LinearSystem, StateSpace, TransferFunction, stacked
+from hyst_control.chain.memoryless import Gain, Offset
+from hyst_control.chain.softening_modal import SofteningModal
+from hyst_control.chain.stage import Array, Filter, per_axis_scalar
+from hyst_control.control.quasi_static import hysteretic, quasi_static_stages
+from hyst_control.effects.softening_modes import ModesMoved
+from hyst_control.errors import InputError
+from hyst_control.model_file import Model
+
+Complex = NDArray[np.complex128]
+
+
+def hysteresis_slopes(model: Model) -> tuple[Array, Array]:
+    """Mean and greatest local slope (A,) of the hysteresis over the model's valid range, at rest.
+
+    The slopes are taken on the major loop and on loops nested in it around its middle, outside the first few per cent after a
+    reversal, where play operators stand still and a Madelung branch starts.
+    """
+    axes = len(model.axes)
+    core = next((stage for stage in model.chain.stages if hysteretic(stage)), None)
+    if core is None:
+        return np.ones(axes), np.ones(axes)
+    valid = model.valid.get("command", [0.0, 100.0])
+    lower, upper = np.broadcast_to(np.array(valid, dtype=float), (axes, 2)).T
+    turns = [0.0, 1.0, 0.0, 1.0, 0.1, 0.9, 0.2, 0.8, 0.3, 0.7]
+    shares = np.concatenate([np.linspace(a, b, 201)[1:] for a, b in zip(turns, turns[1:])])
+    command = lower + (upper - lower) * shares[:, None]
+    output = quasi_static_stages([core], command, axes).reshape(-1, 200, axes)
+    command = command.reshape(-1, 200, axes)
+    rise = (output[:, 10:] - output[:, :-10]) / (command[:, 10:] - command[:, :-10])
+    mean = (output[0, -1] - output[1, -1]) / (command[0, -1] - command[1, -1])
+    greatest = rise[..., :].reshape(-1, axes)
+    return mean, greatest[np.abs(greatest).argmax(axis=0), np.arange(axes)]
+
+
+def linearised(model: Model, slope: Array) -> tuple[Stage, ...]:
+    """The chain with its hysteresis replaced by `slope` (A,), a parallel rate correction kept; offsets and limits left out.
+
+    Modes that move with amplitude stand still, those of `softening_modal` at its amplitude, those of `softening_modes` at rest.
+    """
+    return tuple(_replaced(resolved(model.chain.stages, len(model.axes)), slope))
+
+
+def _replaced(stages: Sequence[Stage], slope: Array) -> list[Stage]:
+    kept: list[Stage] = []
+    for stage in stages:
+        if isinstance(stage, Parallel):
+            kept.append(Parallel(tuple(tuple(_replaced(branch, slope)) for branch in stage.branches)))
+        elif hysteretic(stage):
+            kept.append(TransferFunction([[float(value)] for value in slope], [1.0]))
+        elif isinstance(stage, (LinearStage, Delay)):
+            kept.append(stage)
+        elif isinstance(stage, SofteningModal):
+            kept.append(stage.mean())
+        elif isinstance(stage, ModesMoved):
+            kept.append(TransferFunction([0.0], [1.0]))
+        elif isinstance(stage, Gain):
+            axes = len(slope)
+            kept.append(TransferFunction([[float(g)] for g in per_axis_scalar(stage.gain, axes, "gain")], [1.0]))
+        elif not isinstance(stage, Offset) and stage.name not in ("saturation", "quantization", "slew_limit"):
+            raise InputError(f"chain ({stage.name}): has no linear description to tune a controller on")
+    return kept
+
+
+def sampled_response(stages: Sequence[Stage], axes: int, sample_time: float, z: Complex) -> Complex:
+    """Response (F, A, A) from the held command[k] to measurement[k] at points z (F,) of a chain of linear stages."""
+    running = Chain(tuple(stages)).filter(Sampling(sample_time, axes, "zoh"))
+    # The filter's output is the sample at the interval's end.
+    return _response(running, axes, z) / z[:, None, None]
+
+
+def _response(running: Filter, axes: int, z: Complex) -> Complex:
+    if isinstance(running, SeriesFilter):
+        total = np.broadcast_to(np.eye(axes, dtype=complex), (len(z), axes, axes))
+        for part in running.filters:
+            total = _response(part, axes, z) @ total
+        return total
+    if isinstance(running, ParallelFilter):
+        return sum(_response(part, axes, z) for part in running.filters)
+    if not isinstance(running, LinearFilter):
+        raise InputError("chain: has a stage without a linear description")
+    systems, n, _ = running.a.shape
+    width = axes // systems
+    total = np.zeros((len(z), axes, axes), dtype=complex)
+    back = (1.0 / z)[:, None, None]
+    for s in range(systems):
+        late = z[:, None, None] ** -running.whole[s * width : (s + 1) * width].astype(float)
+        state = np.linalg.solve(
+            np.eye(n) - running.a[s] * back, running.b[s, 0] + running.b[s, 1] * back + running.b[s, 2] * back**2
+        )
+        block = running.c[s] @ state + running.d[s, 0] + running.d[s, 1] * back
+        total[:, s * width : (s + 1) * width, s * width : (s + 1) * width] = block * late
+    return total
+
+
+def with_first_mode(stages: Sequence[Stage], axes: int, factor: float) -> tuple[Stage, ...]:
+    """The same linear chain with every axis' first resonance at `factor` times its frequency, damping ratio and stiffness kept.
+
+    The first resonance is the slowest pair of complex poles; a chain without one is returned as it is.
+    """
+    found = [
+        (abs(pair), index)
+        for index, stage in enumerate(stages)
+        if isinstance(stage, LinearStage)
+        for pair in _resonances(stage, axes)
+    ]
+    if not found:
+        return tuple(stages)
+    index = min(found)[1]
+    moved = [_mode_moved(system, factor) for system in stages[index].systems(axes)]
+    whole = moved[0] if len(moved) == 1 else stacked(moved)
+    stage = StateSpace(*(getattr(whole, part).tolist() for part in "ABCD"))
+    return (*stages[:index], stage, *stages[index + 1 :])
+
+
+def _resonances(stage: LinearStage, axes: int) -> Complex:
+    poles = np.concatenate([np.linalg.eigvals(system.A) for system in stage.systems(axes)])
+    return poles[poles.imag > 1e-6 * np.abs(poles)]
+
+
+def _mode_moved(system: LinearSystem, factor: float) -> LinearSystem:
+    values, vectors = np.linalg.eig(system.A)
+    complex_ones = np.flatnonzero(values.imag > 1e-6 * np.abs(values))
+    if not len(complex_ones):
+        return system
+    first = values[complex_ones[np.argmin(np.abs(values[complex_ones]))]]
+    scale = np.where(np.isclose(values, first) | np.isclose(values, first.conj()), factor, 1.0)
+    # Scaling a mode's pole and its input alike keeps what it contributes at rest.
+    turn = vectors @ np.diag(scale) @ np.linalg.inv(vectors)
+    return LinearSystem((turn @ system.A).real, (turn @ system.B).real, system.C, system.D, system.bias)

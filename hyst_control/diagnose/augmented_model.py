@@ -1,0 +1,93 @@
+"""The augmented model: the nominal one with the effects added at their places, ready for the plant node and the feedforward."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hyst_control.chain.stage import Stage
+from hyst_control.diagnose.diagnosis import Diagnosis
+from hyst_control.diagnose.hypothesis import SWELLS, Member
+from hyst_control.effects import EFFECTS, insert
+from hyst_control.errors import InputError
+from hyst_control.model_file import Model
+
+NOISES = ("sensor_noise", "flicker_noise")
+
+
+def augmented(diagnosis: Diagnosis) -> Model | None:
+    """The model with the best explanation of every axis inserted; None where there is nothing to insert."""
+    count = len(diagnosis.model.axes)
+    values: dict[tuple[str, int], dict[str, list[float]]] = {}
+    for part in diagnosis.parts:
+        candidate, solution = part.decision.chosen.candidate, part.decision.chosen.solution
+        if candidate is None:
+            continue
+        met: dict[str, int] = {}
+        for member, where in zip(candidate.members, candidate.slices(), strict=True):
+            axes = part.axes if member.axis is None else (part.axes[member.axis],)
+            nth = met.get(member.name, 0)
+            met[member.name] = nth + 1
+            found = member.values(solution.x[where]) | _phase(member, solution.x[where])
+            for name, value in found.items():
+                slots = values.setdefault((member.name, nth), {}).setdefault(name, [_absent(diagnosis, member.name, name)] * count)
+                for axis in axes:
+                    slots[axis] = value
+    for part in diagnosis.parts:
+        for finding in part.findings:
+            if finding.name not in NOISES:
+                for name, value in finding.values.items():
+                    slots = values.setdefault((finding.name, 0), {}).setdefault(
+                        name, [_absent(diagnosis, finding.name, name)] * count
+                    )
+                    slots[part.axes[finding.axis]] = value
+    noise = _noise(diagnosis)
+    if not values and noise is None:
+        return None
+    stages = diagnosis.model.chain.stages
+    order = list(EFFECTS)
+    for name, nth in sorted(values, key=lambda key: order.index(key[0])):
+        stages = insert(stages, EFFECTS[name].place, _stage(diagnosis, name, values[name, nth]))
+    model = diagnosis.model.with_stages(stages)
+    model = replace(model, name=f"{model.name}_augmented")
+    return model if noise is None else replace(model, noise={**model.noise, "sigma": noise})
+
+
+def _stage(diagnosis: Diagnosis, name: str, values: Mapping[str, list[float]]) -> Stage:
+    simple: dict[str, Any] = {key: slots[0] if len(set(slots)) == 1 else slots for key, slots in values.items()}
+    try:
+        return EFFECTS[name].stage(simple, diagnosis.problem.surroundings)
+    except (InputError, TypeError, ValueError) as error:
+        raise InputError(f"{name}: cannot be added to this model ({error})") from None
+
+
+def _absent(diagnosis: Diagnosis, effect: str, parameter: str) -> float:
+    """The value on an axis that the effect is not on."""
+    known = {p.name: p.absent for p in EFFECTS[effect].parameters(diagnosis.problem.surroundings)}
+    return known.get(parameter, 0.0)  # a line's phase, an entry of a matrix
+
+
+def _phase(member: Member, x: np.ndarray) -> dict[str, float]:
+    """Of a line, from its sine and cosine."""
+    return {"phase": float(np.arctan2(x[SWELLS[member.name]], x[0]))} if member.is_line else {}
+
+
+def _noise(diagnosis: Diagnosis) -> list[float] | float | None:
+    """The noise with what was found beside what the model states."""
+    stated = np.broadcast_to(
+        np.atleast_1d(np.asarray(diagnosis.model.noise.get("sigma", 0.0), dtype=float)), len(diagnosis.model.axes)
+    ).copy()
+    more = False
+    for part in diagnosis.parts:
+        for finding in part.findings:
+            if finding.name in NOISES:
+                axis = part.axes[finding.axis]
+                stated[axis], more = float(np.hypot(stated[axis], finding.values["rms"])), True
+        if part.flicker is not None:
+            stated[part.axes[0]], more = float(np.hypot(stated[part.axes[0]], part.flicker.rms)), True
+    if not more:
+        return None
+    return float(stated[0]) if len(set(stated)) == 1 else [float(value) for value in stated]

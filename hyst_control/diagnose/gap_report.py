@@ -1,0 +1,177 @@
+"""The gap report: one JSON document with the fixed form of the interface, and the same in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hyst_control.diagnose.attribution import Explanation
+from hyst_control.diagnose.block_replay import Block
+from hyst_control.diagnose.decision import thresholds
+from hyst_control.diagnose.diagnosis import Diagnosis
+from hyst_control.diagnose.gap_budget import budget, stages
+from hyst_control.diagnose.next_experiment import next_experiment
+from hyst_control.effects import EFFECTS
+
+SCHEMA = "hyst_control/gap-report"
+VERSION = 1
+
+
+def gap_report(
+    diagnosis: Diagnosis,
+    explanation: Explanation,
+    blocks: Sequence[Block] = (),
+    augmented: str | None = None,
+    with_next: bool = True,
+) -> dict[str, Any]:
+    """The report as a JSON document. augmented: path of the model file with the effects added."""
+    return _finite(
+        {
+            "schema": SCHEMA,
+            "version": VERSION,
+            "verdict": explanation.verdict,
+            "gap": _gap(diagnosis),
+            "where": {
+                "stage": stages(diagnosis, explanation, [block.name for block in blocks if not block.faithful]),
+                **budget(diagnosis),
+            },
+            "effects": [_effect(effect) for effect in explanation.effects],
+            "candidates": [{"name": name, "probability": _number(p)} for name, p in explanation.candidates],
+            "parameters": [{"name": name, "z": _number(z)} for name, z in explanation.parameters],
+            "next_experiment": next_experiment(diagnosis) if with_next else None,
+            "augmented_model": augmented,
+            "unexplained_share": _number(explanation.unknown),
+            "replay": [{"name": block.name, "faithful": block.faithful, "rms": block.rms, "text": block.text} for block in blocks],
+            "notes": list(diagnosis.notes),
+        }
+    )
+
+
+def _finite(value: Any) -> Any:
+    """The same document with null for what is no number."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return _number(value) if isinstance(value, float) else value
+
+
+def _gap(diagnosis: Diagnosis) -> dict[str, Any]:
+    """rms over all samples of all axes; nrmse over the range (HAMPI paper Eq. 26), in per cent, the mean over the axes."""
+    energies, floors, relative = [], [], []
+    for part in diagnosis.parts:
+        rows = part.gap()
+        measured = part.problem.rows(part.linearised.measured)
+        energies += list(np.mean(rows**2, axis=0))
+        floors += list(np.asarray(part.problem.sigma) ** 2)
+        relative += list(100.0 * np.sqrt(np.mean(rows**2, axis=0)) / np.maximum(np.ptp(measured, axis=0), 1e-300))
+    return {
+        "rms": _number(np.sqrt(np.mean(energies))),
+        "nrmse": _number(np.mean(relative)),
+        "nrmse_unit": "% of range",
+        "floor_rms": _number(np.sqrt(np.mean(floors))),
+        "unit": diagnosis.model.units["measurement"],
+    }
+
+
+def _effect(effect: Any) -> dict[str, Any]:
+    return {
+        "name": effect.name,
+        "axis": list(effect.axes),
+        "place": EFFECTS[effect.name].place,
+        "meaning": EFFECTS[effect.name].meaning,
+        "probability": _number(effect.probability),
+        "equivalent": list(effect.equivalent),
+        "parameters": {
+            name: {"value": _number(value), "ci90": [_number(low), _number(high)], "unit": unit}
+            for name, (value, (low, high), unit) in effect.values.items()
+        },
+        "rms_before": _number(effect.rms_before),
+        "rms_after": _number(effect.rms_after),
+        "shrink": _number(effect.shrink),
+        "shrink_ci90": None if effect.shrink_ci90 is None else [_number(value) for value in effect.shrink_ci90],
+        "shrink_reidentified": _number(effect.shrink_fitted),
+        "share": _number(effect.share),
+    }
+
+
+def _number(value: Any) -> float | None:
+    """A JSON number; null where there is none."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def sentence(report: dict[str, Any]) -> str:
+    """The verdict in one sentence."""
+    gap, unit = report["gap"], report["gap"]["unit"]
+    size = f"{gap['rms']:.3g} {unit} rms ({gap['nrmse']:.2g} % of range, noise floor {gap['floor_rms']:.3g} {unit})"
+    names = [effect["name"].replace("_", " ") for effect in report["effects"]]
+    verdict = report["verdict"]
+    if verdict == "no_gap":
+        return f"No gap beyond the model's tolerances and the noise: simulation and record differ by {size}."
+    if verdict == "parameters":
+        worst = ", ".join(f"{row['name']} ({row['z']:+.1f} σ)" for row in report["parameters"][:3])
+        return f"The gap of {size} is one of parameters: re-identify {worst or 'the nominal model'}."
+    if verdict == "unknown":
+        near = f"; the nearest, {' and '.join(names)}, leaves {100 * report['unexplained_share']:.0f} % of it" if names else ""
+        if names and report["unexplained_share"] <= thresholds().unknown:
+            near = f"; it would take {' and '.join(names)} at once, and one effect that nobody knows is likelier"
+        return f"No known effect explains the gap of {size}{near}."
+    shrinks = [effect["shrink_reidentified"] for effect in report["effects"] if effect["shrink_reidentified"] is not None]
+    given = [effect["shrink"] for effect in report["effects"] if effect["shrink"] is not None]
+    far = (
+        f" Adding {'it' if len(names) == 1 else 'them'} shrinks the gap by {100 * max(given):.0f} % as given, by "
+        f"{100 * max(shrinks):.0f} % with the coefficients fitted."
+        if shrinks
+        else ""
+    )
+    if verdict == "ambiguous":
+        return f"The gap of {size} is {' or '.join(names)}: these data cannot tell which.{far}"
+    return f"The gap of {size} is {' and '.join(names)}.{far}"
+
+
+def in_words(report: dict[str, Any]) -> str:
+    """The whole report as text for a terminal."""
+    lines = [sentence(report), ""]
+    for effect in report["effects"]:
+        values = ", ".join(
+            f"{name} {_short(row['value'])} {row['unit']}".rstrip() + f" [{_short(row['ci90'][0])} … {_short(row['ci90'][1])}]"
+            for name, row in effect["parameters"].items()
+        )
+        axes = f" on {', '.join(effect['axis'])}" if len(effect["axis"]) else ""
+        lines.append(f"  {effect['name']}{axes}: probability {effect['probability']:.2f}; {values}")
+        if effect["shrink_reidentified"] is not None:
+            low, high = effect["shrink_ci90"]
+            lines.append(
+                f"      shrink {100 * effect['shrink']:.1f} % as given [{100 * low:.1f} … {100 * high:.1f}], "
+                f"{100 * effect['shrink_reidentified']:.1f} % re-identified"
+            )
+        if effect["equivalent"]:
+            lines.append(f"      cannot be told from: {', '.join(effect['equivalent'])}")
+    for title, rows in report["where"].items():
+        main = [row for row in sorted(rows, key=lambda row: -row["share"]) if row["share"] > 0.02][:4]
+        lines.append(f"  {title}: " + ", ".join(f"{row['name']} {100 * row['share']:.0f} %" for row in main))
+    for block in report["replay"]:
+        lines.append(f"  {block['name']}: {block['text']}")
+    if report["parameters"]:
+        lines.append("  coefficients off: " + ", ".join(f"{row['name']} {row['z']:+.1f} σ" for row in report["parameters"][:6]))
+    if report["next_experiment"]:
+        following = report["next_experiment"]
+        lines.append(
+            f"  next: {following['excitation']} separates {' from '.join(following['separates'])} by {following['distance']:.1f} σ"
+            + (f"; {following['note']}" if following["note"] else "")
+        )
+    if report.get("foreseen"):
+        ahead, unit = report["foreseen"], report["gap"]["unit"]
+        lines.append(
+            f"  on {ahead['command']}: a gap of {ahead['rms_before']:.3g} {unit} rms, with what was found added "
+            f"{ahead['rms_after']:.3g} {unit}: it will shrink by {100 * ahead['shrink']:.1f} %"
+        )
+    lines += [f"  note: {note}" for note in report["notes"]]
+    return "\n".join(lines)
+
+
+def _short(value: float | None) -> str:
+    return "?" if value is None else f"{value:.4g}"

@@ -1,0 +1,296 @@
+"""Candidates: effects of the catalogue as unknowns of a fit, alone and together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from hyst_control.chain.stage import Array, Stage
+from hyst_control.diagnose.hypothesis_fit import Unknowns
+from hyst_control.diagnose.problem import Problem
+from hyst_control.effects import EFFECTS, insert
+from hyst_control.effects.effect import Effect, Parameter
+
+HARMONICS = {"mains_hum": (1, 3, 5), "vibration": (1,)}
+"""Effects that are lines in the residual's spectrum: which harmonics are fitted, each with its own amplitude and phase."""
+
+STEP = 0.02
+"""Of difference quotients by scaled parameters."""
+
+SWELLS = {"mains_hum": 1, "vibration": 24}
+"""Legendre polynomials over the record by which a line's amplitude and phase may change: a vibration comes and goes."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """An effect on an axis (None: all that the problem has) with its parameters on a record."""
+
+    effect: Effect
+    parameters: tuple[Parameter, ...]
+    problem: Problem
+    axis: int | None = None
+    frequency: float = 0.0
+    """Hz, of a line."""
+    fixed: tuple[tuple[str, float], ...] = ()
+    """Parameters that are counts, and so are tried instead of fitted."""
+
+    @property
+    def name(self) -> str:
+        return self.effect.name
+
+    @property
+    def is_line(self) -> bool:
+        return self.name in HARMONICS
+
+    @property
+    def is_extra(self) -> bool:
+        """Whether it is added to the output instead of standing in the chain."""
+        return self.is_line or (self.effect.couples and len(self.problem.model.axes) == 1)
+
+    @property
+    def variant(self) -> tuple[Any, ...]:
+        """What tells it from other members of a candidate."""
+        return self.name, self.axis, round(self.frequency)
+
+    def excludes(self, other: Member) -> bool:
+        """Whether they make no combination: two of one kind, or an effect on all axes alike and once more on one of them."""
+        everywhere = len(self.problem.model.axes) > 1 and None in (self.axis, other.axis)
+        return self.variant == other.variant or self.name == other.name and everywhere
+
+    @property
+    def size(self) -> int:
+        return 2 * len(HARMONICS[self.name]) * SWELLS[self.name] + 1 if self.is_line else len(self.parameters)
+
+    def starts(self) -> list[Array]:
+        """Where fits begin: every parameter's starts in turn, those of several parameters side by side."""
+        if self.is_line:
+            return [np.zeros(self.size)]
+        longest = max((len(p.starts) for p in self.parameters), default=1)
+        found = [np.array([_scaled(p, p.starts[min(i, len(p.starts) - 1)]) for p in self.parameters]) for i in range(longest)]
+        return found
+
+    def bounds(self) -> tuple[Array, Array, Array]:
+        """Lower, upper and the prior's centre of the scaled parameters."""
+        if self.is_line:
+            wide = np.full(self.size, 1e6)
+            wide[-1] = 3.0
+            return -wide, wide, np.zeros(self.size)
+        lower, upper = (np.array([_scaled(p, getattr(p, side)) for p in self.parameters]) for side in ("lower", "upper"))
+        centre = np.array(
+            [
+                _scaled(p, p.starts[len(p.starts) // 2]) if p.logarithmic or not np.isfinite(p.absent) else _scaled(p, p.absent)
+                for p in self.parameters
+            ]
+        )
+        return lower, upper, centre
+
+    def values(self, x: Array) -> dict[str, float]:
+        """Parameter values, by the names of the gap report."""
+        if self.is_line:
+            swells = SWELLS[self.name]
+            # Mean square of the swelling amplitude: that of a Legendre polynomial of degree i is 1 / (2 i + 1).
+            square = sum((x[i] ** 2 + x[swells + i] ** 2) / (2 * i + 1) for i in range(swells))
+            return {"amplitude": float(np.sqrt(square)) * self._line_scale, "frequency": self._line_frequency(x)}
+        found = {**{p.name: _natural(p, value) for p, value in zip(self.parameters, x, strict=True)}, **dict(self.fixed)}
+        return {**found, **self.effect.summary(found)}
+
+    def units(self) -> dict[str, str]:
+        """Units by parameter name."""
+        unit = self.problem.model.units["measurement"]
+        if self.is_line:
+            return {"amplitude": unit, "frequency": "Hz"}
+        return {p.name: unit if p.unit == "unit" else p.unit for p in self.effect.parameters(self.problem.surroundings)}
+
+    def stage(self, x: Array) -> Stage:
+        """The stage for scaled parameters."""
+        values: dict[str, Any] = self.values(x)
+        count = len(self.problem.model.axes)
+        if self.axis is not None and count > 1:
+            absent = {p.name: p.absent for p in self.effect.parameters(self.problem.surroundings)}
+            values = {name: [value if i == self.axis else absent[name] for i in range(count)] for name, value in values.items()}
+        return self.effect.stage(values, self.problem.surroundings)
+
+    def extra(self, x: Array) -> Array:
+        """What is added to the output, flat, in units of the noise."""
+        return self._lines(x) if self.is_line else self._coupled(x)
+
+    def extra_columns(self, x: Array) -> Array:
+        """∂extra/∂x, (M, P)."""
+        if self.is_line:
+            return self._line_columns(x)
+        base, (_, upper, _) = self.extra(x), self.bounds()
+        steps = [STEP if x[p] + STEP <= upper[p] else -STEP for p in range(self.size)]
+        return np.column_stack([(self.extra(x + step * np.eye(self.size)[p]) - base) / step for p, step in enumerate(steps)])
+
+    def _coupled(self, x: Array) -> Array:
+        values = self.values(x)
+        keep = (
+            np.exp(-2 * np.pi * values["corner"] * self.problem.sample_time) if np.isfinite(values.get("corner", np.inf)) else 0.0
+        )
+        found = []
+        for piece in self.problem.pieces:
+            other = piece.others.sum(axis=1)
+            # The step-invariant low-pass with half a step of lag taken off: the mean of held and ahead.
+            slow, _ = lfilter([0.5 * (1 - keep), 0.5 * (1 - keep)], [1.0, -keep], other, zi=[other[0] * (keep + 0.5 * (1 - keep))])
+            found.append(piece.counted(values["coupling"] * (slow if keep else other)))
+        return np.concatenate(found) / self.problem.sigma[0]
+
+    @cached_property
+    def _line_scale(self) -> float:
+        return float(np.mean(self.problem.sigma))
+
+    @cached_property
+    def _frequency_step(self) -> float:
+        return 0.2 / max(len(piece.command) for piece in self.problem.pieces) / self.problem.sample_time
+
+    def _line_frequency(self, x: Array) -> float:
+        return float(self.frequency + x[-1] * self._frequency_step)
+
+    def _lines(self, x: Array) -> Array:
+        return self._flat([basis @ x[:-1] for _, basis in self._bases(x)])
+
+    def _line_columns(self, x: Array) -> Array:
+        swells, columns = SWELLS[self.name], []
+        turned = np.concatenate(
+            [
+                harmonic * np.concatenate([-x[first + swells : first + 2 * swells], x[first : first + swells]])
+                for first, harmonic in self._harmonics()
+            ]
+        )  # by the angle: cos for sin, -sin for cos
+        bases = self._bases(x)
+        for p in range(self.size - 1):
+            columns.append(self._flat([basis[:, p] for _, basis in bases]))
+        columns.append(self._flat([2 * np.pi * self._frequency_step * time * (basis @ turned) for time, basis in bases]))
+        return np.column_stack(columns)
+
+    def _harmonics(self) -> list[tuple[int, int]]:
+        """Of every harmonic: where its coefficients begin, and which it is."""
+        return [(2 * i * SWELLS[self.name], harmonic) for i, harmonic in enumerate(HARMONICS[self.name])]
+
+    def _bases(self, x: Array) -> list[tuple[Array, Array]]:
+        """Of every piece the times (N,) and the signals (N, P - 1) that the line is put together from: sines, then cosines."""
+        frequency, found = self._line_frequency(x), []
+        for time, shapes in self._shapes:
+            angles = [2 * np.pi * frequency * harmonic * time[:, None] for _, harmonic in self._harmonics()]
+            found.append((time, np.hstack([shapes * wave(angle) for angle in angles for wave in (np.sin, np.cos)])))
+        return found
+
+    @cached_property
+    def _shapes(self) -> list[tuple[Array, Array]]:
+        """Of every piece the times (N,) and the polynomials (N, K) by which a line swells."""
+        found = []
+        for piece in self.problem.pieces:
+            time = piece.counted(np.arange(len(piece.command))) * self.problem.sample_time
+            span = max(len(piece.command) * self.problem.sample_time, 1e-12)
+            found.append((time, np.polynomial.legendre.legvander(2.0 * time / span - 1.0, SWELLS[self.name] - 1)))
+        return found
+
+    def _flat(self, pieces: Sequence[Array]) -> Array:
+        """Signals (N,) of one axis of every piece, as all axes' flat vector."""
+        block = np.zeros((sum(map(len, pieces)), len(self.problem.model.axes)))
+        block[:, 0 if self.axis is None else self.axis] = np.concatenate(pieces)
+        return block.reshape(-1)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One explanation: one or several effects together."""
+
+    members: tuple[Member, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(member.name for member in self.members)
+
+    def starts(self) -> list[Array]:
+        """Starts of a single effect."""
+        return self.members[0].starts()
+
+    def slices(self) -> list[slice]:
+        """Which scaled parameters are whose."""
+        edges = np.cumsum([0, *(member.size for member in self.members)])
+        return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+    def unknowns(self) -> Unknowns:
+        """The candidate as unknowns of a fit."""
+        parts = list(zip(self.members, self.slices(), strict=True))
+        bounds = [member.bounds() for member in self.members]
+
+        def stages(nominal: tuple[Stage, ...], x: Array) -> tuple[Stage, ...]:
+            for member, part in parts:
+                if not member.is_extra:
+                    nominal = insert(nominal, member.effect.place, member.stage(x[part]))
+            return nominal
+
+        def extra(x: Array) -> Array:
+            return sum(member.extra(x[part]) for member, part in parts if member.is_extra)
+
+        def extra_columns(x: Array) -> tuple[list[int], Array]:
+            added = [(part, member.extra_columns(x[part])) for member, part in parts if member.is_extra]
+            return [p for part, _ in added for p in range(part.start, part.stop)], np.hstack([columns for _, columns in added])
+
+        lower, upper, centre = (np.concatenate([bound[i] for bound in bounds]) for i in range(3))
+        if not any(member.is_extra for member in self.members):
+            return Unknowns(stages, None, lower, upper, centre)
+        return Unknowns(stages, extra, lower, upper, centre, extra_columns=extra_columns)
+
+    def with_member(self, member: Member) -> Candidate:
+        """Together with another effect, in signal order."""
+        order = list(EFFECTS)
+        return Candidate(tuple(sorted((*self.members, member), key=lambda found: order.index(found.name))))
+
+    def without(self, index: int) -> Candidate:
+        """Without one of its effects."""
+        return Candidate(tuple(member for i, member in enumerate(self.members) if i != index))
+
+
+def catalogue(problem: Problem, lines: Mapping[str, Sequence[float]], without: Sequence[str] = ()) -> list[Member]:
+    """Every effect with a waveform that the record could show, on all axes of the problem alike and on every single one.
+
+    lines: frequencies (Hz) of `mains_hum` and `vibration` that the residual's spectrum suggests; without: names left out.
+    """
+    count = len(problem.model.axes)
+    others = 0 if problem.pieces[0].others is None else problem.pieces[0].others.shape[1]
+    surroundings = replace(problem.surroundings, axes=count + others)
+    axes: list[int | None] = [None] if count == 1 else [None, *range(count)]
+    found: list[Member] = []
+    for name, effect in EFFECTS.items():
+        if name in without or (not effect.waveform and name not in HARMONICS) or not effect.exercised(surroundings):
+            continue
+        if effect.couples and count + others < 2:
+            continue
+        parameters = effect.parameters(surroundings)
+        if name in HARMONICS:
+            found += [
+                Member(effect, parameters, problem, axis, frequency) for axis in axes[-count:] for frequency in lines.get(name, ())
+            ]
+        elif name == "dac_hold":
+            samples, step = parameters
+            counts = sorted({value for value in samples.starts if value > 1.0})
+            found += [
+                Member(effect, (), problem, axis, fixed=((samples.name, value), (step.name, step.absent)))
+                for axis in axes
+                for value in counts
+            ]
+            step = replace(step, starts=tuple(sorted({value for value in step.starts if value > 0.0})))
+            found += [Member(effect, (step,), problem, axis, fixed=((samples.name, samples.absent),)) for axis in axes]
+        else:
+            together = effect.coupled_parameters(problem.surroundings) if count > 1 and effect.coupled_parameters else parameters
+            found += [
+                Member(effect, together if axis is None else parameters, problem, axis)
+                for axis in ([None] if effect.shared else axes)
+            ]
+    return found
+
+
+def _scaled(parameter: Parameter, value: float) -> float:
+    return float(np.log(value) if parameter.logarithmic else value) / parameter.scale
+
+
+def _natural(parameter: Parameter, value: float) -> float:
+    return float(np.exp(value * parameter.scale) if parameter.logarithmic else value * parameter.scale)

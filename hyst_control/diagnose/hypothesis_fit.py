@@ -1,0 +1,223 @@
+"""Fitting a model with candidate effects to records, its scattered coefficients marginalised.
+
+The penalised misfit, all in units of the noise, for coefficients z with prior N(0, 1) and effect parameters x (scaled so that
+their broad prior is N(x0, 1)):
+
+    Φ(z, x) = ½ ‖y - ŷ(z, x)‖² + ½ ‖z‖² + ½ ‖x - x0‖²
+
+is minimised by Gauss-Newton steps whose z-columns J = ∂ŷ/∂z are those of the nominal model: a scatter of a per cent changes them by
+a per cent, so a step leaves a per cent of the error, and only the effect's few columns are renewed. `refined` renews them all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from hyst_control.chain.stage import Array, Stage
+from hyst_control.diagnose.parameter_uncertainty import Scatter
+from hyst_control.diagnose.problem import Problem
+from hyst_control.errors import InputError
+
+STEP = 0.05
+"""Difference step for z: a twentieth of a standard deviation."""
+
+LEAST_GAIN = 0.02
+"""Misfit (nats) under which a step is not worth taking; a hundred thousandth of the misfit counts as little."""
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Parameters that are fitted besides z: `stages(z stages, x)` inserts what they mean, `extra(x)` adds to the output.
+
+    x (P,) within lower … upper; centre: the prior's mean; step: of the difference quotients. extra_columns(x): which parameters only
+    add, and ∂extra/∂x of them (M, P'), for which no chain has to run.
+    """
+
+    stages: Callable[[tuple[Stage, ...], Array], tuple[Stage, ...]]
+    extra: Callable[[Array], Array] | None
+    lower: Array
+    upper: Array
+    centre: Array
+    step: float = 0.02
+    extra_columns: Callable[[Array], tuple[list[int], Array]] | None = None
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where a fit ended: misfit Φ, z (K,), x (P,), residual (M,) in units of the noise, and the covariance of (z, x)."""
+
+    misfit: float
+    z: Array
+    x: Array
+    residual: Array
+    covariance: Array
+    information: Array
+    """(P, P): of x, z marginalised."""
+
+
+class Linearised:
+    """The columns J (M, K) of a model's scattered coefficients on its records, prepared once for all fits."""
+
+    def __init__(
+        self, problem: Problem, scatter: Scatter, z: Array | None = None, unknowns: Unknowns | None = None, x: Array | None = None
+    ) -> None:
+        """About the nominal coefficients, or about others, with effects at x where unknowns are given."""
+        self.problem, self.scatter = problem, scatter
+        self.count = len(scatter.coefficients)
+        self.measured = problem.measured()
+        centre = np.zeros(self.count) if z is None else z
+        self.nominal = self.simulate(centre, unknowns, x)
+        self.columns = np.empty((len(self.nominal), self.count))
+        for k in range(self.count):
+            self.columns[:, k] = self._column(centre, k, unknowns, x)
+        self.gram = self.columns.T @ self.columns
+        self.factor = cho_factor(self.gram + np.eye(self.count)) if self.count else None
+
+    def _column(self, centre: Array, k: int, unknowns: Unknowns | None, x: Array | None) -> Array:
+        """∂ŷ/∂z_k; 0 for a coefficient that can go neither way: a stage may refuse values next to those of the centre."""
+        for step in (STEP, -STEP):
+            moved = centre.copy()
+            moved[k] += step
+            try:
+                return (self.simulate(moved, unknowns, x) - self.nominal) / step
+            except InputError:
+                continue
+        return np.zeros_like(self.nominal)
+
+    def unexplained(self, vectors: Array) -> Array:
+        """Vectors (M, P) without what the scattered coefficients explain of them, shrunk by their prior."""
+        return vectors - self.columns @ cho_solve(self.factor, self.columns.T @ vectors) if self.count else vectors
+
+    def simulate(self, z: Array, unknowns: Unknowns | None = None, x: Array | None = None) -> Array:
+        stages = self.scatter.at(z)
+        if unknowns is None:
+            return self.problem.simulate(stages)
+        output = self.problem.simulate(unknowns.stages(stages, x))
+        return output if unknowns.extra is None else output + unknowns.extra(x)
+
+
+def fit(
+    linearised: Linearised,
+    unknowns: Unknowns | None = None,
+    start: Array | None = None,
+    z: Array | None = None,
+    rounds: int = 8,
+    measured: Array | None = None,
+    weight: Array | None = None,
+) -> Solution:
+    """Minimise Φ from z (0 unless given) and x = start. measured: in place of the record's own; weight (M,): 0 or 1 per value.
+
+    A step that does not lower Φ is halved a few times, then the fit ends where it is.
+    """
+    y = linearised.measured if measured is None else measured
+    x = np.zeros(0) if start is None or not len(start) else np.clip(start, unknowns.lower, unknowns.upper)
+    z = np.zeros(linearised.count) if z is None else z
+    count, size = linearised.count, len(x)
+    columns, gram = linearised.columns, linearised.gram
+    if weight is not None:
+        columns = columns * weight[:, None]
+        gram = columns.T @ columns
+
+    def residual_of(z: Array, x: Array) -> Array:
+        found = y - linearised.simulate(z, unknowns, x)
+        return found if weight is None else np.where(weight > 0, found, 0.0)  # where it ran away, 0 times it were none
+
+    def misfit_of(residual: Array, z: Array, x: Array) -> float:
+        prior = x - unknowns.centre if size else x
+        if not np.max(np.abs(residual), initial=0.0) < 1e100:  # an unstable chain
+            return np.inf
+        return 0.5 * float(residual @ residual + z @ z + prior @ prior)
+
+    residual = residual_of(z, x)
+    misfit = misfit_of(residual, z, x)
+    normal = np.eye(count + size)
+    for _ in range(rounds):
+        design = _effect_columns(linearised, unknowns, z, x, y - residual, weight) if size else np.zeros((len(y), 0))
+        normal, right = _normal(columns, gram, design, residual, z, x - unknowns.centre if size else x)
+        step = np.linalg.solve(normal, right)
+        if size:
+            step = _within(normal, right, step, x, unknowns, count)
+        if right @ step - 0.5 * step @ normal @ step < LEAST_GAIN + 1e-5 * misfit:
+            break  # a linear step would gain next to nothing
+        better = False
+        for shorter in (1.0, 0.5, 0.25, 0.1, 0.03):
+            new_z, new_x = z + shorter * step[:count], x + shorter * step[count:]
+            if size:
+                new_x = np.clip(new_x, unknowns.lower, unknowns.upper)
+            try:
+                new_residual = residual_of(new_z, new_x)
+            except InputError:
+                continue
+            new = misfit_of(new_residual, new_z, new_x)
+            if np.isfinite(new) and new < misfit:
+                better = True
+                break
+        if not better:
+            break
+        gained = misfit - new
+        z, x, residual, misfit = new_z, new_x, new_residual, new
+        if gained < LEAST_GAIN + 1e-5 * misfit:
+            break
+    covariance = np.linalg.inv(normal)
+    information = np.linalg.inv(covariance[count:, count:]) if size else np.zeros((0, 0))
+    return Solution(misfit, z, x, residual, covariance, information)
+
+
+def _effect_columns(linearised: Linearised, unknowns: Unknowns, z: Array, x: Array, base: Array, weight: Array | None) -> Array:
+    """∂ŷ/∂x (M, P) by differences from `base` (known where weight is not 0), taken inwards at a bound."""
+    found = np.empty((len(base), len(x)))
+    added: list[int] = []
+    if unknowns.extra_columns is not None:
+        added, columns = unknowns.extra_columns(x)
+        found[:, added] = columns
+    for p in sorted(set(range(len(x))) - set(added)):
+        step = unknowns.step if x[p] + unknowns.step <= unknowns.upper[p] else -unknowns.step
+        moved = x.copy()
+        moved[p] += step
+        found[:, p] = (linearised.simulate(z, unknowns, moved) - base) / step
+    return found if weight is None else found * weight[:, None]
+
+
+def _normal(columns: Array, gram: Array, design: Array, residual: Array, z: Array, away: Array) -> tuple[Array, Array]:
+    count, size = columns.shape[1], design.shape[1]
+    normal = np.empty((count + size, count + size))
+    cross = columns.T @ design
+    normal[:count, :count], normal[:count, count:], normal[count:, :count] = gram, cross, cross.T
+    normal[count:, count:] = design.T @ design
+    normal[np.diag_indices(count + size)] += 1.0
+    return normal, np.concatenate([columns.T @ residual - z, design.T @ residual - away])
+
+
+def _within(normal: Array, right: Array, step: Array, x: Array, unknowns: Unknowns, count: int) -> Array:
+    """The step with parameters that would leave their bounds held there."""
+    target = x + step[count:]
+    out = np.flatnonzero((target < unknowns.lower) | (target > unknowns.upper))
+    if not len(out):
+        return step
+    held = np.clip(target[out], unknowns.lower[out], unknowns.upper[out]) - x[out]
+    free = np.setdiff1d(np.arange(len(step)), count + out)
+    fresh = np.empty_like(step)
+    fresh[count + out] = held
+    fresh[free] = np.linalg.solve(normal[np.ix_(free, free)], right[free] - normal[np.ix_(free, count + out)] @ held)
+    return fresh
+
+
+def refined(linearised: Linearised, unknowns: Unknowns | None, solution: Solution, rounds: int = 4) -> Solution:
+    """A fit gone on with columns taken where it ended, until that gains nothing more."""
+    for _ in range(rounds):
+        try:
+            here = Linearised(linearised.problem, linearised.scatter, solution.z, unknowns, solution.x)
+            again = fit(here, unknowns, solution.x, solution.z)
+        except InputError:
+            break
+        gained = solution.misfit - again.misfit
+        if gained < 0:
+            break
+        solution = again
+        if gained < 0.5:
+            break
+    return solution

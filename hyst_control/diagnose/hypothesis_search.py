@@ -1,0 +1,397 @@
+"""Which effect: every candidate fitted and weighed against the nominal model, then combinations by a beam search.
+
+The weight of a candidate is its evidence (Laplace) relative to "no effect":
+
+    score = τ (Φ_0 - Φ_c) - ½ log det(1 + τ (I_c - 1)) - log(number of alternatives)
+
+τ ≤ 1 tempers the misfit where even the best explanation leaves more than noise: what is left is the same kind of thing all
+along the record, so its samples do not count as independent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor
+from scipy.optimize import minimize_scalar
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.hypothesis import Candidate, Member
+from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, Unknowns, fit, refined
+from hyst_control.errors import InputError
+from hyst_control.parallel import forked
+
+FOLLOWED = 2
+"""How many of an effect's starts are fitted to the end."""
+
+SCREENED = 8
+"""How many of an effect's starts are looked at on top of another effect."""
+
+SCANNED = 12
+"""Values of a parameter that are tried, and then as many between the best of them and its neighbours."""
+
+REFINED = 6
+"""How many of the best fits go on with columns of their own."""
+
+REACH, NEAR = 0.1, 50.0
+"""How far behind the best fit, as a share of what that takes off and in nats, another may be to go on."""
+
+SPENT = 0.03
+"""Energy beyond the noise's, as a share of it, under which no further effect is looked for: the noise is not known better."""
+
+INFLATION = 5.0
+"""`parameters`: the nominal coefficients may be off by this many times their tolerance."""
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A candidate (None: no effect; `inflated`: only the nominal coefficients) with its fit and its score."""
+
+    candidate: Candidate | None
+    solution: Solution
+    score: float
+    inflated: bool = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Effects, none for the nominal model."""
+        return () if self.candidate is None else self.candidate.names
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search found on one problem: no effect, coefficients only, single effects, combinations (best first), and τ."""
+
+    linearised: Linearised
+    none: Scored
+    parameters: Scored
+    singles: tuple[Scored, ...]
+    combinations: tuple[Scored, ...]
+    temper: float
+
+
+def inflated(linearised: Linearised, factor: float = INFLATION) -> Linearised:
+    """The same columns with every tolerance multiplied."""
+    wide = copy(linearised)
+    wide.scatter = replace(
+        linearised.scatter, coefficients=tuple(replace(c, tolerance=c.tolerance * factor) for c in linearised.scatter.coefficients)
+    )
+    wide.columns, wide.gram = linearised.columns * factor, linearised.gram * factor**2
+    wide.factor = cho_factor(wide.gram + np.eye(wide.count)) if wide.count else None
+    return wide
+
+
+def search(
+    linearised: Linearised,
+    members: Sequence[Member],
+    threshold: float,
+    floor: float,
+    leaves: float = 1.0,
+    beam: int = 3,
+    depth: int = 3,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Found:
+    """Fit and weigh all candidates.
+
+    threshold: score by which a further effect must be better; floor: rms in units of the noise that it must take off; leaves:
+    energy (in units of the noise's) that the model itself says it leaves.
+    """
+    depth = depth if leaves < 1.5 else min(depth, 2)  # beside a model error that is known, finer parts cannot be told
+    none = Scored(None, settled(linearised), 0.0)
+    wide = inflated(linearised)
+    parameters = Scored(None, settled(wide, none.solution.z / INFLATION), 0.0, True)
+    fits: list[tuple[Candidate, Solution]] = []
+    alone = [Candidate((member,)) for member in members]
+    solutions = forked(lambda i: _fitted(linearised, alone[i], alone[i].starts()), len(alone))
+    for candidate, found in zip(alone, solutions, strict=True):
+        progress(candidate.names[0])
+        if found is not None:
+            fits.append((candidate, found))
+    fits = _freed(linearised, fits, none.solution.misfit)
+    fits = _refined(linearised, fits, REFINED, none.solution.misfit)
+    best = min([none.solution.misfit, *(solution.misfit for _, solution in fits)])
+    combinations: list[tuple[Candidate, Solution]] = []
+    parents = sorted(fits, key=lambda item: item[1].misfit)[:beam]
+    size = len(linearised.measured)
+    for size_reached in range(1, depth):
+        if not parents or _spent(parents[0][1], floor, leaves - 1.0 + leaves * SPENT * size_reached**2):
+            break
+        grown = _grown(linearised, parents, members, 0.5 * threshold, none.solution.misfit, progress)
+        if not grown:
+            break
+        gain, weight = best - grown[0][1].misfit, _temper(grown[0][1].residual)
+        relieved = strained(parents[0][1]) and not strained(grown[0][1])
+        if gain * weight < threshold or (2.0 * gain / size < floor**2 and not relieved):
+            break
+        best = grown[0][1].misfit
+        combinations += grown[: 2 * beam]
+        parents = grown[:beam]
+    for candidate, solution in _pruned(linearised, combinations):
+        (combinations if len(candidate.members) > 1 else fits).append((candidate, solution))
+    everything = [solution for _, solution in fits + combinations] + [none.solution]
+    temper = _temper(min(everything, key=lambda solution: solution.misfit).residual)
+    alternatives = np.log(max(len(members), 1))
+
+    def scored(candidate: Candidate, solution: Solution) -> Scored:
+        count = len(candidate.members)
+        return Scored(
+            candidate, solution, temper * (none.solution.misfit - solution.misfit) - _occam(solution, temper) - count * alternatives
+        )
+
+    def ranked(found: Sequence[tuple[Candidate, Solution]]) -> tuple[Scored, ...]:
+        return tuple(sorted((scored(*item) for item in found), key=lambda item: -item.score))
+
+    wider = (
+        0.5
+        * (
+            np.linalg.slogdet(np.eye(wide.count) + temper * wide.gram)[1]
+            - np.linalg.slogdet(np.eye(wide.count) + temper * linearised.gram)[1]
+        )
+        if wide.count
+        else 0.0
+    )
+    parameters = replace(parameters, score=temper * (none.solution.misfit - parameters.solution.misfit) - wider - alternatives)
+    return Found(linearised, none, parameters, ranked(fits), ranked(combinations), temper)
+
+
+def _spent(solution: Solution, floor: float, excess: float) -> bool:
+    """Whether a fit leaves nothing but noise, and did not strain its coefficients for it."""
+    left = float(solution.residual @ solution.residual) / len(solution.residual) - 1.0
+    return left < max(excess, 0.5 * floor**2) and not strained(solution)
+
+
+def strained(solution: Solution) -> bool:
+    """Whether a fit's coefficients are further from the nominal ones than chance would have them: χ² four deviations above its mean."""
+    count = len(solution.z)
+    return 2.0 * strain(solution) >= count + 4.0 * np.sqrt(2.0 * count)
+
+
+def strain(solution: Solution) -> float:
+    """Misfit (nats) that is the coefficients' distance from the nominal ones."""
+    return 0.5 * float(solution.z @ solution.z)
+
+
+def _grown(
+    linearised: Linearised,
+    parents: Sequence[tuple[Candidate, Solution]],
+    members: Sequence[Member],
+    least: float,
+    before: float,
+    progress: Callable[[str], None],
+) -> list[tuple[Candidate, Solution]]:
+    """The parents with one effect more each, best first."""
+    promising = forked(lambda i: _promising(linearised, *parents[i], members, least), len(parents))
+    wanted: list[tuple[Candidate, Array]] = []
+    for (candidate, solution), found in zip(parents, promising, strict=True):
+        for index, start in found:
+            pair = candidate.with_member(members[index])
+            if not any(_same(pair, other) for other, _ in wanted):
+                wanted.append((pair, _merged(pair, candidate, solution.x, members[index], start)))
+    fitted = forked(lambda i: _fitted(linearised, wanted[i][0], [wanted[i][1]]), len(wanted))
+    grown = []
+    for (pair, _), found in zip(wanted, fitted, strict=True):
+        progress("+".join(pair.names))
+        if found is not None:
+            grown.append((pair, found))
+    return sorted(_refined(linearised, grown, REFINED // 2, before), key=lambda item: item[1].misfit)
+
+
+def _pruned(linearised: Linearised, found: Sequence[tuple[Candidate, Solution]]) -> list[tuple[Candidate, Solution]]:
+    """The best combination without each of its effects: what was grown step by step may have come to do without one of the first."""
+    if not found:
+        return []
+    candidate, solution = min(found, key=lambda item: item[1].misfit)
+    places = candidate.slices()
+    candidates = [candidate.without(dropped) for dropped in range(len(places))]
+
+    def solved(dropped: int) -> Solution | None:
+        unknowns = candidates[dropped].unknowns()
+        start = np.concatenate([solution.x[place] for place in places[:dropped] + places[dropped + 1 :]])
+        try:
+            return refined(linearised, unknowns, fit(linearised, unknowns, start, solution.z))
+        except InputError:
+            return None
+
+    solutions = forked(solved, len(candidates))
+    return [(one, found) for one, found in zip(candidates, solutions, strict=True) if found is not None]
+
+
+def _occam(solution: Solution, temper: float) -> float:
+    """½ log of how much narrower the data make the parameters than the prior has them."""
+    if not len(solution.information):
+        return 0.0
+    eye = np.eye(len(solution.information))
+    sign, value = np.linalg.slogdet(eye + temper * (solution.information - eye))
+    return 0.5 * max(float(value), 0.0) if sign > 0 else 0.0
+
+
+def _temper(residual: Array) -> float:
+    """How much a residual's samples count: 1 for white noise of the stated size, less for what is larger and correlated."""
+    size = float(np.mean(residual**2))
+    return 1.0 / max(size, 1.0)
+
+
+def settled(linearised: Linearised, z: Array | None = None) -> Solution:
+    """The fit of the coefficients alone, gone on with columns taken where it ended."""
+    return refined(linearised, None, fit(linearised, z=z))
+
+
+def _refined(
+    linearised: Linearised, found: Sequence[tuple[Candidate, Solution]], count: int, before: float
+) -> list[tuple[Candidate, Solution]]:
+    """The best fits gone on with, but for those that are too far behind the first to reach it; the rest as they are."""
+    found = sorted(found, key=lambda item: item[1].misfit)
+    if not found:
+        return found
+    within = found[0][1].misfit + max(REACH * (before - found[0][1].misfit), NEAR)
+    near = sum(solution.misfit <= within for _, solution in found[:count])
+    better = forked(lambda i: _finished(linearised, *found[i]), near)
+    return [(candidate, solution) for (candidate, _), solution in zip(found, better, strict=False)] + found[near:]
+
+
+def _finished(linearised: Linearised, candidate: Candidate, solution: Solution) -> Solution:
+    """A fit gone on with; where it strains the coefficients, also begun again from where the effects do best without them."""
+    unknowns = candidate.unknowns()
+    best = refined(linearised, unknowns, solution)
+    if not strained(best):
+        return best
+    try:
+        alone = fit(_held(linearised), unknowns, best.x)
+        again = refined(linearised, unknowns, fit(linearised, unknowns, alone.x))
+    except InputError:
+        return best
+    return min(best, again, key=lambda one: one.misfit)
+
+
+def _held(linearised: Linearised) -> Linearised:
+    """The same problem with coefficients that a fit leaves where they are."""
+    held = copy(linearised)
+    held.columns, held.gram = np.zeros_like(linearised.columns), np.zeros_like(linearised.gram)
+    return held
+
+
+def _fitted(linearised: Linearised, candidate: Candidate, starts: Sequence[Array]) -> Solution | None:
+    """The best fit over the starts of a single effect; only those that a first linear step makes most of are followed."""
+    unknowns = candidate.unknowns()
+    if len(starts) > FOLLOWED:
+        ranked = []
+        for start in starts:
+            try:
+                left, there = _after_step(linearised, unknowns, candidate, candidate.members[0], start)
+                ranked.append((left, len(ranked), there))
+            except InputError:
+                continue
+        starts = [start for *_, start in sorted(ranked, key=lambda item: item[:2])[:FOLLOWED]]
+    tried = []
+    for start in starts:
+        try:
+            tried.append(fit(linearised, unknowns, start))
+        except InputError:
+            continue
+    return min(tried, key=lambda solution: solution.misfit, default=None)
+
+
+def _freed(linearised: Linearised, fits: list[tuple[Candidate, Solution]], without: float) -> list[tuple[Candidate, Solution]]:
+    """The fits, of which those of one parameter that are worse than no effect at all begin again, where it alone does best.
+
+    Beside a great gap the columns of the coefficients promise too much: a step in all of them leads astray, and the fit ends there.
+    """
+    stuck = [
+        i for i, (candidate, solution) in enumerate(fits) if solution.misfit > without and len(candidate.unknowns().lower) == 1
+    ]
+    again = forked(lambda i: _fitted(linearised, fits[stuck[i]][0], [_best_alone(linearised, fits[stuck[i]][0])]), len(stuck))
+    freed = dict(zip(stuck, again, strict=True))
+    return [
+        (candidate, min((solution, freed.get(i) or solution), key=lambda one: one.misfit))
+        for i, (candidate, solution) in enumerate(fits)
+    ]
+
+
+def _best_alone(linearised: Linearised, candidate: Candidate) -> Array:
+    """The value (1,) of a candidate's one parameter that comes closest to the record with the nominal coefficients."""
+    unknowns, nominal = candidate.unknowns(), np.zeros(linearised.count)
+
+    def misfit(value: float) -> float:
+        try:
+            residual = linearised.measured - linearised.simulate(nominal, unknowns, np.array([value]))
+        except InputError:
+            return np.inf
+        size = float(residual @ residual)
+        return size if np.isfinite(size) else np.inf
+
+    values = np.linspace(unknowns.lower[0], unknowns.upper[0], SCANNED)
+    best = int(np.argmin([misfit(value) for value in values]))
+    bounds = values[max(best - 1, 0)], values[min(best + 1, SCANNED - 1)]
+    return np.array([minimize_scalar(misfit, bounds=bounds, method="bounded", options={"maxiter": SCANNED}).x])
+
+
+def _promising(
+    linearised: Linearised, candidate: Candidate, solution: Solution, members: Sequence[Member], least: float, count: int = 5
+) -> list[tuple[int, Array]]:
+    """The effects (by index) that a linear step on top of a candidate makes most of, at least so much, and from which start."""
+    found = []
+    nominal = np.zeros(linearised.count)
+    before = _misfit(linearised, linearised.measured - linearised.simulate(nominal, candidate.unknowns(), solution.x))
+    for index, member in enumerate(members):
+        if any(member.excludes(other) for other in candidate.members):
+            continue
+        best = None
+        pair = candidate.with_member(member)
+        unknowns = pair.unknowns()
+        starts = member.starts()
+        for start in starts[:: max(len(starts) // SCREENED, 1)]:
+            x = _merged(pair, candidate, solution.x, member, start)
+            try:
+                left, there = _after_step(linearised, unknowns, pair, member, x)
+                gain = before - left
+            except InputError:
+                continue
+            if best is None or gain > best[0]:
+                best = gain, there[next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)]
+        if best is not None and best[0] > least:
+            found.append((best[0], index, best[1]))
+    return [(index, start) for _, index, start in sorted(found, key=lambda item: -item[0])[:count]]
+
+
+def _after_step(linearised: Linearised, unknowns: Unknowns, pair: Candidate, member: Member, x: Array) -> tuple[float, Array]:
+    """A linear step in the new effect's parameters from x, coefficients marginalised about the nominal ones: the misfit after it
+    and where it leads."""
+    nominal = np.zeros(linearised.count)
+    simulated = linearised.simulate(nominal, unknowns, x)
+    residual = linearised.measured - simulated
+    place = next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)
+    chosen = list(range(place.start, place.stop))
+    if len(member.parameters) == len(chosen) and len(member.starts()) > SCREENED:
+        # Many starts over frequencies say enough of those; the amplitudes are what a step can find.
+        chosen = [i for i, p in zip(chosen, member.parameters, strict=True) if not p.logarithmic]
+    design = np.empty((len(residual), len(chosen)))
+    for column, i in enumerate(chosen):
+        moved = x.copy()
+        moved[i] += unknowns.step if x[i] + unknowns.step <= unknowns.upper[i] else -unknowns.step
+        design[:, column] = (linearised.simulate(nominal, unknowns, moved) - simulated) / (moved[i] - x[i])
+    known = linearised.unexplained(design)
+    right = known.T @ residual
+    there = x.copy()
+    if not len(right):
+        return _misfit(linearised, residual), there
+    step = np.linalg.solve(design.T @ known + np.eye(len(right)), right)
+    there[chosen] = np.clip(x[chosen] + step, unknowns.lower[chosen], unknowns.upper[chosen])
+    return _misfit(linearised, residual) - 0.5 * float(right @ step), there
+
+
+def _misfit(linearised: Linearised, residual: Array) -> float:
+    """½ of a residual's squared size, coefficients marginalised."""
+    return 0.5 * float(residual @ linearised.unexplained(residual))
+
+
+def _merged(pair: Candidate, candidate: Candidate, x: Array, member: Member, start: Array) -> Array:
+    """Scaled parameters of a pair from those of the candidate and the start of the new effect."""
+    parts = iter(zip(candidate.members, candidate.slices(), strict=True))
+    return np.concatenate([start if one is member else x[next(parts)[1]] for one in pair.members])
+
+
+def _same(one: Candidate, other: Candidate) -> bool:
+    return [(m.variant, m.fixed) for m in one.members] == [(m.variant, m.fixed) for m in other.members]

@@ -1,0 +1,73 @@
+"""Figures of merit of an identified model on records, and what the residual says of noise and whiteness."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.fit_windows import before
+from hyst_control.model_file import Model, simulate
+
+
+def residual(model: Model, data: Dataset) -> Array:
+    """Measured minus simulated (N, A); rows before the memory is filled are left out where the record's start is unknown."""
+    memory, begin = before(data)
+    command = data.command if memory is None else np.concatenate([memory, data.command])
+    simulated = simulate(model, command, data.sample_time, data.hold)[len(command) - len(data.command) :]
+    return data.measurement[begin:] - simulated[begin:]
+
+
+def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[dict[str, Any]], list[Array]]:
+    """One row per record and axis, and the residuals (N, A).
+
+    rmse in the measurement unit; nrmse and nme in % of the measured range (HAMPI paper Eq. 26, MHL paper Eq. 10);
+    nrmse_centered the same with the means removed.
+    """
+    rows, residuals = [], []
+    for data in datasets:
+        error = residual(model, data)
+        residuals.append(error)
+        for axis, name in enumerate(data.axes):
+            span = float(data.range[axis]) or 1.0
+            e = error[:, axis]
+            rows.append(
+                {
+                    "name": data.name,
+                    "axis": name,
+                    "samples": len(e),
+                    "rmse": float(np.sqrt(np.mean(e**2))),
+                    "nrmse": 100.0 * float(np.sqrt(np.mean(e**2))) / span,
+                    "nrmse_centered": 100.0 * float(np.std(e)) / span,
+                    "nme": 100.0 * float(np.max(np.abs(e))) / span,
+                    "unit": data.unit,
+                    "whiteness": lag_one(e),
+                }
+            )
+    return rows, residuals
+
+
+def lag_one(error: Array) -> float:
+    """Correlation of neighbouring residuals (N,): 0 for white noise, near 1 where the model misses something slow."""
+    centered = error - np.mean(error)
+    power = float(centered @ centered)
+    return float(centered[1:] @ centered[:-1]) / power if power > 0 else 0.0
+
+
+def noise_sigma(residuals: Sequence[Array]) -> list[float]:
+    """White noise (rms per axis) in the residuals, from their third differences, which smooth model errors do not reach."""
+    stacked = np.concatenate([np.diff(error, 3, axis=0) for error in residuals])
+    return [float(value) for value in np.median(np.abs(stacked), axis=0) / 0.6745 / np.sqrt(20.0)]
+
+
+def command_bandwidth(data: Dataset) -> float:
+    """Frequency (Hz) below which 99.9 % of the power of the command's motion lies."""
+    moving = data.command - data.command.mean(axis=0)
+    power = np.sum(np.abs(np.fft.rfft(moving, axis=0)) ** 2, axis=1)
+    if power.sum() == 0:
+        return 0.0
+    cumulative = np.cumsum(power) / power.sum()
+    return float(np.searchsorted(cumulative, 0.999) / (len(moving) * data.sample_time))

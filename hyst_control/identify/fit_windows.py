@@ -1,0 +1,130 @@
+"""Which rows of the records a fit looks at: everything, or stretches of it while the structure is being chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.gram_sums import Window
+from hyst_control.identify.record_segmentation import REST_TIME, still, stretches_between_rests
+from hyst_control.identify.reversal_points import turning_points
+
+SETTLE_TIME = 0.25
+"""Time (s) after which a window's linear transient is over, the slow pair's included; its rows before that do not count."""
+
+
+def whole_records(datasets: Sequence[Dataset], axis: int) -> list[Window]:
+    """Each record as one window; see `before` for one whose start is unknown."""
+    windows = []
+    for group, data in enumerate(datasets):
+        command = np.ascontiguousarray(data.command[:, axis])
+        memory, skip = before(data)
+        windows.append(
+            Window(
+                command,
+                np.ascontiguousarray(data.measurement[:, axis]),
+                data.sample_time,
+                data.hold,
+                skip,
+                group,
+                memory=None if memory is None else np.ascontiguousarray(memory[:, axis]),
+                weight=balanced_weights(data, axis),
+            )
+        )
+    return windows
+
+
+def balanced_weights(data: Dataset, axis: int) -> Array | None:
+    """Row weights (N,) with which every motion between rests counts alike, slow or fast: short fast loops are not drowned.
+
+    None where the record is one motion. Between a fifth and five times the plain weight, and 1 on average.
+    """
+    motions = [stretch for stretch in stretches_between_rests(data, 0, axis) if stretch.kind == "motion"]
+    if len(motions) < 2:
+        return None
+    weight = np.ones(len(data.command))
+    mean = np.mean([stretch.end - stretch.begin for stretch in motions])
+    for stretch in motions:
+        weight[stretch.begin : stretch.end] = np.clip(mean / (stretch.end - stretch.begin), 0.2, 5.0)
+    return weight / weight.mean()
+
+
+def before(data: Dataset) -> tuple[Array | None, int]:
+    """What a record was preceded by, as commands (M, A) or None for rest, and the first row that counts.
+
+    A record of unknown start that is a closed loop (it ends where it began) is taken to have been preceded by itself. Any other
+    counts from where its command has met both its extremes, which wipes out all earlier memory.
+    """
+    if data.start != "unknown":
+        return None, 0
+    gap = np.abs(np.stack([data.command[-1] - data.command[0], data.measurement[-1] - data.measurement[0]]))
+    span = np.stack([np.ptp(data.command, axis=0), np.ptp(data.measurement, axis=0)])
+    if np.all(gap < 0.03 * span):
+        return data.command, 0
+    return None, max(memory_filled(data.command[:, axis]) for axis in range(data.command.shape[1]))
+
+
+def stretches(windows: Sequence[Window], rows: int, length: float = 1.0) -> list[Window]:
+    """About `rows` rows in stretches of `length` s spread evenly over the records; the windows themselves if they have no more."""
+    total = sum(len(window.command) for window in windows)
+    if total <= rows:
+        return list(windows)
+    chosen = []
+    for window in windows:
+        n = len(window.command)
+        size = min(int(length / window.sample_time), n)
+        count = max(int(round(n * rows / total / size)), 1)
+        if count * size >= n:
+            chosen.append(window)
+            continue
+        turning = turning_points(window.command)
+        for begin in np.unique(np.linspace(0, n - size, count + 1).astype(int)) if count > 1 else np.array([(n - size) // 2]):
+            end = begin + size
+            settle = 0 if begin == 0 else int(SETTLE_TIME / window.sample_time)
+            skip = min(max(settle, window.skip - begin), size - 1)
+            memory = window.command[turning[turning < begin]] if begin else None
+            chosen.append(
+                Window(
+                    window.command[begin:end],
+                    window.measurement[begin:end],
+                    window.sample_time,
+                    window.hold,
+                    skip,
+                    window.group,
+                    begin / n,
+                    size / n,
+                    memory,
+                    None if window.weight is None else window.weight[begin:end],
+                )
+            )
+    return chosen
+
+
+def memory_filled(command: Array) -> int:
+    """First row after which the command has met both its extremes: from there on earlier memory is wiped out."""
+    span = np.ptp(command)
+    high, low = np.flatnonzero(command >= command.max() - 0.01 * span), np.flatnonzero(command <= command.min() + 0.01 * span)
+    return int(max(high[0], low[0]))
+
+
+def largest_drift(data: Dataset, axis: int) -> float:
+    """The drift over the whole record (measurement unit) that its rests at one command leave room for; infinite without such rests.
+
+    A drift shows at rest as in motion. What changes with the motions alone, as the mean of a loop does with its frequency, must
+    not be taken for one: records whose frequency rises with time would else teach the model the wrong mean.
+    """
+    command, measurement = data.command[:, axis], data.measurement[:, axis]
+    filled = memory_filled(command)
+    rests = [(begin, end) for begin, end in still(command, int(max(REST_TIME / data.sample_time, 2))) if begin >= filled]
+    span, largest = float(np.ptp(command)), np.inf
+    for level in {round(float(command[end - 1]) / span, 4) for _, end in rests} if span else ():
+        equal = [(begin, end) for begin, end in rests if abs(command[end - 1] / span - level) < 2e-4]
+        # The later half of a rest: what the motion before it left behind has gone by then.
+        values = [float(np.mean(measurement[(begin + end) // 2 : end])) for begin, end in equal]
+        apart = 0.75 * (equal[-1][1] - equal[0][1]) + 0.25 * (equal[-1][0] - equal[0][0])
+        if apart > 0.5 * len(command):
+            largest = min(largest, float(np.ptp(values)) * len(command) / apart)
+    return largest

@@ -1,0 +1,349 @@
+"""Streaming regressors of a Prandtl-Ishlinskii model in front of a linear dynamics, and their Gram matrices.
+
+For given thresholds and G(s) the output is linear in all the rest: y = Σ_j θ_j G[φ_j], with φ the play operators and, for
+HAMPI, the products of the dynamic weights (HAMPI paper Eq. 2-6). The regressors of a long record do not fit in memory, but
+their Gram matrix is small, and it is all that a least-squares problem needs: so a record is passed once, block by block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from hyst_control.chain.linear import Discretised
+from hyst_control.chain.stage import Array, Sampling
+from hyst_control.identify.stable_dynamics import Structure
+
+BLOCK = 4096
+HELD_OUT_BLOCKS = 90
+"""A record is cut into at least this many blocks."""
+TINY = 1e-80
+"""States below this are 0: a decaying state would else end in subnormal numbers, which processors handle a hundred times slower."""
+NUISANCES = {"none": 0, "offset": 1, "linear": 2}
+
+
+@njit(cache=True, error_model="numpy")
+def filtered_regressors(
+    command,
+    shift,
+    rate_factor,
+    center,
+    thresholds,
+    release,
+    rate_gain,
+    dynamic,
+    a,
+    b,
+    c,
+    d,
+    whole,
+    theta,
+    pa,
+    pb,
+    pc,
+    pd,
+    pwhole,
+    operators,
+    previous,
+    ring,
+    combined,
+    position,
+    state,
+    scratch,
+    tangent,
+    output,
+):
+    """Rows of G[φ_j] (J columns) and of G_i[Σ θ_j φ_j] for P neighbouring dynamics G_i (P columns).
+
+    command (N,) V; `shift` 1 when the sample sees the command of the interval before (zoh), else 0; rate_factor 1 / sample_time;
+    thresholds, release (n,), each widened by rate_gain · |rate| (rate-dependent thresholds); `dynamic` adds the columns of m1, m2
+    and k, the last around `center`. a (n, n), b (3, n), c (n,), d (2,) and `whole` samples of delay are G; pa (n, n, P), pb
+    (3, n, P), pc (n, P), pd (2, P), pwhole (P,) the neighbours', last axis innermost. The remaining arrays are states: state
+    (n, J), tangent (n, P), scratch (n, J + P). Returns the ring's position.
+    """
+    count, columns, order, neighbours = thresholds.size, ring.shape[1], a.shape[0], pwhole.size
+    length = ring.shape[0]
+    newest, middle, oldest = np.empty(neighbours), np.empty(neighbours), np.empty(neighbours)
+    for row in range(command.size):
+        u = command[row]
+        rate = (u - previous[0]) * rate_factor
+        previous[0] = u
+        widening = rate_gain * abs(rate)
+        total = 0.0
+        for i in range(count):
+            low = u - thresholds[i] - widening
+            high = u + release[i] + widening
+            h = operators[i]
+            h = high if h > high else h
+            h = low if h < low else h
+            operators[i] = h
+            ring[position, i] = h
+            total += h
+        if dynamic:
+            ring[position, count] = -rate * total if rate >= 0.0 else 0.0
+            ring[position, count + 1] = rate * total if rate < 0.0 else 0.0
+            ring[position, count + 2] = (u - center) * total
+        weighted = 0.0
+        for j in range(columns):
+            weighted += theta[j] * ring[position, j]
+        combined[position] = weighted
+        first = position - shift - whole
+        first = first + length if first < 0 else first
+        second = first - 1 if first > 0 else length - 1
+        third = second - 1 if second > 0 else length - 1
+        for i in range(order):
+            for j in range(columns):
+                scratch[i, j] = b[0, i] * ring[first, j] + b[1, i] * ring[second, j] + b[2, i] * ring[third, j]
+            for m in range(order):
+                for j in range(columns):
+                    scratch[i, j] += a[i, m] * state[m, j]
+        for i in range(order):
+            for j in range(columns):
+                state[i, j] = scratch[i, j] if abs(scratch[i, j]) > TINY else 0.0
+        for j in range(columns):
+            output[row, j] = d[0] * ring[first, j] + d[1] * ring[second, j]
+        for i in range(order):
+            for j in range(columns):
+                output[row, j] += c[i] * state[i, j]
+        for p in range(neighbours):
+            first = position - shift - pwhole[p]
+            first = first + length if first < 0 else first
+            second = first - 1 if first > 0 else length - 1
+            third = second - 1 if second > 0 else length - 1
+            newest[p], middle[p], oldest[p] = combined[first], combined[second], combined[third]
+        for i in range(order):
+            for p in range(neighbours):
+                scratch[i, columns + p] = pb[0, i, p] * newest[p] + pb[1, i, p] * middle[p] + pb[2, i, p] * oldest[p]
+            for m in range(order):
+                for p in range(neighbours):
+                    scratch[i, columns + p] += pa[i, m, p] * tangent[m, p]
+        for p in range(neighbours):
+            output[row, columns + p] = pd[0, p] * newest[p] + pd[1, p] * middle[p]
+        for i in range(order):
+            for p in range(neighbours):
+                value = scratch[i, columns + p]
+                tangent[i, p] = value if abs(value) > TINY else 0.0
+                output[row, columns + p] += pc[i, p] * tangent[i, p]
+        position = position + 1 if position + 1 < length else 0
+    return position
+
+
+@njit(cache=True, error_model="numpy")
+def gram_product(block):
+    """block' block of a tall block (N, K): without BLAS, whose threads spin for longer than such a product takes."""
+    rows, columns = block.shape
+    product = np.zeros((columns, columns))
+    for row in range(0, rows - 3, 4):
+        for i in range(columns):
+            v0, v1, v2, v3 = block[row, i], block[row + 1, i], block[row + 2, i], block[row + 3, i]
+            for j in range(i, columns):
+                product[i, j] += v0 * block[row, j] + v1 * block[row + 1, j] + (v2 * block[row + 2, j] + v3 * block[row + 3, j])
+    for row in range(rows - rows % 4, rows):
+        for i in range(columns):
+            value = block[row, i]
+            for j in range(i, columns):
+                product[i, j] += value * block[row, j]
+    for i in range(columns):
+        for j in range(i):
+            product[i, j] = product[j, i]
+    return product
+
+
+@njit(cache=True, error_model="numpy")
+def weighed_columns(raw, theta, step, first, share, extra, measurement, weight, block):
+    """Rows of [θ columns, derivatives, nuisances, y] (N, K) from those of `filtered_regressors`, times the roots of their weights.
+
+    share (N,): where a row lies within its record, from 0 to 1, less a half; weight (N,), or (0,) where all rows weigh 1.
+    """
+    columns = theta.size
+    size = raw.shape[1] - columns
+    last = columns + size + extra
+    for row in range(len(block)):
+        scale = np.sqrt(weight[row]) if weight.size else 1.0
+        predicted = 0.0
+        for j in range(columns):
+            block[row, j] = raw[first + row, j] * scale
+            predicted += raw[first + row, j] * theta[j]
+        for p in range(columns, columns + size):
+            block[row, p] = (raw[first + row, p] - predicted) / step * scale
+        if extra > 0:
+            block[row, columns + size] = scale
+        if extra > 1:
+            block[row, columns + size + 1] = share[row] * scale
+        block[row, last] = measurement[row] * scale
+
+
+@dataclass(frozen=True)
+class Operators:
+    """The play operators of one axis: thresholds (n,) V; rate_gain s: thresholds widen to r + rate_gain |du/dt| (RDPI)."""
+
+    thresholds: Array
+    one_sided: bool = False
+    dynamic: bool = False
+    center: float = 0.0
+    rate_gain: float = 0.0
+
+    @property
+    def columns(self) -> int:
+        """Number of linear parameters: the weights, and m1, m2, k where the weights are dynamic."""
+        return len(self.thresholds) + 3 * self.dynamic
+
+    @property
+    def release(self) -> Array:
+        """Distance at which an operator is pulled down."""
+        return np.zeros_like(self.thresholds) if self.one_sided else self.thresholds
+
+
+@dataclass(frozen=True)
+class Window:
+    """A stretch of a record: command (N,), measurement (N,), counted from row `skip` on; `group` numbers its record."""
+
+    command: Array
+    measurement: Array
+    sample_time: float
+    hold: str
+    skip: int
+    group: int
+    begin: float = 0.0
+    """Where the window begins within its record, as a share of it: the drift nuisance runs over the whole record."""
+    share: float = 1.0
+    """The window's length as a share of its record."""
+    memory: Array | None = None
+    """The command's turning points before the window, from rest: what the play operators remember."""
+    weight: Array | None = None
+    """Weight of every row (N,), 1 where there is none."""
+
+
+@dataclass(frozen=True)
+class Grams:
+    """Gram matrices of [θ columns, dynamics columns, nuisance columns, y], for the rows fitted and the rows held out."""
+
+    fitted: Array
+    held_out: Array
+    rows: tuple[int, int]
+    blocks: Array
+    """The Gram matrix of every block by itself (B, K, K): how much the blocks disagree says how sure the parameters are."""
+
+
+def gram_matrices(
+    windows: Sequence[Window],
+    operators: Operators,
+    structure: Structure,
+    parameters: Array,
+    theta: Array,
+    nuisance: str,
+    groups: int,
+    step: float = 1e-4,
+) -> Grams:
+    """Pass every window once. Columns: J of θ, then the derivatives by the P parameters of G, nuisances per record, y."""
+    columns, size, extra = operators.columns, structure.size, NUISANCES[nuisance]
+    total = columns + size + extra * groups + 1
+    grams = np.zeros((2, total, total))
+    rows = [0, 0]
+    blocks = []
+    samplings = {Sampling(window.sample_time, 1, window.hold) for window in windows}
+    systems = {
+        sampling: [structure.discretised(vector, sampling) for vector in (parameters, *(parameters + step * np.eye(size)))]
+        for sampling in samplings
+    }
+    for window in windows:
+        passing = _Pass(window, operators, systems[Sampling(window.sample_time, 1, window.hold)], theta)
+        n = len(window.command)
+        place = np.r_[0 : columns + size, columns + size + window.group * extra + np.arange(extra), total - 1]
+        length = max(min(BLOCK, n // HELD_OUT_BLOCKS), 1)
+        buffer = np.empty((length, len(place)))
+        weight = np.zeros(0) if window.weight is None else window.weight
+        for begin in range(0, n, length):
+            end = min(begin + length, n)
+            raw = passing.block(begin, end)
+            first = max(window.skip - begin, 0)
+            if first >= end - begin:
+                continue
+            used = slice(begin + first, end)
+            block = buffer[: end - begin - first]
+            share = window.begin - 0.5 + window.share * np.arange(begin + first, end) / n
+            weighed_columns(raw, theta, step, first, share, extra, window.measurement[used], weight[used], block)
+            # Every third block is held out of the choice between structures: little of every experiment in the record.
+            part = 1 if begin // length % 3 == 2 else 0
+            product = np.zeros((total, total))
+            product[np.ix_(place, place)] = gram_product(block)
+            grams[part] += product
+            rows[part] += len(block)
+            blocks.append(product)
+    return Grams(grams[0], grams[1], (rows[0], rows[1]), np.array(blocks))
+
+
+class _Pass:
+    """Streaming state of `filtered_regressors` over one window."""
+
+    def __init__(self, window: Window, operators: Operators, systems: Sequence[tuple[Discretised, int]], theta: Array) -> None:
+        self.window, self.operators, self.theta = window, operators, theta
+        self.shift = 1 if window.hold == "zoh" else 0
+        nominal, whole = systems[0]
+        order, columns, size = len(nominal.A), operators.columns, len(systems) - 1
+        self.nominal = nominal.A, nominal.B[:, :, 0], nominal.C[0], nominal.D[:, 0, 0]
+        self.neighbours = (np.empty((order, order, size)), np.empty((3, order, size)), np.empty((order, size)), np.empty((2, size)))
+        for p, (system, _) in enumerate(systems[1:]):
+            for part, values in zip(self.neighbours, (system.A, system.B[:, :, 0], system.C[0], system.D[:, 0, 0]), strict=True):
+                part[..., p] = values
+        self.whole, self.pwhole = whole, np.array([each for _, each in systems[1:]], dtype=np.int64)
+        self.h = np.zeros(len(operators.thresholds))
+        self.previous = np.array([window.command[0]])
+        length = max(each for _, each in systems) + 5
+        self.ring, self.combined = np.zeros((length, columns)), np.zeros(length)
+        self.state, self.scratch = np.zeros((order, columns)), np.zeros((order, columns + size))
+        self.tangent = np.zeros((order, size))
+        self.position = 0
+        self._settle()
+
+    def _settle(self) -> None:
+        # The play operators' memory up to the first command, then every linear state at rest there.
+        if self.window.memory is not None:
+            self.block_of(self.window.memory)
+            self.previous[0] = self.window.command[0]
+        self.block_of(self.window.command[:1])
+        first = self.ring[(self.position - 1) % len(self.ring)].copy()
+        self.ring[:], self.combined[:] = first, first @ self.theta
+        a, b = self.nominal[:2]
+        order = len(a)
+        if order:
+            gain = np.linalg.solve(np.eye(order) - a, b.sum(axis=0))
+            self.state[:] = gain[:, None] * first
+            for p in range(len(self.pwhole)):
+                gain = np.linalg.solve(np.eye(order) - self.neighbours[0][..., p], self.neighbours[1][..., p].sum(axis=0))
+                self.tangent[:, p] = gain * (first @ self.theta)
+
+    def block(self, begin: int, end: int) -> Array:
+        return self.block_of(self.window.command[begin:end])
+
+    def block_of(self, command: Array) -> Array:
+        output = np.empty((len(command), self.ring.shape[1] + len(self.pwhole)))
+        ops = self.operators
+        self.position = filtered_regressors(
+            command,
+            self.shift,
+            1.0 / self.window.sample_time,
+            ops.center,
+            ops.thresholds,
+            ops.release,
+            ops.rate_gain,
+            ops.dynamic,
+            *self.nominal,
+            self.whole,
+            self.theta,
+            *self.neighbours,
+            self.pwhole,
+            self.h,
+            self.previous,
+            self.ring,
+            self.combined,
+            self.position,
+            self.state,
+            self.scratch,
+            self.tangent,
+            output,
+        )
+        return output

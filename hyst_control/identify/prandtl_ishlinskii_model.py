@@ -1,0 +1,221 @@
+"""From the numbers of a Prandtl-Ishlinskii fit to a model file and a report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hyst_control.chain import Chain, Stage
+from hyst_control.chain.linear import Delay, TransferFunction
+from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
+from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
+from hyst_control.chain.stage import Array
+from hyst_control.identify.bounded_least_squares import covariance
+from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
+from hyst_control.identify.gram_sums import Operators
+from hyst_control.identify.variable_projection import Solution
+from hyst_control.model_file import Model
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """One axis: the solution on everything, its operators, and the mean square error on the stretches held out."""
+
+    solution: Solution
+    operators: Operators
+    held_out: float
+
+
+def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequence[AxisFit]) -> Fit:
+    """The model of all axes, with standard errors as tolerances, and its report."""
+    first = datasets[0]
+    chains = [axis_stages(family, axis) for axis in axes]
+    lower = min(float(data.command.min()) for data in datasets)
+    upper = max(float(data.command.max()) for data in datasets)
+    model = Model(
+        name=f"{family}_{method}",
+        axes=first.axes,
+        units={"command": "V", "measurement": first.unit},
+        sample_time=first.sample_time,
+        hold=first.hold,
+        chain=Chain(merge_axes(chains)),
+        valid={"command": [lower, upper], "frequency": [0.0, max(command_bandwidth(data) for data in datasets)]},
+    )
+    rows, residuals = record_rows(model, datasets)
+    parameters, notes = [], []
+    relative: dict[str, list[float]] = {}
+    for axis, name in zip(axes, first.axes, strict=True):
+        for row in parameter_rows(family, axis, first):
+            row["axis"] = name
+            parameters.append(row)
+            key = row["name"].split("[")[0]
+            if row["standard_error"] is not None and row["value"]:
+                relative.setdefault(key, []).append(abs(row["standard_error"] / row["value"]))
+        notes += told_apart(family, axis, name, parameters)
+    tolerance = {key: float(np.round(np.median(values), 6)) for key, values in relative.items()}
+    sigma = noise_sigma(residuals)
+    model = Model(**{**model.__dict__, "tolerance": tolerance, "noise": {"sigma": sigma if len(sigma) > 1 else sigma[0]}})
+    travel = [max(float(data.range[i]) for data in datasets) for i in range(len(first.axes))]
+    report: dict[str, Any] = {
+        "family": family,
+        "method": method,
+        "unit": first.unit,
+        "records": rows,
+        "held_out_nrmse": [100.0 * float(np.sqrt(axis.held_out)) / span for axis, span in zip(axes, travel, strict=True)],
+        "structure": [axis.solution.structure.describe() for axis in axes],
+        "parameters": parameters,
+        "notes": notes,
+    }
+    return Fit(model, report)
+
+
+def axis_stages(family: str, axis: AxisFit) -> list[Stage]:
+    """The chain of one axis: hysteresis, then its delay and dynamics."""
+    operators, theta = axis.operators, axis.solution.theta
+    thresholds, weights = operators.thresholds, theta[: len(operators.thresholds)]
+    if family == "hampi":
+        m1, m2, k = theta[len(thresholds) :]
+        # b adds to every weight alike, so the data cannot tell it from them: it is set so that k u + b vanishes at mid-drive,
+        # where the weights then are the static ones.
+        hysteresis: Stage = ModifiedPrandtlIshlinskii(
+            thresholds, weights, m1=m1, m2=m2, k=k, b=-k * operators.center, one_sided=operators.one_sided
+        )
+    else:
+        straight = thresholds[0] == 0.0
+        w0 = weights[0] if straight else 0.0
+        thresholds, weights = (thresholds[1:], weights[1:]) if straight else (thresholds, weights)
+        if family == "rdpi":
+            # With rate-dependent thresholds the operator that starts at 0 is not a straight line: it stays an operator.
+            hysteresis = RateDependentPrandtlIshlinskii(
+                operators.thresholds, theta[: len(operators.thresholds)], beta=operators.rate_gain
+            )
+        else:
+            hysteresis = PrandtlIshlinskii(thresholds, weights, w0=w0, one_sided=operators.one_sided)
+    return [hysteresis, *axis.solution.structure.stages(axis.solution.parameters)]
+
+
+def merge_axes(chains: Sequence[Sequence[Stage]]) -> tuple[Stage, ...]:
+    """Chains of single axes as one chain with per-axis parameters; missing delays are 0, missing dynamics 1."""
+    if len(chains) == 1:
+        return tuple(chains[0])
+    merged: list[Stage] = []
+    hysteresis = [chain[0] for chain in chains]
+    values = {
+        key: [stage.parameters().get(key, getattr(stage, key)) for stage in hysteresis]
+        for key in {name for stage in hysteresis for name in stage.parameters()} - {"one_sided"}
+    }
+    merged.append(
+        type(hysteresis[0])(**values, one_sided=hysteresis[0].one_sided)
+        if hasattr(hysteresis[0], "one_sided")
+        else type(hysteresis[0])(**values)
+    )
+    delays = [next((stage.tau for stage in chain if isinstance(stage, Delay)), 0.0) for chain in chains]
+    if any(delays):
+        merged.append(Delay(delays))
+    dynamics = [
+        next((stage for stage in chain if isinstance(stage, TransferFunction)), TransferFunction([1.0], [1.0])) for chain in chains
+    ]
+    if any(len(stage.den) > 1 for stage in dynamics):
+        merged.append(TransferFunction([stage.num for stage in dynamics], [stage.den for stage in dynamics]))
+    return tuple(merged)
+
+
+def parameter_rows(family: str, axis: AxisFit, data: Dataset) -> list[dict[str, Any]]:
+    """Every parameter with its value, unit and standard error (None where the data cannot give one)."""
+    solution, operators = axis.solution, axis.operators
+    size = solution.structure.size
+    spread = covariance(solution.grams.blocks, np.concatenate([solution.theta, np.zeros(size), solution.nuisances]))
+    errors = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    count, columns = len(operators.thresholds), operators.columns
+    rows = [
+        {
+            "name": f"weights[{i}]",
+            "value": float(solution.theta[i]),
+            "standard_error": float(errors[i]),
+            "unit": f"{data.unit}/V",
+            "threshold": float(operators.thresholds[i]),
+        }
+        for i in range(count)
+    ]
+    if family == "hampi":
+        for i, (name, unit) in enumerate((("m1", "s/V^2"), ("m2", "s/V^2"), ("k", "/V^2"))):
+            rows.append(
+                {
+                    "name": name,
+                    "value": float(solution.theta[count + i]),
+                    "standard_error": float(errors[count + i]),
+                    "unit": f"{data.unit} {unit}" if unit[0] != "/" else f"{data.unit}{unit}",
+                }
+            )
+        rows.append(
+            {
+                "name": "b",
+                "value": float(-solution.theta[count + 2] * operators.center),
+                "standard_error": None,
+                "unit": f"{data.unit}/V",
+            }
+        )
+    if family == "rdpi":
+        rows.append({"name": "beta", "value": operators.rate_gain, "standard_error": None, "unit": "s"})
+    if solution.structure.size:
+        block = spread[columns : columns + solution.structure.size, columns : columns + solution.structure.size]
+        rows += dynamics_rows(solution, block)
+    return rows
+
+
+def dynamics_rows(solution: Solution, spread: Array) -> list[dict[str, Any]]:
+    """Coefficients of G and the delay with errors carried over from the parameters of the search."""
+    structure, parameters = solution.structure, solution.parameters
+
+    def coefficients(vector: Array) -> Array:
+        num, den = structure.rational(vector)
+        return np.concatenate([num, den[1:], [structure.tau(vector)]])
+
+    nominal = coefficients(parameters)
+    jacobian = np.array([(coefficients(parameters + 1e-5 * unit) - nominal) / 1e-5 for unit in np.eye(structure.size)]).T
+    errors = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, spread, jacobian), 0.0))
+    num, den = structure.rational(parameters)
+    names = [f"num[{i}]" for i in range(len(num))] + [f"den[{i + 1}]" for i in range(len(den) - 1)] + ["tau"]
+    units = [""] * (len(names) - 1) + ["s"]
+    if len(den) == 1:
+        names, units, nominal, errors = names[-1:], units[-1:], nominal[-1:], errors[-1:]
+    if not structure.delay:
+        names, units, nominal, errors = names[:-1], units[:-1], nominal[:-1], errors[:-1]
+    return [
+        {"name": name, "value": float(value), "standard_error": float(error), "unit": unit}
+        for name, value, error, unit in zip(names, nominal, errors, units, strict=True)
+    ]
+
+
+def told_apart(family: str, axis: AxisFit, name: str, parameters: Sequence[dict[str, Any]]) -> list[str]:
+    """What the data could not tell, with the excitation that would."""
+    notes = []
+    own = [row for row in parameters if row["axis"] == name]
+    unsure = [
+        row["name"]
+        for row in own
+        if row["standard_error"] is not None
+        and row["name"].startswith("weights")
+        and row["standard_error"] > max(abs(row["value"]), 1e-3 * abs(sum(r["value"] for r in own if "weights" in r["name"])))
+    ]
+    if unsure:
+        notes.append(
+            f"axis {name}: {', '.join(unsure)} cannot be told from these data: record slow loops of several amplitudes "
+            "that begin at 0 V"
+        )
+    structure = axis.solution.structure
+    if family in ("hapi", "hampi") and not structure.modes:
+        notes.append(
+            f"axis {name}: the dynamics G(s) cannot be told from these data ({structure.describe()}): record a step or a "
+            "sweep up to beyond the resonance"
+        )
+    if family == "hampi":
+        rates = {row["name"]: row for row in own if row["name"] in ("m1", "m2")}
+        for key, row in rates.items():
+            if row["value"] == 0.0 or row["standard_error"] > abs(row["value"]):
+                notes.append(f"axis {name}: {key} cannot be told from 0: record loops at 100 Hz and above")
+    return notes

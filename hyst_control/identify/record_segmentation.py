@@ -1,0 +1,117 @@
+"""Finding the papers' experiments in records: the step, the quasi-static loops and the loops at a given rate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.reversal_points import turning_points
+
+REST_TIME = 5e-3
+"""A command that holds still for this long (s) rests."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Rows begin…end of a record between two rests. kind: "step", or "motion" with its main frequency (Hz)."""
+
+    record: int
+    begin: int
+    end: int
+    kind: str
+    frequency: float
+    amplitude: float
+
+
+def stretches_between_rests(data: Dataset, record: int, axis: int) -> list[Stretch]:
+    """The motions of one axis of a record, each with the rest that follows it.
+
+    Where motions join without a rest they are cut where their frequency changes: at returns to the lowest command.
+    """
+    command = data.command[:, axis]
+    span = float(np.ptp(command))
+    if span == 0:
+        return []
+    moving = np.abs(np.diff(command)) > 1e-6 * span
+    edges = _runs(moving, int(max(REST_TIME / data.sample_time, 2)))
+    found: list[Stretch] = []
+    for index, (begin, stop) in enumerate(edges):
+        end = edges[index + 1][0] if index + 1 < len(edges) else len(command)
+        jump = command[min(stop + 1, len(command) - 1)] - command[begin]
+        if stop - begin <= 2:
+            found.append(Stretch(record, begin, end, "step", 0.0, float(jump)))
+            continue
+        found += [
+            Stretch(record, begin + left, begin + right, "motion", frequency, amplitude)
+            for left, right, frequency, amplitude in _motions(command[begin : stop + 1], data.sample_time)
+        ]
+    return found
+
+
+def _runs(moving: Array, rest: int) -> list[tuple[int, int]]:
+    """(first, last + 1) of the stretches of motion that are separated by at least `rest` still samples."""
+    indices = np.flatnonzero(moving)
+    if not len(indices):
+        return []
+    breaks = np.flatnonzero(np.diff(indices) > rest)
+    begins = np.concatenate([[indices[0]], indices[breaks + 1]])
+    ends = np.concatenate([indices[breaks], [indices[-1]]]) + 1
+    return list(zip(begins.tolist(), ends.tolist(), strict=True))
+
+
+def still(command: Array, least: int) -> list[tuple[int, int]]:
+    """Begins and ends of the stretches over which a command (N,) holds still for at least so many samples."""
+    moving = np.flatnonzero(np.abs(np.diff(command)) > 1e-6 * np.ptp(command))
+    edges = np.concatenate([[-1], moving, [len(command) - 1]])
+    return [(int(begin) + 1, int(end) + 1) for begin, end in zip(edges, edges[1:], strict=False) if end - begin >= least]
+
+
+def _motions(command: Array, sample_time: float) -> list[tuple[int, int, float, float]]:
+    """Cut a motion into runs of equal period and peak-to-peak amplitude, from its turning points."""
+    turns = np.append(turning_points(command), len(command) - 1)
+    half_periods = np.diff(turns)
+    swings = np.abs(np.diff(command[turns]))
+    large = swings > 0.02 * max(np.ptp(command), 1e-300)
+    runs: list[tuple[int, int, float, float]] = []
+    start = 0
+    for i in range(1, len(half_periods) + 1):
+        same = (
+            i < len(half_periods)
+            and large[i] == large[start]
+            and (
+                abs(half_periods[i] - half_periods[start]) <= max(2, 0.1 * half_periods[start])
+                and abs(swings[i] - swings[start]) <= 0.1 * swings[start]
+            )
+        )
+        if not same:
+            if large[start]:
+                period = 2.0 * float(np.mean(half_periods[start:i])) * sample_time
+                runs.append((int(turns[start]), int(turns[i]), 1.0 / period, float(swings[start])))
+            start = i
+    return runs
+
+
+def pick(datasets: Sequence[Dataset], axis: int, kind: str, frequency: float | None = None) -> list[Stretch]:
+    """Stretches for a role: every "step"; "quasi_static" motions up to 5 Hz; "dynamic" motions nearest to `frequency` (Hz).
+
+    Of the motions those of the largest amplitude are kept, as the papers' are.
+    """
+    everything = [stretch for number, data in enumerate(datasets) for stretch in stretches_between_rests(data, number, axis)]
+    if kind == "step":
+        steps = [stretch for stretch in everything if stretch.kind == "step" and stretch.amplitude > 0]
+        return steps[:1]
+    motions = [stretch for stretch in everything if stretch.kind == "motion"]
+    if kind == "quasi_static":
+        motions = [stretch for stretch in motions if stretch.frequency <= 5.0]
+    elif motions:
+        assert frequency is not None
+        nearest = min(abs(np.log(stretch.frequency / frequency)) for stretch in motions)
+        motions = [stretch for stretch in motions if abs(np.log(stretch.frequency / frequency)) <= nearest + 0.05]
+        if nearest > 0.4:
+            return []
+    largest = max((stretch.amplitude for stretch in motions), default=0.0)
+    return [stretch for stretch in motions if stretch.amplitude >= 0.9 * largest]

@@ -1,0 +1,314 @@
+"""One model for several levels of a periodic experiment: modes that soften with amplitude (`chain.softening_modal`).
+
+Two fits, both Levenberg-Marquardt on the output error of all levels together, each level weighing the same: first the
+poles and input gains as functions of the slow amplitude, which is constant within a record; then, with the softening
+force computed from the first model's elongation, that force as further inputs of the same modes. Nothing but the
+command enters either.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hyst_control.chain.softening_modal import SofteningModal
+from hyst_control.chain.stage import Array
+from hyst_control.identify.frequency_response import excited_lines
+from hyst_control.identify.modal_fit import Layout, ModalModel, Problem, Spectra, solve_damped
+
+
+@dataclass(frozen=True)
+class Level:
+    """One level: steady periods of command (N, m, R) in V and measurement (N, p, R) for R realisations."""
+
+    command: Array
+    measurement: Array
+
+    @property
+    def amplitude(self) -> float:
+        """Rms of the command over samples, axes and realisations, V."""
+        return float(np.sqrt(np.mean(self.command**2)))
+
+
+@dataclass(frozen=True)
+class Scheduled:
+    """Modal parameters that move along one direction with g: θ = centre + g · change, in the layout of `modal_fit.Problem`."""
+
+    centre: ModalModel
+    change: Array
+
+    def at(self, g: float) -> ModalModel:
+        """The linear model at this g."""
+        problem = Problem([_empty(self.centre)], self.centre)
+        problem.apply(g * self.change)
+        return problem.model
+
+
+@dataclass(frozen=True)
+class SofteningFit:
+    """The stage and how it was found.
+
+    The parameters it was made of, how many of them are free, the seconds it took, and the standard deviations (M, 2) of the poles' decay
+    and frequency, as far as the fit's residual tells.
+    """
+
+    stage: SofteningModal
+    scheduled: Scheduled
+    parameters: int
+    seconds: float
+    sigma: Array
+
+    @property
+    def tolerance(self) -> dict[str, float]:
+        """Median relative standard deviations of the stage's decays and frequencies: the least due in a model file."""
+        pairs = np.asarray(self.stage.frequency) > 0
+        relative = self.sigma[pairs] / np.abs(np.stack([self.stage.decay, self.stage.frequency], axis=1)[pairs])
+        return {"decay": float(np.median(relative[:, 0])), "frequency": float(np.median(relative[:, 1]))}
+
+
+def schedule(amplitude: float, reference: float) -> float:
+    """g of `SofteningModal`: 0 at the reference amplitude, -1 at half of it."""
+    return float((np.sqrt(amplitude / reference) - 1.0) / (1.0 - np.sqrt(0.5)))
+
+
+def fit_softening(
+    levels: Sequence[Level],
+    start: ModalModel | Scheduled,
+    reference: float,
+    sample_time: float,
+    *,
+    exponent: float | Sequence[float] = 0.5,
+    memory: float = 0.1,
+    force: bool = True,
+    iterations: tuple[int, int] = (14, 7),
+    rounds: int = 2,
+) -> SofteningFit:
+    """Fit `SofteningModal` from a linear model of the level whose amplitude is `reference` (V).
+
+    `force` False leaves the softening force out: the model is then linear at each amplitude. A fit without it may be
+    the start of one with it.
+    """
+    began = time.perf_counter()
+    g = [schedule(level.amplitude, reference) for level in levels]
+    weights = [1.0 / float(np.std(level.measurement)) for level in levels]
+    linear = start.centre if isinstance(start, Scheduled) else start
+    inputs = linear.inputs.shape[1]
+    if isinstance(start, Scheduled):
+        scheduled, parameters, sigma = start, 0, np.zeros((len(start.centre.poles), 2))
+    else:
+        data = [spectra(level.command, level.measurement, weight) for level, weight in zip(levels, weights, strict=True)]
+        initial = Scheduled(start, np.zeros(_layout(start).size))
+        scheduled, parameters, sigma = refine_scheduled(data, g, initial, inputs, iterations[0])
+    if not force:
+        stage = stage_of(scheduled, reference, sample_time, memory=memory)
+        return SofteningFit(stage, scheduled, parameters, time.perf_counter() - began, _per_second(sigma, sample_time))
+    # The elongation in volts of a slow command: what the low lines' gain makes of the output.
+    low = linear.response(2 * np.pi * np.linspace(80.0, 230.0, 50) * sample_time).mean(axis=0).real
+    elongation = np.linalg.inv(low)
+    exponents = np.atleast_1d(np.asarray(exponent, dtype=float))
+    point = _widened(scheduled, inputs * len(exponents))
+    # The force follows the elongation that the commands alone cause in the model, so each fit moves it a little: fit
+    # again.
+    for _ in range(rounds):
+        strains = [_strain(point.at(value), level, elongation, inputs) for level, value in zip(levels, g, strict=True)]
+        # A term's average part, proportional to the strain, belongs to the scheduled modes: the rest is uncorrelated
+        # with it.
+        power = [np.sum(q**2, axis=(0, 2)) for q in strains]
+        means = []
+        for e in exponents:
+            bent = sum(np.sum(np.abs(q) ** (2 + e), axis=(0, 2)) for q in strains)
+            means.append(bent / sum(part * level.amplitude**e for part, level in zip(power, levels, strict=True)))
+        mean = np.concatenate(means)
+        data = []
+        for level, weight, q in zip(levels, weights, strains, strict=True):
+            terms = [q * (np.abs(q) ** e - part[:, None] * level.amplitude**e) for e, part in zip(exponents, means, strict=True)]
+            # The force reaches lines that the command leaves out.
+            command = np.concatenate([level.command, *terms], axis=1)
+            data.append(spectra(command, level.measurement, weight, every_line=True))
+        point, parameters, sigma = refine_scheduled(data, g, point, inputs, iterations[1])
+    stage = stage_of(point, reference, sample_time, memory=memory, exponent=exponent, elongation=elongation, mean=mean)
+    return SofteningFit(stage, point, parameters, time.perf_counter() - began, _per_second(sigma, sample_time))
+
+
+def _strain(model: ModalModel, level: Level, elongation: Array, inputs: int) -> Array:
+    """Elongation (N, p, R) in V that the commands cause in the linear part of a model, in the periodic steady state."""
+    samples = len(level.command)
+    lines = np.arange(1, samples // 2)
+    spectrum = np.zeros((samples // 2 + 1, *level.measurement.shape[1:]), dtype=complex)
+    response = model.response(2 * np.pi * lines / samples)[:, :, :inputs]
+    spectrum[lines] = response @ np.fft.rfft(level.command, axis=0)[lines]
+    return np.einsum("ij,njr->nir", elongation, np.fft.irfft(spectrum, samples, axis=0))
+
+
+def refine_scheduled(
+    data: Sequence[Spectra], g: Sequence[float], start: Scheduled, inputs: int, iterations: int, tolerance: float = 2e-5
+) -> tuple[Scheduled, int, Array]:
+    """Levenberg-Marquardt over the centre and over the changes of the poles and of the first `inputs` inputs' gains.
+
+    Returns the fitted parameters, how many are free, and what `_pole_sigma` says.
+    """
+    problems = [Problem([part], start.centre) for part in data]
+    layout, free = problems[0].layout, problems[0].free
+    n, m = start.centre.inputs.shape
+    moving = np.concatenate([layout.indices("pole", n, 2).ravel(), layout.indices("b", 2, n, m)[:, :, :inputs].ravel()])
+    moving = moving[free[moving]]
+    size, count = layout.size, len(moving)
+    all_free = np.concatenate([free, np.ones(count, dtype=bool)])
+
+    def place(point: Scheduled) -> None:
+        for problem, value in zip(problems, g, strict=True):
+            problem.model = point.centre
+            problem.apply(value * point.change)
+
+    def normal(point: Scheduled) -> tuple[Array, Array, float]:
+        place(point)
+        matrix, vector, cost = np.zeros((size + count, size + count)), np.zeros(size + count), 0.0
+        for problem, value in zip(problems, g, strict=True):
+            own, gradient, part = problem.normal_equations()
+            matrix[:size, :size] += own
+            matrix[:size, size:] += value * own[:, moving]
+            matrix[size:, :size] += value * own[moving]
+            matrix[size:, size:] += value**2 * own[np.ix_(moving, moving)]
+            vector[:size] += gradient
+            vector[size:] += value * gradient[moving]
+            cost += part
+        return matrix, vector, cost
+
+    point = start
+    matrix, vector, cost = normal(point)
+    damping = 1e-4
+    for _ in range(iterations):
+        gained = 0.0
+        for _ in range(8):
+            step = solve_damped(matrix, vector, all_free, damping)
+            change = point.change.copy()
+            change[moving] += step[size:]
+            problems[0].model = point.centre
+            problems[0].apply(step[:size])
+            trial = _bounded(Scheduled(problems[0].model, change), problems[0], max(abs(value) for value in g))
+            place(trial)
+            gained = cost - sum(problem.cost() for problem in problems)
+            if gained > 0:
+                point, damping = trial, max(damping / 5, 1e-9)
+                break
+            damping *= 8
+        if gained <= tolerance * cost:
+            break
+        matrix, vector, cost = normal(point)
+    pairs = int(np.count_nonzero(start.centre.poles.imag))
+    # c and b of a mode share one complex (or real) factor that changes nothing.
+    count = int(all_free.sum()) - n - pairs
+    equations = sum(2 * part.measurement.size for part in data)
+    return point, count, _pole_sigma(matrix, all_free, cost / max(equations - count, 1), layout.indices("pole", n, 2))
+
+
+def _pole_sigma(matrix: Array, free: np.ndarray, variance: float, at: Array) -> Array:
+    """Standard deviations (n, 2) of the poles' a and w, which stand at `at`, from JᵀJ and the residual's variance."""
+    index = np.flatnonzero(free)
+    scale = np.sqrt(np.maximum(np.diag(matrix)[index], 1e-300))
+    # The factor that c and b of a mode share leaves JᵀJ singular: a trace on the diagonal, and the poles are untouched.
+    scaled = matrix[np.ix_(index, index)] / scale / scale[:, None] + 1e-9 * np.eye(len(index))
+    sigma = np.zeros(len(free))
+    sigma[index] = np.sqrt(variance * np.maximum(np.diag(np.linalg.inv(scaled)), 0.0)) / scale
+    return sigma[at]
+
+
+def _per_second(sigma: Array, sample_time: float) -> Array:
+    return sigma * np.array([1.0, 1.0 / sample_time])
+
+
+def spectra(command: Array, measurement: Array, weight: float, every_line: bool = False) -> Spectra:
+    """Excited lines of periodic records, scaled so that sums of squares are those of the samples times weight²."""
+    u, y = np.fft.rfft(command, axis=0), np.fft.rfft(measurement, axis=0)
+    lines = np.arange(1, (len(command) + 1) // 2) if every_line else excited_lines(np.sum(np.abs(u) ** 2, axis=(1, 2)))
+    scale = weight * np.sqrt(2.0 / len(command))
+    return Spectra(2 * np.pi * lines / len(command), scale * u[lines], scale * y[lines], True)
+
+
+def stage_of(
+    scheduled: Scheduled,
+    reference: float,
+    sample_time: float,
+    *,
+    memory: float,
+    exponent: float | Sequence[float] = 0.5,
+    elongation: Array | None = None,
+    mean: Array | None = None,
+) -> SofteningModal:
+    """The stage; inputs beyond the number of outputs are the softening force's."""
+    model = scheduled.centre
+    n, m = model.inputs.shape
+    outputs = model.feedthrough.shape[0]
+    layout = _layout(model)
+    pole = scheduled.change[layout.slices["pole"]].reshape(n, 2)
+    change = scheduled.change[layout.indices("b", 2, n, m)][:, :, :outputs] / sample_time
+
+    def pair(values: np.ndarray) -> Array:
+        return np.stack([values.real, values.imag])
+
+    parts = (
+        {
+            "force_inputs": pair(model.inputs[:, outputs:] / sample_time),
+            "force_feedthrough": model.feedthrough[:, outputs:],
+            "elongation": elongation,
+            "force_mean": mean,
+        }
+        if m > outputs
+        else {}
+    )
+    return SofteningModal(
+        decay=np.log(-model.poles.real / sample_time),
+        frequency=model.poles.imag / sample_time,
+        outputs=pair(model.outputs),
+        inputs=pair(model.inputs[:, :outputs] / sample_time),
+        feedthrough=model.feedthrough[:, :outputs],
+        amplitude=reference,
+        decay_change=pole[:, 0],
+        frequency_change=pole[:, 1] / sample_time,
+        inputs_change=change,
+        exponent=exponent,
+        memory=memory,
+        **parts,
+    )
+
+
+def _bounded(point: Scheduled, problem: Problem, reach: float) -> Scheduled:
+    """The point with its poles' changes held where no pole leaves its bounds for |g| up to `reach`."""
+    poles = point.centre.poles
+    change = point.change.copy()
+    at = problem.layout.indices("pole", len(poles), 2)
+    decay = np.maximum(np.log(-poles.real) - problem.slowest, 0.0) / reach
+    frequency = np.where(poles.imag == 0, 0.0, np.minimum(np.pi - poles.imag, poles.imag)) / reach
+    change[at[:, 0]] = np.clip(change[at[:, 0]], -decay, decay)
+    change[at[:, 1]] = np.clip(change[at[:, 1]], -frequency, frequency)
+    return Scheduled(point.centre, change)
+
+
+def _layout(model: ModalModel) -> Layout:
+    return Problem([_empty(model)], model).layout
+
+
+def _empty(model: ModalModel) -> Spectra:
+    """Two lines, so close that no pole is held back, without data: a problem that only moves parameters."""
+    outputs, inputs = model.feedthrough.shape
+    return Spectra(np.array([1.0, 1.0 + 1e-9]), np.zeros((2, inputs, 1)), np.zeros((2, outputs, 1)), True)
+
+
+def _widened(scheduled: Scheduled, further: int) -> Scheduled:
+    """The same with that many further inputs, of no effect yet."""
+    model, old = scheduled.centre, _layout(scheduled.centre)
+    (n, p), inputs = model.outputs.shape, model.inputs.shape[1]
+    wide = replace(
+        model,
+        inputs=np.hstack([model.inputs, np.zeros((n, further))]),
+        feedthrough=np.hstack([model.feedthrough, np.zeros((p, further))]),
+        delay=np.concatenate([model.delay, np.zeros(further)]),
+    )
+    new = _layout(wide)
+    change = np.zeros(new.size)
+    change[new.slices["pole"]] = scheduled.change[old.slices["pole"]]
+    change[new.indices("b", 2, n, inputs + further)[:, :, :inputs]] = scheduled.change[old.indices("b", 2, n, inputs)]
+    return Scheduled(wide, change)

@@ -1,0 +1,104 @@
+"""How well models predict records: the same table for one model or several, as a whole and by frequency and amplitude."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hyst_control import progress
+from hyst_control.errors import InputError
+from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.fit_report import residual
+from hyst_control.identify.record_segmentation import stretches_between_rests
+from hyst_control.identify.workflow import datasets_of
+from hyst_control.model_file import Model, load_model
+from hyst_control.records.bag_reader import read_bag
+from hyst_control.reporting.tables import Table
+
+
+def validate_bags(
+    models: Sequence[str | Path],
+    bags: Sequence[str | Path],
+    source: str,
+    hold: str | None = None,
+    start: str = "settled",
+    namespace: str | None = None,
+    unit: str = "unknown",
+) -> Table:
+    """Every model on every record. NRMSE and NME in % of the record's range (HAMPI paper Eq. 26), RMSE in its unit.
+
+    Raises `InputError` naming the file when a model and a record differ in axes or unit.
+    """
+    loaded = {_name(path, models): load_model(path) for path in models}
+    table = Table(source)
+    for bag in bags:
+        progress.step(f"read {bag}")
+        for data in datasets_of(read_bag(bag, namespace, unit), hold, start, True):
+            for name, model in loaded.items():
+                progress.step(f"{name} on {data.name}")
+                check_pair(name, model, data)
+                add_rows(table, name, model, data)
+    return table
+
+
+def check_pair(name: str, model: Model, data: Dataset) -> None:
+    """Raise `InputError` unless model and record have the same axes and unit."""
+    if model.axes != data.axes or model.units["measurement"] != data.unit:
+        raise InputError(
+            f"{name}: has axes {', '.join(model.axes)} in {model.units['measurement']}, the record {data.name} has "
+            f"{', '.join(data.axes)} in {data.unit}: use a model of this plant"
+        )
+
+
+def add_rows(table: Table, name: str, model: Model, data: Dataset) -> None:
+    """Figures of one model on one record: the whole of it, then each motion between rests by frequency and height."""
+    error = residual(model, data)
+    skipped = len(data.command) - len(error)
+    for axis, label in enumerate(data.axes):
+        where = f"{data.name} {label}" if len(data.axes) > 1 else data.name
+        span = float(data.range[axis]) or 1.0
+        e = error[:, axis]
+        rmse = float(np.sqrt(np.mean(e**2)))
+        for quantity, value, symbol in (
+            ("nrmse", 100 * rmse / span, "%"),
+            ("nrmse_centered", 100 * float(np.std(e)) / span, "%"),
+            ("nme", 100 * float(np.max(np.abs(e))) / span, "%"),
+            ("rmse", rmse, data.unit),
+        ):
+            table.add("validation", where, name, quantity, symbol, value, n=len(e))
+        outside = share_outside(model, data, axis)
+        if outside > 0:
+            table.add("validation", where, name, "outside_valid_command", "%", 100 * outside, n=len(e))
+        for stretch in stretches_between_rests(data, 0, axis):
+            rows = slice(max(stretch.begin - skipped, 0), max(stretch.end - skipped, 0))
+            part = data.measurement[stretch.begin : stretch.end, axis]
+            if stretch.kind != "motion" or rows.stop - rows.start < 10 or np.ptp(part) == 0:
+                continue
+            case = f"{where} {stretch.frequency:.4g} Hz, {stretch.amplitude:.4g} V"
+            table.add(
+                "by frequency and amplitude",
+                case,
+                name,
+                "nrmse",
+                "%",
+                100 * float(np.sqrt(np.mean(e[rows] ** 2)) / np.ptp(part)),
+                n=rows.stop - rows.start,
+            )
+
+
+def share_outside(model: Model, data: Dataset, axis: int) -> float:
+    """Share of the record's command outside the range that the model was fitted over."""
+    valid = model.valid.get("command")
+    if valid is None:
+        return 0.0
+    lower, upper = np.array(valid, dtype=float).reshape(-1, 2)[axis if np.ndim(valid) == 2 else 0]
+    slack = 1e-6 * (upper - lower)
+    command = data.command[:, axis]
+    return float(np.mean((command < lower - slack) | (command > upper + slack)))
+
+
+def _name(path: str | Path, among: Sequence[str | Path]) -> str:
+    stem = Path(path).stem
+    return stem if sum(Path(other).stem == stem for other in among) == 1 else str(path)

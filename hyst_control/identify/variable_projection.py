@@ -1,0 +1,178 @@
+"""Variable projection: the few nonlinear parameters of G(s) by damped Gauss-Newton, everything else by linear least squares."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.chain.stage import Array
+from hyst_control.identify.bounded_least_squares import cost, solve_bounded
+from hyst_control.identify.gram_sums import Grams, Operators, Window, gram_matrices
+from hyst_control.identify.stable_dynamics import Structure
+
+PRIOR = 1e-7
+"""Weight of the prior on the slopes, relative to the strongest regressor."""
+LEAST_SLOPE = 1e-3
+"""Smallest slope of a branch, relative to the mean slope."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One axis of all records, the operators, and the bounds of the linear parameters.
+
+    The bounds are those of the *slopes*, the cumulative sums of the weights: a loop whose every branch rises has positive
+    slopes, and only then an inverse.
+    """
+
+    windows: Sequence[Window]
+    operators: Operators
+    nuisance: str
+    groups: int
+    mean_slope: float
+    drift: Sequence[float] = ()
+    """Largest drift of each record (measurement unit), where the nuisance is linear; no bound where there is none."""
+
+    @property
+    def to_weights(self) -> Array:
+        """Matrix (J, J) from the bounded coordinates (slopes; m1, m2, k as they are) to the linear parameters."""
+        n = len(self.operators.thresholds)
+        matrix = np.eye(self.operators.columns)
+        matrix[np.arange(1, n), np.arange(n - 1)] = -1.0
+        return matrix
+
+    def bounds(self, free: int) -> tuple[Array, Array]:
+        """Bounds of the bounded coordinates followed by the `free` nuisances, of which only drifts are bounded."""
+        n, dynamic = len(self.operators.thresholds), self.operators.dynamic
+        lower = np.concatenate([np.full(n, LEAST_SLOPE * self.mean_slope), [0.0, 0.0, -np.inf] * dynamic, np.full(free, -np.inf)])
+        upper = np.full(len(lower), np.inf)
+        if self.nuisance == "linear" and len(self.drift) and free:
+            lower[self.operators.columns + 1 :: 2], upper[self.operators.columns + 1 :: 2] = np.negative(self.drift), self.drift
+        return lower, upper
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Parameters of G, linear parameters (J,), nuisances, the mean square errors fitted and held out, and the Gram matrices."""
+
+    structure: Structure
+    parameters: Array
+    theta: Array
+    nuisances: Array
+    fitted: float
+    held_out: float
+    grams: Grams
+    passes: int
+
+
+def linear_solution(problem: Problem, gram: Array, size: int) -> tuple[Array, Array]:
+    """θ (J,) and nuisances for the G at which `gram` was formed; `size` dynamics columns are left out."""
+    columns = problem.operators.columns
+    total = len(gram) - 1
+    keep = np.r_[0:columns, columns + size : total]
+    transform = np.eye(len(keep))
+    transform[:columns, :columns] = problem.to_weights
+    reduced = transform.T @ gram[np.ix_(keep, keep)] @ transform
+    target = transform.T @ gram[keep, total]
+    # Slopes that the data do not show stay at the mean slope: a prior far weaker than any data that do show them.
+    count = len(problem.operators.thresholds)
+    strength = PRIOR * float(np.max(np.diag(reduced)[:count]))
+    reduced[np.arange(count), np.arange(count)] += strength
+    target[:count] += strength * problem.mean_slope
+    solution = transform @ solve_bounded(reduced, target, *problem.bounds(len(keep) - columns))
+    return solution[:columns], solution[columns:]
+
+
+def solve(
+    problem: Problem,
+    structure: Structure,
+    start: Array,
+    theta: Array | None = None,
+    passes: int = 15,
+    tolerance: float = 1e-4,
+    everything: bool = False,
+) -> Solution:
+    """Fit G's parameters from `start` by Levenberg-Marquardt steps, at most `passes` passes over the records.
+
+    With `everything` the held-out rows are fitted too, for the final model. The derivatives by G's parameters are taken at the
+    linear parameters of the pass before; without any (`theta` None) the first pass only finds them.
+    """
+    sample_time = min(window.sample_time for window in problem.windows)
+    passed = 0
+
+    def visit(parameters: Array, theta: Array) -> Solution:
+        nonlocal passed
+        passed += 1
+        grams = gram_matrices(problem.windows, problem.operators, structure, parameters, theta, problem.nuisance, problem.groups)
+        gram = grams.fitted + grams.held_out if everything else grams.fitted
+        found, nuisances = linear_solution(problem, gram, structure.size)
+        vector = np.concatenate([found, np.zeros(structure.size), nuisances])
+        rows = sum(grams.rows) if everything else grams.rows[0]
+        return Solution(
+            structure,
+            parameters,
+            found,
+            nuisances,
+            cost(gram, vector) / max(rows, 1),
+            cost(grams.held_out, vector) / max(grams.rows[1], 1),
+            grams,
+            passed,
+        )
+
+    present = structure.limit(start, sample_time)
+    best = visit(present, np.zeros(problem.operators.columns) if theta is None else theta)
+    if structure.size and theta is None:
+        best = visit(present, best.theta)
+    damping = 1e-3
+    while structure.size and passed < passes:
+        wanted = best.parameters + _limited_step(problem, best, everything, damping, sample_time)
+        trial = visit(structure.limit(wanted, sample_time), best.theta)
+        if trial.fitted < best.fitted:
+            improvement, best, damping = 1.0 - trial.fitted / best.fitted, trial, max(0.2 * damping, 1e-9)
+            if improvement < tolerance:
+                break
+        elif np.max(np.abs(trial.parameters - best.parameters)) < 1e-6:
+            break
+        else:
+            damping *= 10.0
+    return replace(best, passes=passed)
+
+
+def _limited_step(problem: Problem, at: Solution, everything: bool, damping: float, sample_time: float) -> Array:
+    """The damped Gauss-Newton step; parameters that it would push out of bounds at which they stand are held there."""
+    gram = at.grams.fitted + at.grams.held_out if everything else at.grams.fitted
+    free = np.ones(at.structure.size, dtype=bool)
+    while True:
+        step = np.zeros(len(free))
+        step[free] = np.clip(_newton_step(problem, gram, at, np.flatnonzero(free), damping), -0.7, 0.7)
+        moved = at.structure.limit(at.parameters + step, sample_time) - at.parameters
+        stuck = free & (np.abs(step) > 1e-9) & (np.abs(moved) < 1e-12)
+        if not stuck.any() or stuck.sum() == free.sum():
+            return step
+        free &= ~stuck
+
+
+def _newton_step(problem: Problem, gram: Array, at: Solution, free: NDArray[np.intp], damping: float) -> Array:
+    """Step of G's parameters `free`; linear parameters follow it, except those held at a bound, which stay there."""
+    columns, size, extra = len(at.theta), at.structure.size, len(at.nuisances)
+    residual = gram[:-1, -1] - gram[:-1, :-1] @ np.concatenate([at.theta, np.zeros(size), at.nuisances])
+    # The linear parameters that can move, as directions in the coordinates of the Gram matrix.
+    bounded = np.concatenate([np.linalg.solve(problem.to_weights, at.theta), at.nuisances])
+    lower, upper = problem.bounds(extra)
+    near = 1e-9 * np.max(np.abs(bounded))
+    moving = (bounded > lower + near) & (bounded < upper - near)
+    followers = np.zeros((len(residual), columns + extra))
+    followers[:columns, :columns] = problem.to_weights
+    followers[columns + size :, columns:] = np.eye(extra)
+    followers = followers[:, moving]
+    dynamic = columns + free
+    cross = followers.T @ gram[:-1, dynamic]
+    inner = followers.T @ gram[:-1, :-1] @ followers
+    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    projected = np.linalg.lstsq(inner / scale[:, None] / scale, cross / scale[:, None], rcond=1e-11)[0] / scale[:, None]
+    normal = gram[np.ix_(dynamic, dynamic)] - cross.T @ projected
+    gradient = residual[dynamic] - projected.T @ (followers.T @ residual)
+    diagonal = np.maximum(np.diag(normal), 1e-12 * np.max(np.diag(normal)) + 1e-300)
+    return np.linalg.solve(normal + damping * np.diag(diagonal), gradient)

@@ -1,0 +1,41 @@
+"""Writes what the nodes of a ROS domain say in their diagnostics as lines of JSON, for programs that know no ROS."""
+
+from __future__ import annotations
+
+import json
+
+from diagnostic_msgs.msg import DiagnosticArray
+
+from hyst_control.nodes.base import EndingNode
+from hyst_control.nodes.run import main as run_main
+
+
+class Monitor(EndingNode):
+    """One line per message and status: `{"node": …, "stamp": s, "values": {…}}`."""
+
+    def __init__(self, name: str = "monitor") -> None:
+        super().__init__(name)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._heard, 100)
+
+    def _heard(self, message: DiagnosticArray) -> None:
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        for status in message.status:
+            print(
+                json.dumps(
+                    {
+                        "node": status.name.rpartition(":")[0].rpartition("/")[2],
+                        "stamp": stamp,
+                        "values": {entry.key: entry.value for entry in status.values},
+                    }
+                ),
+                flush=True,
+            )
+
+
+def main() -> int:
+    """The executable."""
+    return run_main(Monitor)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

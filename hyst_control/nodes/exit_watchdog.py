@@ -1,0 +1,48 @@
+"""The end of a process that the middleware keeps from ending."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+
+PATIENCE = 5.0
+"""s, for what takes some milliseconds."""
+
+_SIGEV_THREAD, _CLOCK_MONOTONIC = 2, 1
+
+
+class _Notification(ctypes.Structure):
+    """`struct sigevent` of Linux: a thread calls `function(value)`."""
+
+    _fields_ = (
+        ("value", ctypes.c_long),
+        ("signal", ctypes.c_int),
+        ("notify", ctypes.c_int),
+        ("function", ctypes.c_void_p),
+        ("attributes", ctypes.c_void_p),
+        ("reserved", ctypes.c_char * 32),
+    )
+
+
+class _Duration(ctypes.Structure):
+    """`struct itimerspec`: interval and first time, each in s and ns."""
+
+    _fields_ = (("interval", ctypes.c_long * 2), ("first", ctypes.c_long * 2))
+
+
+def leave_within(status: int, seconds: float = PATIENCE) -> None:
+    """End the process with this status if it still runs after so many seconds, whatever it waits for.
+
+    Fast DDS 2.14 may stand still for ever while it destroys a participant and hears that another one leaves, as when one Ctrl-C ends
+    all nodes: `DomainParticipant::set_listener` waits for a callback of the discovery, which waits for it. The call holds the
+    interpreter's lock, so no Python code could end it: a timer of the C library calls `_exit`.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    library = ctypes.CDLL(None, use_errno=True)
+    leave = _Notification(value=status, notify=_SIGEV_THREAD, function=ctypes.cast(library._exit, ctypes.c_void_p))
+    timer = ctypes.c_void_p()
+    if library.timer_create(_CLOCK_MONOTONIC, ctypes.byref(leave), ctypes.byref(timer)) == 0:
+        whole = int(seconds)
+        first = (ctypes.c_long * 2)(whole, int((seconds - whole) * 1e9))
+        library.timer_settime(timer, 0, ctypes.byref(_Duration(first=first)), None)

@@ -1,0 +1,189 @@
+"""Sending and receiving signal blocks: serialized bytes where the middleware takes them, message objects otherwise."""
+
+from __future__ import annotations
+
+import array
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+from hyst_control.records.signal_message import ROW_LABEL, Decoder, Encoder
+
+Array = NDArray[np.float64]
+
+# Every sample counts: reliable, and a queue that holds what a recorder may lag behind.
+QUEUE = QoSProfile(history=QoSHistoryPolicy.KEEP_LAST, depth=5000, reliability=QoSReliabilityPolicy.RELIABLE)
+
+
+class Receiver(Protocol):
+    """What a message may be handed to within a process, instead of being sent to its subscription."""
+
+    topic: str
+    raw: bool
+
+    def hand(self, raw: bytes) -> None:
+        """Take over a serialized message; what it means is looked at later."""
+
+
+class Sender:
+    """Publishes blocks (N, C) of one topic.
+
+    Once it is `linked`, its messages are handed to the receivers within the process for as long as these are the only ones. When
+    somebody else has been seen to listen all go through the middleware, for good: its messages and those handed over would overtake
+    each other.
+    """
+
+    def __init__(self, node: Node, topic: str, label: str, objects: bool = False) -> None:
+        self.publisher = node.create_publisher(Float64MultiArray, topic, QUEUE)
+        self.topic = self.publisher.topic_name
+        self.within = False
+        """Whether messages are handed over."""
+        self._encoder = Encoder(label)
+        self._objects = objects
+        self._receivers: Sequence[Receiver] = ()
+
+    def link(self, receivers: Sequence[Receiver]) -> None:
+        """Hand messages over to these, which are all subscribers of this topic within the process."""
+        self._receivers, self.within = receivers, not self._objects and all(receiver.raw for receiver in receivers)
+
+    def send(self, block: Array) -> None:
+        """Publish a block (N, C), column 0 the sample time in s."""
+        if not self._objects:
+            message = self._encoder.encode(block)
+            if self.within:
+                self.within = self.publisher.get_subscription_count() <= len(self._receivers)
+                if self.within:
+                    for receiver in self._receivers:
+                        receiver.hand(message)
+                    return
+            try:
+                self.publisher.publish(message)
+                return
+            except (TypeError, NotImplementedError):  # a middleware that takes message objects only
+                self._objects = True
+        self.publisher.publish(to_message(self._encoder.label, block))
+
+
+class Reception:
+    """A subscription that calls back for every message: `callback(label, block (N, C))`, or `refused(reason)` for what is none."""
+
+    def __init__(
+        self, node: Node, topic: str, callback: Callable[[str, Array], None], refused: Callable[[str], None], objects: bool = False
+    ) -> None:
+        self._callback, self._refused, self._decoder = callback, refused, Decoder()
+        self.raw = not objects
+        self.post: Callable[[Reception], None] | None = None
+        """Told of every message that was handed over: `take` is due."""
+        self._handed: deque[bytes] = deque()
+        if self.raw:
+            try:
+                self.subscription = node.create_subscription(Float64MultiArray, topic, self._on_bytes, QUEUE, raw=True)
+            except (TypeError, NotImplementedError):
+                self.raw = False
+        if not self.raw:
+            self.subscription = node.create_subscription(Float64MultiArray, topic, self._on_message, QUEUE)
+        self.topic = self.subscription.topic_name
+
+    def hand(self, raw: bytes) -> None:
+        """Take over a message of a sender in this process."""
+        self._handed.append(raw)
+        if self.post is not None:
+            self.post(self)
+
+    def take(self) -> None:
+        """Call back for the oldest message that was handed over, if there is one."""
+        if self._handed:
+            self._decode(self._handed.popleft())
+
+    def _on_bytes(self, raw: bytes) -> None:
+        while self._handed:  # they were sent before
+            self.take()
+        self._decode(raw)
+
+    def _decode(self, raw: bytes) -> None:
+        try:
+            label, block = self._decoder.decode(raw)
+        except ValueError as error:
+            self._refused(str(error))
+            return
+        self._callback(label, block)
+
+    def _on_message(self, message: Float64MultiArray) -> None:
+        try:
+            label, block = from_message(message)
+        except ValueError as error:
+            self._refused(str(error))
+            return
+        self._callback(label, block)
+
+
+class Intake:
+    """A subscription whose messages are taken when it suits the owner, many at a time, instead of one callback for each."""
+
+    def __init__(self, node: Node, topic: str, objects: bool = False) -> None:
+        self._decoder, self.raw = Decoder(), not objects
+        self.subscription = node.create_subscription(Float64MultiArray, topic, lambda message: None, QUEUE, raw=self.raw)
+        self.topic = self.subscription.topic_name
+        self._handed: deque[tuple[Any, int]] = deque(maxlen=QUEUE.depth)  # as many as the middleware would keep
+
+    def hand(self, raw: bytes) -> None:
+        """Take over a message of a sender in this process."""
+        self._handed.append((raw, time.time_ns()))
+
+    def take(self, refused: Callable[[str], None], merge: bool = False) -> list[tuple[str, Array, int]]:
+        """(label, block (N, C), time of reception in ns) of every message that has arrived; `refused(reason)` for what is none.
+
+        At most as many messages as the queue holds: a source that sends faster than this takes must not keep the owner here.
+        merge: successive messages of one form become one block, received when the last of them was.
+        """
+        handle, raw = self.subscription.handle, self.raw
+        found = list(self._handed)  # before those that the middleware carried: they were sent before
+        self._handed.clear()
+        with handle:
+            while len(found) < QUEUE.depth and (message := handle.take_message(Float64MultiArray, raw)) is not None:
+                found.append((message[0], message[1]["received_timestamp"] or time.time_ns()))
+        taken: list[tuple[str, Array, int]] = []
+        begin = 0
+        while begin < len(found):
+            end = begin + 1
+            try:
+                label, block = self._decoder.decode(found[begin][0]) if raw else from_message(found[begin][0])
+                if merge and raw and label:
+                    size, head = len(found[begin][0]), found[begin][0][: -block.nbytes]
+                    while end < len(found) and len(found[end][0]) == size and found[end][0].startswith(head):
+                        end += 1
+                    if end - begin > 1:
+                        data = b"".join([message[len(head) :] for message, _ in found[begin:end]])
+                        block = np.frombuffer(data, np.float64).reshape(-1, block.shape[1])
+                taken.append((label, block, found[end - 1][1]))
+            except ValueError as error:
+                refused(str(error))
+            begin = end
+        return taken
+
+
+def to_message(label: str, block: Array) -> Float64MultiArray:
+    """The message object of a block (N, C)."""
+    rows, columns = block.shape
+    message = Float64MultiArray(data=array.array("d", block.tobytes()))  # an ndarray would be copied item by item
+    message.layout.dim = [
+        MultiArrayDimension(label=ROW_LABEL, size=rows, stride=rows * columns),
+        MultiArrayDimension(label=label, size=columns, stride=columns),
+    ]
+    return message
+
+
+def from_message(message: Float64MultiArray) -> tuple[str, Array]:
+    """Label and block (N, C) of a message object; the label is "" when it has no layout. Raises ValueError."""
+    data = np.frombuffer(message.data, np.float64)
+    if not message.layout.dim:
+        return "", data.reshape(1, -1)
+    _, columns = message.layout.dim
+    return columns.label, data.reshape(-1, columns.size)

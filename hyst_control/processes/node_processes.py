@@ -1,0 +1,125 @@
+"""Starting nodes as processes of their own and ending them, without ROS in the process that does it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from hyst_control.errors import InputError
+from hyst_control.processes import environment
+from hyst_control.processes.ros_domain import lock_of
+
+MODULES = {
+    "reference_generator": "hyst_control.nodes.reference_generator",
+    "hampi_feedforward": "hyst_control.nodes.hampi_feedforward",
+    "mhl_feedforward": "hyst_control.nodes.mhl_feedforward",
+    "pi_feedback": "hyst_control.nodes.pi_feedback",
+    "plant": "hyst_plant_sim.node",
+    "recorder": "hyst_control.nodes.recorder",
+    "identification": "hyst_control.nodes.identification",
+    "diagnosis": "hyst_control.nodes.diagnosis",
+    "pipeline": "hyst_control.nodes.pipeline",
+    "monitor": "hyst_control.nodes.diagnostics_monitor",
+}
+
+
+class Processes:
+    """Nodes as processes on one ROS domain; all are ended on the way out. Parameters and logs go to `folder`."""
+
+    def __init__(self, folder: Path, domain: int, namespace: str = "") -> None:
+        self.folder, self.namespace = Path(folder), namespace
+        self.folder.mkdir(parents=True, exist_ok=True)
+        environment.prepare()
+        self._environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(self.folder), "PYTHONUNBUFFERED": "1"}
+        self._lock = lock_of(domain)
+        self.running: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self, node: str, parameters: Mapping[str, Any], name: str | None = None) -> subprocess.Popen[bytes]:
+        """Start an executable with its parameters; its output goes to `name`.log."""
+        name = name or node
+        file = self._write(name, {"/**": parameters})
+        return self.run(name, MODULES[node], "--ros-args", "-r", f"__node:={name}", *self._remaps(), "--params-file", str(file))
+
+    def compose(self, parameters: Mapping[str, Mapping[str, Any]], name: str = "pipeline") -> subprocess.Popen[bytes]:
+        """Start nodes as one process: parameters by the node's name."""
+        file = self._write(name, {f"/**/{node}": own for node, own in parameters.items()})
+        return self.run(name, MODULES["pipeline"], *parameters, "--ros-args", *self._remaps(), "--params-file", str(file))
+
+    def run(self, name: str, module: str, *arguments: str) -> subprocess.Popen[bytes]:
+        """Start a module as a process on the domain; its output goes to `name`.log."""
+        with open(self.log(name), "ab") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", module, *arguments],
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                pass_fds=self._lock,
+                start_new_session=True,
+            )  # a Ctrl-C is passed on by `stop`, once
+        self.running[name] = process
+        return process
+
+    def _write(self, name: str, parameters: Mapping[str, Mapping[str, Any]]) -> Path:
+        file = self.folder / f"{name}.yaml"
+        document = {node: {"ros__parameters": dict(own)} for node, own in parameters.items()}
+        file.write_text(json.dumps(document, indent=1), encoding="utf-8")  # quoted: to ROS a bare y is a truth value
+        return file
+
+    def _remaps(self) -> list[str]:
+        return ["-r", f"__ns:={self.namespace}"] if self.namespace else []
+
+    def log(self, name: str) -> Path:
+        """The file with a node's output."""
+        return self.folder / f"{name}.log"
+
+    def wait(self, *names: str, timeout: float) -> None:
+        """Wait until these nodes have ended by themselves.
+
+        Raises `InputError` with a node's last line when any of the nodes fails, and TimeoutError after `timeout` s.
+        """
+        end = time.monotonic() + timeout
+        while any(self.running[name].poll() is None for name in names):
+            self.check()
+            if time.monotonic() > end:
+                raise TimeoutError(f"{', '.join(names)}: not ended after {timeout:g} s, logs are in {self.folder}")
+            try:
+                next(self.running[name] for name in names if self.running[name].poll() is None).wait(0.1)
+            except (subprocess.TimeoutExpired, StopIteration):
+                pass
+        self.check()
+
+    def check(self) -> None:
+        """Raise `InputError` when a node has failed."""
+        for name, process in self.running.items():
+            if process.poll():
+                lines = self.log(name).read_text(errors="replace").strip().splitlines()
+                raise InputError(f"{name} ended with status {process.returncode}: {lines[-1] if lines else 'it said nothing'}")
+
+    def stop(self, timeout: float = 10.0) -> dict[str, int]:
+        """Interrupt the nodes that still run and wait for them; exit statuses by name (killed ones: -9)."""
+        for process in self.running.values():
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+        end = time.monotonic() + timeout
+        for process in self.running.values():
+            try:
+                process.wait(max(end - time.monotonic(), 0.01))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        return {name: process.returncode for name, process in self.running.items()}
+
+    def __enter__(self) -> Processes:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.stop()

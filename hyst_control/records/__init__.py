@@ -1,0 +1,1 @@
+"""Signals in time: records, bags, foreign files, the signal message, excitations."""

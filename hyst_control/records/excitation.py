@@ -1,0 +1,486 @@
+"""Reference and excitation signals, from a description to rows: used by the reference generator and offline.
+
+A description is a mapping with `signal`, the kind, and that kind's parameters (seconds, hertz, and the signal's own unit: V for
+an excitation, um or mrad for a reference). `build` turns it into rows (N, A). Every kind takes besides:
+
+    lower, upper   bounds of the values; a signal that leaves them is refused
+    slew_limit     bound of the rate (unit/s): a jump that is held is spread along a straight line over as many samples as it takes;
+                   a signal that exceeds the bound anywhere else is refused
+    axis           index of the axis that moves, the others rest at `idle` (default: all axes move alike)
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.errors import InputError
+
+Array = NDArray[np.float64]
+
+LONGEST = 500_000_000
+"""Samples; a longer signal would not fit in memory."""
+
+
+def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:
+    """Rows (N, A) of a description; `axes` A. Raises `InputError` naming the parameter and the remedy."""
+    given = dict(spec)
+    kind = given.pop("signal", None)
+    if kind not in KINDS:
+        raise InputError(f"signal: {kind!r} is not known, one of {', '.join(sorted(KINDS))} is due")
+    lower, upper, slew_limit = (
+        _number(given.pop(key, default), key) for key, default in (("lower", -np.inf), ("upper", np.inf), ("slew_limit", np.inf))
+    )
+    axis, idle = given.pop("axis", None), _number(given.pop("idle", 0.0), "idle")
+    function = KINDS[kind]
+    known = inspect.signature(function).parameters
+    for key in given:
+        if key not in known or key in ("sample_time", "axes"):
+            allowed = [name for name in known if name not in ("sample_time", "axes")]
+            raise InputError(
+                f"{kind}: {key}: no such parameter, one of {', '.join([*allowed, 'lower', 'upper', 'slew_limit', 'axis'])} is due"
+            )
+    for key, parameter in known.items():
+        if parameter.default is inspect.Parameter.empty and key not in given and key not in ("sample_time", "axes"):
+            raise InputError(f"{kind}: {key}: is missing")
+    if "duration" in given and _number(given["duration"], "duration") / sample_time > LONGEST:
+        raise InputError(f"{kind}: duration: {given['duration']} s at {sample_time:g} s a sample is too long for memory")
+    extra = {"axes": axes} if "axes" in known else {}
+    try:
+        rows = np.asarray(function(sample_time=sample_time, **extra, **given), dtype=float)
+    except InputError as error:
+        raise InputError(f"{kind}: {error}") from None
+    except (TypeError, ValueError, OverflowError, ZeroDivisionError, IndexError, MemoryError) as error:
+        raise InputError(f"{kind}: its parameters are not the numbers and lists it needs ({error})") from None
+    if rows.ndim == 1:
+        rows = np.repeat(rows[:, None], axes, axis=1)
+        if axis is not None:
+            if axis not in range(axes):
+                raise InputError(f"{kind}: axis: {axis!r}, 0 to {axes - 1} is due")
+            rows[:, [other for other in range(axes) if other != axis]] = idle
+    if not rows.size or not np.isfinite(rows).all():
+        raise InputError(f"{kind}: the signal is empty or not finite: check duration, frequency and amplitude")
+    rows = _jumps_spread(rows, slew_limit * sample_time)
+    _check_bounds(kind, rows, sample_time, lower, upper, slew_limit)
+    return np.ascontiguousarray(rows)
+
+
+def _jumps_spread(rows: Array, most: float) -> Array:
+    """Jumps of more than `most` from one sample to the next made straight lines, where what they lead to is held that long."""
+    if not np.isfinite(most) or most <= 0:
+        return rows
+    spread = rows.copy()
+    for before, after in zip(rows.T, spread.T, strict=True):
+        changes = np.diff(before)
+        for index in np.flatnonzero(np.abs(changes) > most * (1 + 1e-9)):
+            count = int(np.ceil(abs(changes[index]) / most - 1e-9))
+            following = slice(index + 1, index + 1 + count)
+            if np.all(before[following] == before[index + 1]):
+                line = before[index] + changes[index] * np.arange(1, count + 1) / count
+                after[following] = line[: len(after[following])]
+    return spread
+
+
+def _check_bounds(kind: str, rows: Array, sample_time: float, lower: float, upper: float, slew_limit: float) -> None:
+    if rows.min() < lower - 1e-9 or rows.max() > upper + 1e-9:
+        excess = max(lower - rows.min(), rows.max() - upper)
+        raise InputError(
+            f"{kind}: runs from {rows.min():.6g} to {rows.max():.6g}, {excess:.4g} beyond {lower:g} to {upper:g}: lower the "
+            "amplitude or move the offset"
+        )
+    if len(rows) > 1 and np.isfinite(slew_limit):
+        fastest = float(np.max(np.abs(np.diff(rows, axis=0)))) / sample_time
+        if fastest > slew_limit * (1 + 1e-9):
+            raise InputError(
+                f"{kind}: its rate reaches {fastest:.4g}/s, over the limit of {slew_limit:.4g}/s: lower amplitude or frequency"
+            )
+
+
+def rest(sample_time: float, duration: float, offset: float = 0.0) -> Array:
+    """offset for `duration` s."""
+    return np.full(_count(duration, sample_time), _number(offset, "offset"))
+
+
+def sine(
+    sample_time: float, frequency: float, amplitude: float, offset: float = 0.0, duration: float = 1.0, phase: float = 0.0
+) -> Array:
+    """offset + amplitude sin(2π frequency t + phase); phase in rad (-π/2 starts at the lowest point)."""
+    return offset + amplitude * np.sin(2 * np.pi * frequency * _time(duration, sample_time) + phase)
+
+
+def cosine_ramp(sample_time: float, start: float, stop: float, duration: float) -> Array:
+    """From start to stop along half a cosine: no jump in value or rate."""
+    count = _count(duration, sample_time)
+    return start + (stop - start) * 0.5 * (1 - np.cos(np.pi * np.arange(count) / count))
+
+
+def decaying_sine(
+    sample_time: float,
+    frequency: float,
+    amplitude: float,
+    offset: float = 0.0,
+    duration: float = 1.0,
+    final: float = 0.0,
+    phase: float = 0.0,
+) -> Array:
+    """Sine whose amplitude falls straight from `amplitude` to `final`; a growing one where final is larger."""
+    time = _time(duration, sample_time)
+    return offset + (amplitude + (final - amplitude) * time / duration) * np.sin(2 * np.pi * frequency * time + phase)
+
+
+def multi_frequency(
+    sample_time: float,
+    frequencies: Sequence[float],
+    amplitudes: Sequence[float],
+    offset: float = 0.0,
+    duration: float = 1.0,
+    phases: Sequence[float] | None = None,
+) -> Array:
+    """offset + Σ a_i sin(2π f_i t + φ_i) (MHL paper §4.3, §4.4)."""
+    f, a = np.asarray(frequencies, dtype=float), np.asarray(amplitudes, dtype=float)
+    p = np.zeros_like(f) if phases is None else np.asarray(phases, dtype=float)
+    if not f.shape == a.shape == p.shape or f.ndim != 1 or not f.size:
+        raise InputError(f"frequencies: {f.size} of them, {a.size} amplitudes, {p.size} phases: lists of one length are due")
+    time = _time(duration, sample_time)
+    return offset + sum(ai * np.sin(2 * np.pi * fi * time + pi) for fi, ai, pi in zip(f, a, p, strict=True))
+
+
+def multisine_lines(
+    period: float,
+    lower_frequency: float,
+    upper_frequency: float,
+    odd: bool = True,
+    detection: int = 0,
+    avoid_mains: bool = False,
+    seed: int = 0,
+) -> NDArray[np.int64]:
+    """Harmonics of 1/period that a multisine excites.
+
+    odd: odd ones only. detection: of every group of so many one is left out at random; there a nonlinearity shows. avoid_mains:
+    none within a line of a multiple of 50 or 60 Hz.
+    """
+    lines = np.arange(max(int(np.ceil(lower_frequency * period - 1e-9)), 1), int(np.floor(upper_frequency * period + 1e-9)) + 1)
+    if odd:
+        lines = lines[lines % 2 == 1]
+    if avoid_mains:
+        f = lines / period
+        near = np.minimum(np.abs(f - 50 * np.rint(f / 50)), np.abs(f - 60 * np.rint(f / 60)))
+        lines = lines[near >= 1.0 / period - 1e-9]
+    if detection > 1:
+        rng = np.random.default_rng(seed)
+        left_out = [
+            group[rng.integers(len(group))]
+            for group in np.split(lines, np.arange(detection, len(lines), detection))
+            if len(group) == detection
+        ]
+        lines = np.setdiff1d(lines, left_out)
+    return lines
+
+
+def multisine(
+    sample_time: float,
+    period: float,
+    lower_frequency: float,
+    upper_frequency: float,
+    rms: float,
+    axes: int,
+    offset: float = 0.0,
+    periods: int = 1,
+    odd: bool = True,
+    detection: int = 0,
+    avoid_mains: bool = False,
+    seed: int = 0,
+) -> Array:
+    """Random-phase multisine with equal amplitudes on its lines (`multisine_lines`), phases drawn anew for every axis.
+
+    period s, a whole number of samples; rms about the offset. Every period is the same to the last bit.
+    """
+    count = int(round(period / sample_time))
+    if count < 4 or abs(count * sample_time - period) > 1e-6 * period:
+        raise InputError(f"period: {period:g} s is no whole number of samples of {sample_time:g} s: choose one that is")
+    lines = multisine_lines(period, lower_frequency, upper_frequency, odd, detection, avoid_mains, seed)
+    lines = lines[lines < count / 2]
+    if not len(lines):
+        raise InputError(f"upper_frequency: no line of 1/{period:g} s lies between {lower_frequency:g} and {upper_frequency:g} Hz")
+    rng = np.random.default_rng([seed, 1])
+    columns = []
+    for _ in range(axes):
+        spectrum = np.zeros(count // 2 + 1, dtype=complex)
+        spectrum[lines] = np.exp(2j * np.pi * rng.random(len(lines)))
+        wave = np.fft.irfft(spectrum, count)
+        columns.append(offset + rms * wave / np.sqrt(np.mean(wave**2)))
+    return np.tile(np.stack(columns, axis=1), (int(periods), 1))
+
+
+def sweep(
+    sample_time: float,
+    start_frequency: float,
+    stop_frequency: float,
+    amplitude: float,
+    offset: float = 0.0,
+    duration: float = 1.0,
+    logarithmic: bool = True,
+) -> Array:
+    """offset - amplitude cos φ(t), the frequency running from start to stop, in even octaves or evenly; begins at the lowest point."""
+    time = _time(duration, sample_time)
+    if logarithmic:
+        if start_frequency <= 0 or stop_frequency <= 0:
+            raise InputError("start_frequency: a logarithmic sweep needs positive frequencies: set logarithmic: false or raise it")
+        octaves = np.log(stop_frequency / start_frequency)
+        phase = (
+            2
+            * np.pi
+            * (
+                start_frequency * time
+                if octaves == 0
+                else start_frequency * duration / octaves * np.expm1(time / duration * octaves)
+            )
+        )
+    else:
+        phase = 2 * np.pi * (start_frequency * time + (stop_frequency - start_frequency) * time**2 / (2 * duration))
+    return offset - amplitude * np.cos(phase)
+
+
+def triangle(sample_time: float, frequency: float, amplitude: float, offset: float = 0.0, duration: float = 1.0) -> Array:
+    """Triangle between offset ± amplitude, beginning at the lowest point."""
+    phase = (frequency * _time(duration, sample_time)) % 1.0
+    return offset + amplitude * (1.0 - 4.0 * np.abs(phase - 0.5))
+
+
+def staircase(sample_time: float, levels: Sequence[float] | Array, hold: float, ramp: float = 0.0) -> Array:
+    """Each level held for `hold` s, reached over `ramp` s (0: a jump)."""
+    values = [_number(level, "levels") for level in levels]
+    if not values:
+        raise InputError("levels: is empty: at least one level is due")
+    parts = []
+    for before, level in zip([values[0], *values], values, strict=False):
+        if ramp and level != before:
+            parts.append(cosine_ramp(sample_time, before, level, ramp))
+        parts.append(rest(sample_time, hold, level))
+    return np.concatenate(parts)
+
+
+def step(sample_time: float, height: float, offset: float = 0.0, before: float = 0.01, after: float = 0.2) -> Array:
+    """offset, then offset + height."""
+    return np.concatenate([rest(sample_time, before, offset), rest(sample_time, after, offset + height)])
+
+
+def steps(sample_time: float, lowest: float, highest: float, hold: float, count: int, seed: int = 0) -> Array:
+    """`count` levels drawn evenly between lowest and highest, each held for `hold` s; begins and ends at the lowest."""
+    levels = np.random.default_rng(seed).uniform(lowest, highest, int(count))
+    return staircase(sample_time, [lowest, *levels, lowest], hold)
+
+
+def spiral(sample_time: float, axes: int, radius: float, frequency: float, duration: float, offset: float = 0.0) -> Array:
+    """Two axes: offset + r(t) (cos, sin) with r growing straight from 0 to `radius`; further axes rest at the offset."""
+    _two_axes(axes)
+    time = _time(duration, sample_time)
+    rows = np.full((len(time), axes), float(offset))
+    grown = radius * time / duration
+    rows[:, 0] += grown * np.cos(2 * np.pi * frequency * time)
+    rows[:, 1] += grown * np.sin(2 * np.pi * frequency * time)
+    return rows
+
+
+def raster(sample_time: float, axes: int, width: float, height: float, lines: int, line_time: float, offset: float = 0.0) -> Array:
+    """Two axes: axis 0 sweeps ± width/2 as a triangle, one pass per `line_time` s, axis 1 climbs evenly from -height/2 to height/2."""
+    _two_axes(axes)
+    duration = lines * line_time
+    rows = np.full((_count(duration, sample_time), axes), float(offset))
+    rows[:, 0] += triangle(sample_time, 0.5 / line_time, width / 2, 0.0, duration)
+    rows[:, 1] += height * (np.arange(len(rows)) / max(len(rows) - 1, 1) - 0.5)
+    return rows
+
+
+def sequence(sample_time: float, axes: int, parts: Sequence[Mapping[str, Any]], join: float = 0.0) -> Array:
+    """Signals one after the other; with `join` s they are joined along half a cosine, so that the sequence does not jump."""
+    if not parts or isinstance(parts, (str, Mapping)):
+        raise InputError("parts: a list of signal descriptions is due")
+    rows: list[Array] = []
+    for index, part in enumerate(parts):
+        try:
+            following = build(part, sample_time, axes)
+        except InputError as error:
+            raise InputError(f"parts[{index}]: {error}") from None
+        if rows and join:
+            rows.append(np.stack([cosine_ramp(sample_time, rows[-1][-1, a], following[0, a], join) for a in range(axes)], axis=1))
+        rows.append(following)
+    return np.concatenate(rows)
+
+
+def loops(sample_time: float, frequency: float, peak: float, cycles: float) -> Array:
+    """One-sided loops from 0 to `peak` and back: peak (1 - cos 2π f t) / 2, rounded to whole cycles' samples."""
+    count = _count(cycles / frequency, sample_time)
+    return 0.5 * peak * (1 - np.cos(2 * np.pi * frequency * np.arange(count) * sample_time))
+
+
+def hampi_identification(
+    sample_time: float,
+    peak: float = 50.0,
+    step_height: float = 10.0,
+    frequencies: Sequence[float] = (10.0, 20.0, 50.0, 100.0, 200.0, 300.0, 500.0),
+    quasi_static: float = 1.0,
+    pause: float = 0.02,
+    fast_share: float = 0.7,
+    time: float = 0.06,
+) -> Array:
+    """The records that identify HAMPI (paper §3.2), one after the other from rest at 0 V, with rests between.
+
+    A step of `step_height` V; quasi-static loops (`quasi_static` Hz) to the peak and to 0.6 of it; loops at every frequency to the
+    peak, and at the middle ones to lower peaks, so that rate and amplitude can be told apart. Every frequency lasts `time` s, three
+    loops at least. Above 300 Hz the loops reach `fast_share` of the peak, which spares the amplifier.
+    """
+    pieces = [rest(sample_time, pause), rest(sample_time, 0.15, step_height), rest(sample_time, 0.1)]
+    for share in (1.0, 0.6):
+        pieces += [loops(sample_time, quasi_static, share * peak, 1), rest(sample_time, pause)]
+    for index, frequency in enumerate(sorted(float(f) for f in frequencies)):
+        share = fast_share if frequency > 300 else 1.0
+        cycles = max(3, int(round(time * frequency)))
+        pieces += [loops(sample_time, frequency, share * peak, cycles), rest(sample_time, pause)]
+        if index % 2:
+            pieces += [loops(sample_time, frequency, 0.45 * peak, cycles), rest(sample_time, pause)]
+    return np.concatenate(pieces)
+
+
+def mhl_identification(
+    sample_time: float,
+    peak: float = 100.0,
+    step_height: float = 10.0,
+    axes: int = 1,
+    slow: float = 1.0,
+    highest: float = 4000.0,
+    sweep_time: float = 2.0,
+) -> Array:
+    """The records that identify MHL (paper §4.2), each axis in turn where there are several, the others at rest at 0 V.
+
+    A step; slow loops of falling amplitude (variable amplitude, `slow` Hz); a full-amplitude sweep to 100 Hz; a small sweep to
+    `highest` Hz about mid-drive.
+    """
+    small = 0.1 * peak
+    centre = 0.5 * peak
+    highest = min(highest, 0.4 / sample_time)
+    own = np.concatenate(
+        [
+            rest(sample_time, 0.02),
+            rest(sample_time, 0.1, step_height),
+            rest(sample_time, 0.1),
+            *(loops(sample_time, slow, share * peak, 1) for share in (1.0, 0.8, 0.6, 0.4, 0.2)),
+            rest(sample_time, 0.05),
+            sweep(sample_time, 1.0, 100.0, centre, centre, sweep_time, False),
+            cosine_ramp(
+                sample_time, _last(sweep(sample_time, 1.0, 100.0, centre, centre, sweep_time, False)), centre - small, 0.05
+            ),
+            rest(sample_time, 0.05, centre - small),
+            sweep(sample_time, 20.0, highest, small, centre, sweep_time, True),
+        ]
+    )
+    own = np.concatenate([own, cosine_ramp(sample_time, own[-1], 0.0, 0.1), rest(sample_time, 0.05)])
+    rows = np.zeros((len(own) * axes, axes))
+    for axis in range(axes):
+        rows[axis * len(own) : (axis + 1) * len(own), axis] = own
+    return rows
+
+
+def diagnostic(
+    sample_time: float, lowest: float, highest: float, axes: int, duration: float = 1.5, band: float = 1000.0, seed: int = 0
+) -> Array:
+    """The record that shows every effect: within lowest…highest V, about `duration` s, dynamics up to `band` Hz.
+
+    Rest; a step that is held (creep, drift); a small and a large multisine of two equal periods each, odd with detection lines
+    and none near the mains (linear, even, odd, noise); a triangle (static curve, velocity sign); fast steps (slew, delay); rest.
+    Axes move with phases of their own; in the triangle and the steps they move in turn, so that cross-coupling shows.
+    """
+    span, centre = highest - lowest, 0.5 * (lowest + highest)
+    unit = duration / 15.0
+    period = max(round(2 * unit / sample_time), 40) * sample_time
+    band = min(band, 0.35 / sample_time)
+
+    def everywhere(column: Array) -> Array:
+        return np.repeat(column[:, None], axes, axis=1)
+
+    def in_turn(column: Array, idle: float) -> list[Array]:
+        piece = np.full((axes, len(column), axes), float(idle))
+        for axis in range(axes):
+            piece[axis, :, axis] = column
+        return list(piece)
+
+    small = multisine(sample_time, period, 1.0 / period, band, 0.03 * span, axes, centre, 2, True, 4, True, seed)
+    large = multisine(sample_time, period, 1.0 / period, 0.3 * band, 0.13 * span, axes, centre, 2, True, 4, True, seed + 1)
+    large = np.clip(large, lowest, highest)
+    share = 1.0 / axes
+    levels = centre + span * np.array([0.3, -0.3, 0.15, -0.15, 0.4, -0.4])
+    pieces = [
+        everywhere(rest(sample_time, unit, lowest)),
+        everywhere(rest(sample_time, 2.5 * unit, lowest + 0.6 * span)),
+        _joined(sample_time, np.full(axes, lowest + 0.6 * span), small[0], 0.25 * unit),
+        small,
+        _joined(sample_time, small[-1], large[0], 0.25 * unit),
+        large,
+        _joined(sample_time, large[-1], np.full(axes, lowest), 0.25 * unit),
+    ]
+    pieces += in_turn(triangle(sample_time, 1.0 / (1.25 * unit * share), 0.5 * span, centre, 2.5 * unit * share), lowest)
+    pieces += in_turn(staircase(sample_time, levels, 0.2 * unit * share), centre)
+    pieces += [everywhere(rest(sample_time, unit, lowest))]
+    return np.concatenate(pieces)
+
+
+KINDS: dict[str, Callable[..., Array]] = {
+    function.__name__: function
+    for function in (
+        rest,
+        sine,
+        cosine_ramp,
+        decaying_sine,
+        multi_frequency,
+        multisine,
+        sweep,
+        triangle,
+        staircase,
+        step,
+        steps,
+        spiral,
+        raster,
+        sequence,
+        loops,
+        hampi_identification,
+        mhl_identification,
+        diagnostic,
+    )
+}
+"""Every kind of signal by name."""
+
+
+def _joined(sample_time: float, start: Array, stop: Array, duration: float) -> Array:
+    return np.stack([cosine_ramp(sample_time, a, b, duration) for a, b in zip(start, stop, strict=True)], axis=1)
+
+
+def _last(signal: Array) -> float:
+    return float(signal[-1])
+
+
+def _two_axes(axes: int) -> None:
+    if axes < 2:
+        raise InputError(f"axes: {axes}, two axes are needed")
+
+
+def _number(value: Any, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or np.isnan(value):
+        raise InputError(f"{name}: {value!r}, a number is due")
+    return float(value)
+
+
+def _count(duration: float, sample_time: float) -> int:
+    count = int(round(_number(duration, "duration") / sample_time))
+    if count > LONGEST:
+        raise InputError(f"duration: {duration:g} s at {sample_time:g} s a sample is too long for memory")
+    if count < 1:
+        raise InputError(f"duration: {duration:g} s is shorter than a sample of {sample_time:g} s")
+    return count
+
+
+def _time(duration: float, sample_time: float) -> Array:
+    return np.arange(_count(duration, sample_time), dtype=np.float64) * sample_time

@@ -1,0 +1,91 @@
+"""Excitations as a user gives them, in words or a file, and as other programs take them: table, array, description or bag."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from hyst_control.errors import InputError
+from hyst_control.records.excitation import KINDS, Array
+from hyst_control.records.importing import write_bag
+from hyst_control.records.record import Record, Signal, axis_names
+from hyst_control.records.signal_message import label_for
+
+UNITS = ("V", "um", "mrad")
+
+
+def read_description(words: Sequence[str]) -> dict[str, Any]:
+    """A description for `excitation.build`: a kind or a .yaml file, then `parameter=value` words, values as in YAML.
+
+    Raises `InputError` naming the word that cannot be used.
+    """
+    first, *rest = words
+    spec = _from_file(Path(first)) if first.endswith((".yaml", ".yml")) else {"signal": first}
+    for word in rest:
+        name, mark, text = word.partition("=")
+        if not mark or not name:
+            raise InputError(f"{word!r}: parameter=value is due (frequency=10)")
+        try:
+            spec[name] = yaml.safe_load(text)
+        except (yaml.YAMLError, ValueError, RecursionError):
+            raise InputError(f"{word!r}: the value is not valid: a number, a text or a list such as [1, 2] is due") from None
+    return spec
+
+
+def _from_file(path: Path) -> dict[str, Any]:
+    try:
+        spec = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}: give an existing file or one of {', '.join(sorted(KINDS))}") from None
+    except (yaml.YAMLError, ValueError, RecursionError):
+        raise InputError(f"{path}: is not a YAML text: signal: KIND and its parameters are due") from None
+    if not isinstance(spec, dict):
+        raise InputError(f"{path}: holds no description: signal: KIND and its parameters are due")
+    return spec
+
+
+def write_excitation(path: str | Path, spec: Mapping[str, Any], rows: Array, sample_time: float, unit: str) -> None:
+    """Write rows (N, A) by the ending of the name: .csv, .npy, .yaml (the description, for the reference generator), else a bag.
+
+    A bag holds them as `command` when their unit is V, as `reference` otherwise; time starts at 0. Raises `InputError` when the path
+    exists or cannot be written; nothing is left then.
+    """
+    path = Path(path)
+    axes, time = axis_names(rows.shape[1]), np.arange(len(rows)) * sample_time
+    if unit not in UNITS:
+        raise InputError(f"unit: {unit!r}, one of {', '.join(UNITS)} is due")
+    if path.exists():
+        raise InputError(f"{path}: exists already: choose another name or remove it")
+    if path.suffix == ".csv":
+        _write(
+            path,
+            lambda file: np.savetxt(file, np.column_stack([time, rows]), "%.17g", ",", header=label_for(axes, unit), comments=""),
+        )
+    elif path.suffix == ".npy":
+        _write(path, lambda file: np.save(file, rows))
+    elif path.suffix in (".yaml", ".yml"):
+        _write(path, lambda file: file.write(yaml.safe_dump(dict(spec), sort_keys=False).encode()))
+    else:
+        write_bag(path, Record({"command" if unit == "V" else "reference": Signal(time, rows, axes, unit)}, str(path)))
+
+
+def _write(path: Path, write: Callable[[Any], Any]) -> None:
+    """Write a file under a temporary name, then rename it."""
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}: choose a folder that exists and can be written") from None
+    try:
+        with os.fdopen(handle, "wb") as file:
+            write(file)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise

@@ -1,0 +1,144 @@
+"""Records: signals with units and sample times, aligned on the control clock."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.errors import InputError
+
+Array = NDArray[np.float64]
+
+AXES = ("x", "y", "z", "u", "v", "w")
+
+
+def axis_names(count: int) -> tuple[str, ...]:
+    """x, y, z, … for this many axes that nobody named."""
+    return AXES[:count] if count <= len(AXES) else tuple(f"a{i}" for i in range(count))
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One topic: sample times (N,) in s, values (N, A), the axes' names and their unit.
+
+    timing: "layout" when the times are the control clock's own, "receive" when they are those of the reception and have its
+    jitter in them.
+    """
+
+    time: Array
+    values: Array
+    axes: tuple[str, ...]
+    unit: str
+    timing: str = "layout"
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """Signals on one clock, without a gap: sample times (N,) from 0, values (N, A) by topic, sample time in s."""
+
+    time: Array
+    values: Mapping[str, Array]
+    sample_time: float
+    axes: tuple[str, ...]
+    units: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Record:
+    """Signals by topic (last part of its name), where they come from, and sentences on what was met while reading."""
+
+    signals: Mapping[str, Signal]
+    source: str
+    notes: tuple[str, ...] = field(default_factory=tuple)
+    hold: str = "zoh"
+    """The command between samples: "zoh" (a DAC holds it) or "foh" (a smooth source was sampled)."""
+
+    def signal(self, topic: str) -> Signal:
+        """A signal by topic. Raises `InputError` naming the topics that are there."""
+        if topic not in self.signals:
+            there = ", ".join(sorted(self.signals)) or "none"
+            raise InputError(f"{self.source}: has no topic {topic} (topics: {there}): record it, or remap the topic's name")
+        return self.signals[topic]
+
+    def check(self, topics: Sequence[str]) -> None:
+        """Raise `InputError` when a value of these topics is not finite, naming its time and how many there are."""
+        for topic in topics:
+            signal = self.signal(topic)
+            bad = np.asarray(~np.isfinite(signal.values).all(axis=1))
+            if bad.any():
+                first = signal.time[np.argmax(bad)]
+                raise InputError(
+                    f"{self.source}: {topic}: {int(bad.sum())} of {len(bad)} samples are NaN or infinite, the first at "
+                    f"t = {first:g} s: cut them out or record again"
+                )
+
+    def sample_time(self, topics: Sequence[str]) -> float:
+        """The common sample time (s) of these topics, from the commonest step of their times.
+
+        Raises `InputError` when a topic has fewer than two samples or the topics differ.
+        """
+        steps = {}
+        for topic in topics:
+            time = self.signal(topic).time
+            if len(time) < 2:
+                raise InputError(f"{self.source}: {topic}: {len(time)} sample{'s' * (len(time) != 1)}, at least two are needed")
+            step = float(np.median(np.diff(time)))
+            if step > 0 and self.signal(topic).timing == "layout":
+                step = (time[-1] - time[0]) / max(np.rint((time[-1] - time[0]) / step), 1.0)
+            steps[topic] = float(f"{step:.12g}")
+        first = steps[topics[0]]
+        for topic, step in steps.items():
+            if step <= 0 or abs(step - first) > 0.01 * first:
+                raise InputError(
+                    f"{self.source}: {topic}: sample time {step:g} s, but {topics[0]} has {first:g} s: record both at one rate"
+                )
+        return first
+
+    def aligned(self, topics: Sequence[str], allow_gaps: bool = False) -> list[Aligned]:
+        """The stretches without a gap in which every topic has every tick, by tick of the common clock.
+
+        Ticks are round(t / sample time). Raises `InputError` when values are not finite, times do not increase, topics share
+        no tick, or, unless gaps are allowed, ticks are missing in between.
+        """
+        self.check(topics)
+        step = self.sample_time(topics)
+        ticks = {}
+        for topic in topics:
+            signal = self.signal(topic)
+            found = np.rint(signal.time / step).astype(np.int64)
+            if signal.timing == "receive":
+                found = found[0] + np.arange(len(found))  # the reception's jitter is not the sampling's
+            if np.any(np.diff(found) <= 0):
+                at = int(np.argmax(np.diff(found) <= 0))
+                raise InputError(
+                    f"{self.source}: {topic}: the time does not increase at t = {signal.time[at + 1]:g} s: duplicate or "
+                    "reordered samples; record again or repair the bag"
+                )
+            ticks[topic] = found
+        common = ticks[topics[0]]
+        for topic in topics[1:]:
+            common = np.intersect1d(common, ticks[topic], assume_unique=True)
+        if not len(common):
+            raise InputError(f"{self.source}: {', '.join(topics)} share no sample time: they are not of one run")
+        breaks = np.flatnonzero(np.diff(common) > 1)
+        if len(breaks) and not allow_gaps:
+            lost = int((np.diff(common) - 1).sum())
+            at = common[breaks[0] + 1] * step
+            raise InputError(
+                f"{self.source}: {lost} ticks are missing in {len(breaks)} gaps, the first before t = {at:g} s: record "
+                "again, or allow gaps to use the stretches between them"
+            )
+        edges = np.concatenate([[0], breaks + 1, [len(common)]])
+        units = {topic: self.signal(topic).unit for topic in topics}
+        axes = self.signal(topics[-1]).axes
+        stretches = []
+        for begin, end in zip(edges[:-1], edges[1:], strict=True):
+            wanted = common[begin:end]
+            values = {
+                topic: np.ascontiguousarray(self.signal(topic).values[np.searchsorted(ticks[topic], wanted)]) for topic in topics
+            }
+            stretches.append(Aligned((wanted - wanted[0]) * step, values, step, axes, units))
+        return stretches

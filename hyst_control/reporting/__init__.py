@@ -1,0 +1,1 @@
+"""Results for people and programs: tables, lists of written files, HTML pages."""

@@ -1,0 +1,82 @@
+"""What a command made: its files with their sizes and hashes, and what is in them, as JSON and as lines."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+SCHEMA = "hyst_control/made"
+VERSION = 1
+MOST_NAMED = 4
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One number on what was made; case: the topic or file it is about, "" for the whole."""
+
+    case: str
+    quantity: str
+    unit: str
+    value: float
+
+
+@dataclass
+class Made:
+    """Files (or folders) of one source ("simulate"), facts on them, and the lines that tell a person of it."""
+
+    source: str
+    files: Sequence[str | Path]
+    facts: list[Fact] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
+
+    def add(self, case: str, quantity: str, unit: str, value: float) -> None:
+        """Append one fact; numpy numbers become Python ones."""
+        self.facts.append(Fact(case, quantity, unit, value if isinstance(value, int) else float(value)))
+
+    def document(self) -> dict[str, Any]:
+        """As plain JSON types; the hashes are computed now."""
+        return {
+            "schema": SCHEMA,
+            "version": VERSION,
+            "source": self.source,
+            "files": [described(path) for path in self.files],
+            "rows": [vars(fact).copy() for fact in self.facts],
+        }
+
+    def text(self) -> str:
+        """The lines, and where everything is."""
+        files = list(self.files)
+        where = [f"written: {path}" for path in files]
+        if len(files) > MOST_NAMED:
+            where = [f"written: {files[-1]} and {len(files) - 1} more files"]
+        return "\n".join([*self.lines, *where])
+
+
+def described(path: str | Path) -> dict[str, Any]:
+    """path, kind (file or folder), bytes, sha256.
+
+    A folder's hash is that of its files' names and hashes, in the names' order: for every file a line "SHA-256  NAME", as
+    sha256sum prints it.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        return {"path": str(path), "kind": "file", "bytes": path.stat().st_size, "sha256": _digest(path)}
+    inner = {each.relative_to(path).as_posix(): each for each in path.rglob("*") if each.is_file()}
+    listing = "".join(f"{_digest(inner[name])}  {name}\n" for name in sorted(inner))
+    return {
+        "path": str(path),
+        "kind": "folder",
+        "bytes": sum(each.stat().st_size for each in inner.values()),
+        "sha256": hashlib.sha256(listing.encode()).hexdigest(),
+    }
+
+
+def _digest(path: Path) -> str:
+    with open(path, "rb") as file:
+        digest = hashlib.sha256()
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()

@@ -1,0 +1,197 @@
+"""`hyst reproduce hampi`: the HAMPI paper's experiments on a truth actuator, everything through the real nodes in lockstep.
+
+Excite, record, identify in the paper's sequence and jointly, score on held-out loops, track open loop. The published figures are
+of the paper's actuator; the plant here is a simulated one like it, whose hysteresis and drag are not the model's own, and nothing
+is taken from its parameters. Models for Table 4 are identified up to 140 V; those that track, and G(s) of Table 1, up to 50 V, as
+the paper's are: its reference needs no more.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.config_files import config_path
+from hyst_control.control.feedforward import build_compensator
+from hyst_control.control.tuning import tune
+from hyst_control.identify import identify
+from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.workflow import datasets_of
+from hyst_control.model_file import Model, save_model
+from hyst_control.records import excitation
+from hyst_control.records.bag_reader import read_bag
+from hyst_control.reporting.tables import Table
+from hyst_control.reproduction import hampi_figures, hampi_tables
+from hyst_control.reproduction.hampi_published import FREQUENCIES, TABLE_1, TABLE_5
+from hyst_control.reproduction.hampi_tables import Place
+from hyst_control.reproduction.mhl_tables import robustness
+from hyst_control.reproduction.node_runs import run_processes
+
+SAMPLE_TIME = 5e-5
+RATING = (0.0, 150.0)
+PEAKS = (50.0, 100.0, 140.0)
+"""V, of the held-out loops (paper Figs. 11 to 13)."""
+LOW = PEAKS[0]
+"""V, up to which the tracking models and G(s) are identified (paper §3.2)."""
+CYCLES, SCORED_CYCLES = 12, 4
+STROKE, OFFSET = 4.0, 1.0
+"""um, peak to peak, and the lowest point of the reference: a drive that is never negative cannot bring the actuator back to 0."""
+SEED = 4040
+BLOCK = 500
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How much is run.
+
+    Frequencies (Hz) and peaks (V) of held-out loops, of the lags and of the tracked reference, the excitation's own options, the methods
+    whose models track, and whether the feedback's margins are measured.
+    """
+
+    frequencies: tuple[float, ...] = FREQUENCIES
+    peaks: tuple[float, ...] = PEAKS
+    lags: tuple[float, ...] = tuple(TABLE_1)
+    tracked: tuple[float, ...] = tuple(TABLE_5["HAMPI"])
+    excitation: tuple[tuple[str, float], ...] = ()
+    methods: tuple[str, ...] = ("joint", "paper")
+    margins: bool = True
+
+
+def run(json_path: str | None = None, figures: str | None = None, plant: str = "pea", extent: Extent | None = None) -> Table:
+    """Record, identify, score, track; the table. plant: "pea" or "third". Raises `InputError` when a node fails."""
+    extent = extent or Extent()
+    table = Table("reproduce hampi")
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        training = record(folder / "training", identification(extent.peaks[-1], extent), SEED, plant)
+        same = extent.peaks[-1] == LOW
+        low = training if same else record(folder / "low", identification(LOW, extent), SEED + 1, plant)
+        loops, places = held_out_loops(extent)
+        held_out = record(folder / "held_out", loops, SEED + 2, plant)
+        harmonics, beats = harmonic_drive(extent)
+        lagging = record(folder / "harmonics", harmonics, SEED + 3, plant)
+
+        models = {family.upper(): identify([training], family).model for family in ("hapi", "rdpi", "hampi")}
+        sequences = {family.upper(): identify([training], family, "paper").model for family in ("hapi", "hampi")}
+        known = {"joint": models, "paper": sequences} if same else {"joint": {}, "paper": {}}
+        compensated = {
+            f"{family.upper()}, {method}": known[method].get(family.upper()) or identify([low], family, method).model
+            for family in ("hapi", "hampi")
+            for method in extent.methods
+        }
+        reference, parts = tracking_reference(extent)
+        tracked = {
+            name: track(folder / name.replace(", ", "_"), name.split(",")[0].lower(), model, reference, plant)
+            for name, model in compensated.items()
+        }
+
+    linear = identify([low], "hapi", "paper").model
+    hampi_tables.phase_lags(table, linear, lagging, beats)
+    hampi_tables.step_fit(table, linear, low)
+    hampi_tables.inverses(table, linear, SAMPLE_TIME)
+    hampi_tables.predictions(table, models, held_out, places)
+    hampi_tables.methods(table, models, sequences, held_out, places)
+    hampi_tables.tracking(table, tracked, parts, STROKE)
+    if plant == "pea" and extent.margins:
+        robustness(table, tune(models["HAMPI"]), plant, "HAMPI model: feedback tuned on it")
+    table.notes += hampi_tables.NOTES
+    if json_path:
+        table.write(json_path)
+    if figures:
+        hampi_figures.write(Path(figures), table, linear, models, {"low": low, "held_out": held_out}, places, tracked, parts)
+    return table
+
+
+def identification(peak: float, extent: Extent) -> Array:
+    """The excitation (N, 1) in V of paper §3.2, up to `peak`."""
+    return excitation.build(
+        {
+            "signal": "hampi_identification",
+            "peak": peak,
+            "fast_share": 1.0,
+            "lower": RATING[0],
+            "upper": RATING[1],
+            **dict(extent.excitation),
+        },
+        SAMPLE_TIME,
+    )
+
+
+def held_out_loops(extent: Extent) -> tuple[Array, list[Place]]:
+    """Loops of every height at every frequency with rests between; and the rows of the last cycles of each."""
+    pieces, places = [excitation.rest(SAMPLE_TIME, 0.02)], []
+    for peak in extent.peaks:
+        for frequency in extent.frequencies:
+            begin = sum(map(len, pieces))
+            wave = excitation.loops(SAMPLE_TIME, frequency, peak, CYCLES)
+            scored = int(round(SCORED_CYCLES / frequency / SAMPLE_TIME))
+            places.append(Place(peak, frequency, begin + len(wave) - scored, begin + len(wave)))
+            pieces += [wave, excitation.rest(SAMPLE_TIME, 0.02)]
+    return np.concatenate(pieces)[:, None], places
+
+
+def harmonic_drive(extent: Extent) -> tuple[Array, list[Place]]:
+    """Sines of 0 to 50 V (paper Fig. 4, Table 1), and the rows of the last whole cycles of each."""
+    pieces, places = [excitation.rest(SAMPLE_TIME, 0.02)], []
+    for frequency in extent.lags:
+        begin, cycles = sum(map(len, pieces)), max(2, int(round(0.05 * frequency)))
+        wave = excitation.loops(SAMPLE_TIME, frequency, LOW, cycles)
+        places.append(Place(LOW, frequency, begin + len(wave) // 2, begin + len(wave)))
+        pieces += [wave, excitation.rest(SAMPLE_TIME, 0.02)]
+    return np.concatenate(pieces)[:, None], places
+
+
+def tracking_reference(extent: Extent) -> tuple[Array, list[Place]]:
+    """The reference (N, 1) in um: up to its top and down to its offset once, then sines at every frequency; and the rows scored."""
+    ts, top = SAMPLE_TIME, OFFSET + STROKE
+    pieces = [excitation.rest(ts, 0.02), excitation.cosine_ramp(ts, 0.0, top, 0.1), excitation.cosine_ramp(ts, top, OFFSET, 0.1)]
+    places = []
+    for frequency in extent.tracked:
+        pieces.append(excitation.rest(ts, 0.02, OFFSET))
+        begin, cycles = sum(map(len, pieces)), max(4, int(round(0.08 * frequency)))
+        wave = OFFSET + excitation.loops(ts, frequency, STROKE, cycles)
+        places.append(Place(STROKE, frequency, begin + len(wave) // 2, begin + len(wave)))
+        pieces.append(wave)
+    pieces.append(excitation.rest(ts, 0.02, OFFSET))
+    return np.concatenate(pieces)[:, None], places
+
+
+def record(folder: Path, signal: Array, seed: int, plant: str) -> Dataset:
+    """An open-loop record of the truth actuator for a drive (N, 1) in V, through the five nodes."""
+    bag = run_processes(
+        folder,
+        signal,
+        SAMPLE_TIME,
+        {
+            "hampi_feedforward": {"kind": "proportional", "gain": [1.0], "offset": [0.0]},
+            "pi_feedback": {"lower": RATING[0], "upper": RATING[1], "start": "first_command"},
+            "plant": {"plant": str(config_path(f"plants/{plant}.yaml")), "seed": seed},
+        },
+        block=BLOCK,
+    )
+    return datasets_of(read_bag(bag))[0]
+
+
+def track(folder: Path, kind: str, model: Model, reference: Array, plant: str) -> dict[str, Array]:
+    """One open-loop tracking run with a compensator; every signal (N, 1)."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "model.yaml"
+    save_model(model, path)
+    preview = build_compensator(model, kind, sample_time=SAMPLE_TIME, limits=RATING).preview
+    bag = run_processes(
+        folder,
+        reference,
+        SAMPLE_TIME,
+        {
+            "hampi_feedforward": {"kind": kind, "model": str(path), "limits": list(RATING)},
+            "pi_feedback": {"lower": RATING[0], "upper": RATING[1]},
+            "plant": {"plant": str(config_path(f"plants/{plant}.yaml")), "seed": SEED + 4},
+        },
+        block=BLOCK,
+        lead=preview + 1,
+    )
+    return dict(read_bag(bag).aligned(("reference", "feedforward", "command", "measurement"))[0].values)

@@ -1,0 +1,283 @@
+"""A measured piezo stack: PI PICMA P-885.91 on a flexure stage (Aye & Ang, "A Discrete Backlash Operator …", ICSTSD 2018).
+
+Nested quasi-static loops at 1 Hz, 200 Hz sampling. Models are fitted on one full cycle of the first file and predict the
+nested loops of the second, rows 7950-14150, from its command alone, everything before included as memory. NRMSE is over the
+range of those rows with the mean removed: the sensor's zero differs between the files.
+
+A command holds until the next one and the sample is taken before that acts (`hold: zoh`), the convention under which a static
+model does better on either file. What is left is a lag of two to four samples, which a rate-independent model cannot have: it
+is shown as a model of its own, its delay fitted on the same cycle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import minimize, minimize_scalar
+
+from hyst_control.chain.stage import Array
+from hyst_control.errors import InputError
+from hyst_control.identify import identify, madelung
+from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.fit_report import record_rows
+from hyst_control.identify.fit_windows import turning_points
+from hyst_control.model_file import Model, simulate
+from hyst_control.reporting.tables import Table
+from hyst_control.reproduction.measured_data import data_folder
+
+SAMPLE_TIME = 5e-3
+SCORED = {"rows 7950-14150": slice(7950, 14150), "rows 7950-11950": slice(7950, 11950)}
+"""Rows of the second file: loops whose amplitude shrinks and grows again, with and without the full loops that follow."""
+OPERATORS = 12
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A model by name, its error on the cycle it was fitted on (% of range), and the second file as it predicts it (N,)."""
+
+    name: str
+    fitted: float
+    predicted: Array
+
+
+def load() -> tuple[Dataset, Dataset]:
+    """The two files: full loops, and nested loops. Raises `InputError` when they are absent or of another form."""
+    folder = data_folder("pea_p885")
+    records = []
+    for name, columns in (("Model_Vi_Do.dat", 7), ("Test_Vi_Do_Di.dat", 11)):
+        try:
+            values = np.loadtxt(folder / name)
+        except (OSError, ValueError) as error:
+            raise InputError(f"{folder / name}: cannot be read ({error}): fetch the file again") from None
+        if values.ndim != 2 or values.shape[1] != columns or len(values) < 8000:
+            raise InputError(f"{folder / name}: shape {values.shape}, {columns} columns are due: fetch the file again")
+        command, measurement = values[:, [0]].copy(), values[:, [4]].copy()
+        records.append(Dataset(name, command, measurement, SAMPLE_TIME, ("x",), "um", "zoh", "unknown"))
+    return records[0], records[1]
+
+
+def cycles(record: Dataset) -> list[Dataset]:
+    """The full cycles of the first file, each from one lowest command to the next."""
+    command = record.command[:, 0]
+    turns = turning_points(command)
+    lowest = [int(turn) for turn in turns if command[turn] < 0.02 * command.max()]
+    return [replace(record.rows(begin, end + 1), name=f"cycle {i + 1}") for i, (begin, end) in enumerate(zip(lowest, lowest[1:]))]
+
+
+def score(measured: Array, predicted: Array) -> float:
+    """NRMSE in % of the range, means removed."""
+    return 100.0 * float(np.std(measured - predicted)) / float(np.ptp(measured))
+
+
+def predict(model: Model, record: Dataset) -> Array:
+    """The record (N,) as a model predicts it from the command."""
+    return simulate(model, record.command)[:, 0]
+
+
+def fitted_error(model: Model, cycle: Dataset) -> float:
+    """Error of a model on the cycle it was fitted on."""
+    return float(record_rows(model, [cycle])[0][0]["nrmse_centered"])
+
+
+def nested_branches(command: Array, up: Callable[[float], float], down: Callable[[float], float], rule: str) -> Array:
+    """Madelung's rules with one of three branches, for a normalised command (N,) in 0…1; up, down run from 0 to 1.
+
+    From a turning point A back to B: "scaled" moves the major curve to A and scales it in y to meet B; "affine" stretches it in
+    both directions; "moved" only moves it, and jumps where it rejoins an outer branch.
+    """
+    stack = [(1.0, 1.0), (0.0, 0.0)]
+    u, y, direction = 0.0, 0.0, 1.0
+    output = np.empty(len(command))
+    for k, value in enumerate(command):
+        heading = 1.0 if value > u else -1.0
+        if value <= 0.0 or value >= 1.0:
+            stack = [(1.0, 1.0), (0.0, 0.0)] if value <= 0.0 else [(0.0, 0.0), (1.0, 1.0)]
+            u, y = stack[-1]
+            direction = heading
+        elif value != u:
+            if heading != direction and stack[-1][0] != u:
+                stack.append((u, y))
+            direction = heading
+            while len(stack) > 2 and (value - stack[-2][0]) * direction >= 0.0:
+                del stack[-2:]
+            (a, y_a), (b, y_b) = stack[-1], stack[-2]
+            distance, whole = abs(value - a), abs(b - a)
+
+            def curve(d: float, rising: bool = direction > 0) -> float:
+                return up(d) if rising else 1.0 - down(1.0 - d)
+
+            if rule == "moved":
+                y = y_a + direction * curve(distance)
+            elif rule == "affine":
+                y = y_a + (y_b - y_a) * curve(distance / whole)
+            else:
+                y = y_a + (y_b - y_a) * curve(distance) / curve(whole)
+            u = value
+        output[k] = y
+    return output
+
+
+def other_branches(model: Model, record: Dataset, rule: str) -> Array:
+    """The record (N,) as a Madelung model's curves predict it with another branch rule, under the record's own timing."""
+    stage = model.chain.stages[0]
+    rising, falling = stage.curves(1)[0]
+    full = float(rising(np.ones(1))[0])
+    normalised = np.clip(record.command[:, 0] / stage.input_scale, 0.0, 1.0)
+    turned = nested_branches(
+        normalised, lambda x: float(rising(np.array([x]))[0]) / full, lambda x: float(falling(np.array([x]))[0]) / full, rule
+    )
+    return stage.output_scale * full * np.concatenate([turned[:1], turned[:-1]])
+
+
+def with_delay(cycle: Dataset, record: Dataset) -> tuple[Prediction, float]:
+    """Madelung behind a delay (s) that is fitted on the cycle too; the command runs straight between its samples."""
+
+    def fitted(delay: float) -> tuple[Model, float]:
+        late = replace(cycle, command=shifted(cycle.command, delay))
+        model = madelung.fit([late]).model
+        return model, fitted_error(model, late)
+
+    delay = float(minimize_scalar(lambda tau: fitted(tau)[1], bounds=(0.0, 10 * SAMPLE_TIME), method="bounded").x)
+    model, error = fitted(delay)
+    rows = np.arange(len(record.command))
+    command = np.interp(rows - delay / SAMPLE_TIME, rows, record.command[:, 0])
+    return Prediction("Madelung, quintic, behind a delay", error, predict(model, replace(record, command=command[:, None]))), delay
+
+
+def shifted(command: Array, delay: float) -> Array:
+    """A closed cycle (N, 1), first and last sample alike, late by `delay` s, straight between the samples."""
+    n = len(command) - 1
+    return np.interp(np.arange(n + 1) - delay / SAMPLE_TIME, np.arange(n + 1), command[:, 0], period=n)[:, None]
+
+
+def odd_map(command: Array, highest: float, coefficients: Array) -> Array:
+    """c + x + c3 x³ + c5 x⁵ + …, x the distance from mid-drive c in units of it: the input map of Hammerstein-like models."""
+    center = 0.5 * highest
+    x = (command - center) / center
+    return center * (1.0 + x + sum(value * x ** (2 * i + 3) for i, value in enumerate(coefficients)))
+
+
+def mapped_operators(cycle: Dataset, record: Dataset, count: int) -> Prediction:
+    """Play operators behind an odd polynomial of the command, both fitted on the cycle."""
+    highest = float(cycle.command.max())
+
+    def model(coefficients: Array) -> Model:
+        mapped = replace(cycle, command=odd_map(cycle.command, highest, coefficients))
+        return identify([mapped], "pi", operators=OPERATORS, nuisance="offset").model
+
+    def cost(coefficients: Array) -> float:
+        mapped = replace(cycle, command=odd_map(cycle.command, highest, coefficients))
+        return fitted_error(model(coefficients), mapped)
+
+    found = minimize(cost, np.zeros(count), method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-4, "maxfev": 60 * count}).x
+    predicted = predict(model(found), replace(record, command=odd_map(record.command, highest, found)))
+    degree = 2 * count + 1
+    return Prediction(f"play operators behind an odd polynomial of degree {degree}", cost(found), predicted)
+
+
+def predictions(cycle: Dataset, record: Dataset) -> list[Prediction]:
+    """Every static model fitted on one cycle, and the second file as each predicts it."""
+    found: list[Prediction] = []
+    quintic = madelung.fit([cycle]).model
+    found.append(Prediction("Madelung, quintic", fitted_error(quintic, cycle), predict(quintic, record)))
+    cubic = madelung.fit([cycle], knots=np.linspace(0.0, 1.0, 6)).model
+    found.append(Prediction("Madelung, piecewise cubic", fitted_error(cubic, cycle), predict(cubic, record)))
+    for rule in ("affine", "moved"):
+        # The major loop is the same, so the curves are too.
+        found.append(Prediction(f"Madelung, {rule} branches", fitted_error(quintic, cycle), other_branches(quintic, record, rule)))
+    for one_sided in (False, True):
+        model = identify([cycle], "pi", operators=OPERATORS, one_sided=one_sided, nuisance="offset").model
+        name = f"{OPERATORS} play operators, {'one' if one_sided else 'two'}-sided"
+        found.append(Prediction(name, fitted_error(model, cycle), predict(model, record)))
+    found += [mapped_operators(cycle, record, count) for count in (1, 2)]
+    return found
+
+
+def run(json_path: str | Path | None = None, figures_dir: str | Path | None = None) -> Table:
+    """Table of every static model, held out; writes it as JSON and draws figures where asked to.
+
+    Raises `InputError` when the measurements are absent.
+    """
+    full, nested = load()
+    available = cycles(full)
+    table = Table("reproduce pea-p885")
+    first = available[0]
+    found = predictions(first, nested)
+    delayed, delay = with_delay(first, nested)
+    report(table, [*found, delayed], nested)
+    table.add("P-885.91, lag", first.name, delayed.name, "delay", "s", delay)
+    report_cycles(table, available, nested)
+    report_fitted_there(table, nested)
+    if figures_dir is not None:
+        draw(Path(figures_dir), [*found, delayed], nested)
+    if json_path is not None:
+        table.write(json_path)
+    return table
+
+
+def report(table: Table, found: Sequence[Prediction], nested: Dataset) -> None:
+    """Held-out and fitted errors of every model."""
+    title = "P-885.91, fitted on one cycle, nested loops held out"
+    for model in found:
+        for case, rows in SCORED.items():
+            table.add(title, case, model.name, "nrmse", "%", score(nested.measurement[rows, 0], model.predicted[rows]))
+        table.add(title, "the cycle itself", model.name, "nrmse", "%", model.fitted)
+
+
+def report_cycles(table: Table, available: Sequence[Dataset], nested: Dataset) -> None:
+    """How much it matters which cycle is fitted."""
+    for case, rows in SCORED.items():
+        measured = nested.measurement[rows, 0]
+        errors = [score(measured, predict(madelung.fit([cycle]).model, nested)[rows]) for cycle in available[::4]]
+        for quantity, value in (("nrmse_mean", np.mean(errors)), ("nrmse_least", min(errors)), ("nrmse_greatest", max(errors))):
+            table.add("P-885.91, every fourth cycle in turn", case, "Madelung, quintic", quantity, "%", value, n=len(errors))
+
+
+def report_fitted_there(table: Table, nested: Dataset) -> None:
+    """Play operators fitted on the very rows that are scored: what no prediction of theirs can beat."""
+    for case, rows in SCORED.items():
+        part = nested.rows(rows.start, rows.stop + 1)
+        model = identify([part], "pi", operators=OPERATORS, nuisance="offset").model
+        predicted = predict(model, nested)
+        table.add(
+            "P-885.91, fitted on the rows scored",
+            case,
+            f"{OPERATORS} play operators, two-sided",
+            "nrmse",
+            "%",
+            score(nested.measurement[rows, 0], predicted[rows]),
+        )
+
+
+def draw(folder: Path, found: Sequence[Prediction], nested: Dataset) -> None:
+    """Nested loops measured and predicted, and the errors of every model over time."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = SCORED["rows 7950-11950"]
+    measured = nested.measurement[rows, 0] - nested.measurement[rows, 0].mean()
+    figure, (loops, errors) = plt.subplots(1, 2, figsize=(12, 5))
+    loops.plot(nested.command[rows, 0], measured, color="black", linewidth=0.8, label="measured")
+    best = found[0].predicted[rows] - found[0].predicted[rows].mean()
+    loops.plot(nested.command[rows, 0], best, linewidth=0.8, label=found[0].name)
+    loops.set_xlabel("command (V)")
+    loops.set_ylabel("displacement (um)")
+    loops.legend()
+    time = SAMPLE_TIME * np.arange(rows.start, rows.stop)
+    for model in found:
+        predicted = model.predicted[rows] - model.predicted[rows].mean()
+        errors.plot(time, measured - predicted, linewidth=0.7, label=model.name)
+    errors.set_xlabel("time (s)")
+    errors.set_ylabel("measured - predicted (um)")
+    errors.legend(fontsize=7)
+    for panel in (loops, errors):
+        panel.grid(alpha=0.3)
+    figure.tight_layout()
+    figure.savefig(folder / "pea_p885.png", dpi=120)
+    plt.close(figure)

@@ -1,0 +1,164 @@
+"""Effects in the mechanics and on the way from there to the sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hyst_plant_sim.physics import exact_discretization
+from hyst_plant_sim.physics.effects.effect import Context, Effect
+from hyst_plant_sim.physics.parts import Straight
+
+Array = NDArray[np.float64]
+
+
+class Backlash:
+    """Follows its input with a play of `half_width` to either side."""
+
+    def __init__(self, half_width: float) -> None:
+        self._half_width, self._place = half_width, np.zeros(1)
+
+    def settle(self, value: float) -> float:
+        self._place[0] = np.clip(0.0, value - self._half_width, value + self._half_width)
+        return float(self._place[0])
+
+    def process(self, block: Array) -> Array:
+        output = np.empty(block.size)
+        _play(block, self._half_width, self._place, output)
+        return output
+
+
+class FromOther:
+    """Onto one axis (None: each) comes `coupling` of the next one, through a first-order low-pass; (A, M)."""
+
+    def __init__(self, coupling: float, corner: float, axis: int | None, axes: int, period: float) -> None:
+        self._coupling, self._onto = coupling, range(axes) if axis is None else (axis,)
+        self._axes = axes
+        self._filters = [Straight(exact_discretization.lag(2 * np.pi * corner), period) for _ in self._onto]
+
+    def settle(self, values: Array) -> Array:
+        output = values.copy()
+        for onto, part in zip(self._onto, self._filters, strict=True):
+            output[onto] += self._coupling * part.settle(float(values[(onto + 1) % self._axes]))
+        return output
+
+    def process(self, block: Array) -> Array:
+        output = block.copy()
+        for onto, part in zip(self._onto, self._filters, strict=True):
+            output[onto] += self._coupling * part.process(block[(onto + 1) % self._axes])
+        return output
+
+
+class Vibration:
+    """A tone whose amplitude and phase wander over some hundred periods; its rms is that of a sine of `amplitude`."""
+
+    def __init__(self, amplitude: float, frequency: float, context: Context) -> None:
+        self._amplitude, self._frequency, self._context = amplitude, frequency, context
+        self._keep = np.exp(-2 * np.pi * frequency / 500.0 * context.period)
+
+    def settle(self, value: float) -> float:
+        self._count, self._stream = 0, self._context.stream("vibration")
+        self._envelope = self._stream.standard_normal(2)
+        return value + self._amplitude * self._envelope[0] / np.sqrt(2.0)
+
+    def process(self, block: Array) -> Array:
+        draws = self._stream.standard_normal((len(block), 2))
+        envelope = np.empty((len(block), 2))
+        _wander(draws, self._keep, np.sqrt(1.0 - self._keep**2), self._envelope, envelope)
+        angle = 2 * np.pi * self._frequency * self._context.times(self._count, len(block))
+        self._count += len(block)
+        return block + self._amplitude / np.sqrt(2.0) * (envelope[:, 0] * np.cos(angle) + envelope[:, 1] * np.sin(angle))
+
+
+@njit(cache=True, error_model="numpy")
+def _play(block, half_width, place, output):
+    for k in range(block.size):
+        place[0] = min(max(place[0], block[k] - half_width), block[k] + half_width)
+        output[k] = place[0]
+
+
+@njit(cache=True, error_model="numpy")
+def _wander(draws, keep, fresh, state, output):
+    for k in range(draws.shape[0]):
+        for i in range(draws.shape[1]):
+            state[i] = keep * state[i] + fresh * draws[k, i]
+            output[k, i] = state[i]
+
+
+def _wandering(values: Mapping[str, float], context: Context) -> dict[str, float]:
+    return {"wander": values["change"], "period": values["period"], "phase": 2 * np.pi * context.stream("wandering_mode").random()}
+
+
+EFFECTS = {
+    "resonance": Effect(
+        "mechanics",
+        "mechanics",
+        {"gain": 0.0},
+        lambda v, c: {"modes": ((v["frequency"], v["damping"], v["gain"]),)},
+        "A further mode is fed with the mechanics' input; `gain` is its share of the mechanics' static gain.",
+        {"frequency": "Hz", "damping": "", "gain": ""},
+        {"frequency": 600.0, "damping": 0.02},
+    ),
+    "added_mass": Effect(
+        "mechanics",
+        "mechanics",
+        {"mass_ratio": 0.0},
+        lambda v, c: {"added_mass": v["mass_ratio"]},
+        "The main mode's mass is 1 + mass_ratio; stiffness and damping constant stay.",
+        {"mass_ratio": ""},
+    ),
+    "duffing_stiffness": Effect(
+        "mechanics",
+        "mechanics",
+        {"share": 0.0},
+        lambda v, c: {"duffing": v["share"]},
+        "The spring stiffens with the cube of the displacement: at full stroke it takes this share of the drive.",
+        {"share": ""},
+    ),
+    "guide_friction": Effect(
+        "mechanics",
+        "mechanics",
+        {"share": 0.0},
+        lambda v, c: {"friction": v["share"]},
+        "An elastic-slip friction in the guide, its slip force and its elastic way worth this share of the stroke.",
+        {"share": ""},
+    ),
+    "wandering_mode": Effect(
+        "mechanics",
+        "mechanics",
+        {"change": 0.0},
+        _wandering,
+        "The main mode's frequency moves by ± change as a sine.",
+        {"change": "", "period": "s"},
+        {"period": 0.7},
+    ),
+    "backlash": Effect(
+        "insert",
+        "motion",
+        {"half_width": 0.0},
+        lambda v, c: Backlash(v["half_width"]),
+        "Play after the mechanics.",
+        {"half_width": "unit"},
+    ),
+    "vibration": Effect(
+        "insert",
+        "motion",
+        {"amplitude": 0.0},
+        lambda v, c: Vibration(v["amplitude"], v["frequency"], c),
+        "A narrow-band disturbance, about 1/500 of its frequency wide.",
+        {"amplitude": "unit", "frequency": "Hz"},
+        {"frequency": 173.0},
+    ),
+    "cross_coupling": Effect(
+        "mixing",
+        "motion",
+        {"coupling": 0.0},
+        lambda v, c: FromOther(v["coupling"], v["corner"], c.axis, len(c.frame.axes), c.period),
+        "`coupling` of the other axis' motion, through a first-order low-pass at `corner`.",
+        {"coupling": "", "corner": "Hz"},
+        {"corner": 2000.0},
+    ),
+}

@@ -1,0 +1,72 @@
+"""Exact steps of linear parts: what the state is after a step whose input holds, or runs straight from one value to another."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+Array = NDArray[np.float64]
+
+
+def held_step(a: Array, b: Array, step: float) -> tuple[Array, Array]:
+    """(Φ, Γ) of x' = a x + b u with u held over `step` s: x ← Φ x + Γ u; a (n, n), b (n,), Γ (n,)."""
+    n = len(a)
+    block = np.zeros((n + 1, n + 1))
+    block[:n, :n], block[:n, n] = a, b
+    result = expm(block * step)
+    return result[:n, :n], result[:n, n]
+
+
+def ramp_step(a: Array, b: Array, step: float) -> tuple[Array, Array, Array]:
+    """(Φ, Γ0, Γ1) of x' = a x + b u with u straight from u0 to u1 over `step` s: x ← Φ x + Γ0 u0 + Γ1 u1."""
+    phi, gamma = held_step(a, b, step)
+    n = len(a)
+    # The answer to a ramp of slope 1 / step is the integral of the answer to a step: one more integrator in front.
+    block = np.zeros((n + 2, n + 2))
+    block[:n, :n], block[:n, n], block[n, n + 1] = a, b, 1.0 / step
+    ramp = expm(block * step)[:n, n + 1]
+    return phi, gamma - ramp, ramp
+
+
+def mean_of_step(a: Array, b: Array, step: float) -> tuple[Array, Array]:
+    """(M, m): the state's mean over a step of `step` s whose input u is held is M x + m u, x being the state at its beginning."""
+    n = len(a)
+    block = np.zeros((2 * n + 1, 2 * n + 1))
+    block[:n, :n], block[:n, n], block[n + 1 :, :n] = a, b, np.eye(n) / step  # the last rows integrate
+    result = expm(block * step)[n + 1 :]
+    return result[:, :n], result[:, n]
+
+
+def rest(a: Array, b: Array, value: float) -> Array:
+    """The state at rest for a constant input."""
+    return -np.linalg.solve(a, b) * value
+
+
+def series(
+    first: tuple[Array, Array, Array, float], second: tuple[Array, Array, Array, float]
+) -> tuple[Array, Array, Array, float]:
+    """(a, b, c, d) of two single-input systems, the first feeding the second."""
+    a1, b1, c1, d1 = first
+    a2, b2, c2, d2 = second
+    n1, n2 = len(a1), len(a2)
+    a = np.zeros((n1 + n2, n1 + n2))
+    a[:n1, :n1], a[n1:, n1:], a[n1:, :n1] = a1, a2, np.outer(b2, c1)
+    return a, np.concatenate([b1, b2 * d1]), np.concatenate([d2 * c1, c2]), d1 * d2
+
+
+def lag(rate: float) -> tuple[Array, Array, Array, float]:
+    """First-order low-pass of unit gain; rate rad/s."""
+    return np.array([[-rate]]), np.array([rate]), np.array([1.0]), 0.0
+
+
+def oscillator(frequency: float, damping: float) -> tuple[Array, Array, Array, float]:
+    """Mass, spring and damper of unit static gain, in position and velocity / ω; frequency rad/s, damping ratio."""
+    w = frequency
+    return np.array([[0.0, w], [-w, -2.0 * damping * w]]), np.array([0.0, w]), np.array([1.0, 0.0]), 0.0
+
+
+def slow_share(share: float, time_constant: float) -> tuple[Array, Array, Array, float]:
+    """A part `share` of the final value arrives with `time_constant` s, the rest at once (a viscoelastic element)."""
+    rate = 1.0 / time_constant
+    return np.array([[-rate]]), np.array([rate]), np.array([share]), 1.0 - share

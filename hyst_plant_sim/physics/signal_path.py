@@ -1,0 +1,118 @@
+"""The line of a plant: what a command goes through on its way to the measurement, place by place, and the plant that runs it.
+
+A part is one axis' element at one place: `settle(value)` brings it to rest at a constant input and returns its first output,
+`process(block (M,))` returns as many outputs and carries its state on, so that cutting a signal changes no bit. A part that
+mixes axes is entered for axis None and gets (A, M).
+
+What a value between the samples stands for: from the drive up to the mechanics for the whole internal step, held there or the
+mean over it, which the next part takes as held; from the mechanics on for the end of the step, up to which the next part takes
+it as running straight. Both are of second order in the step, also where a command jumps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+PLACES = ("dac", "drive", "amplifier", "hysteresis", "piezo", "mechanics", "motion", "sensor", "adc", "transport")
+"""In signal order. dac, adc and transport work on samples, the others on the internal steps in between."""
+
+SAMPLED = ("dac", "adc", "transport")
+BLOCK = 1024
+"""Most samples taken through the line at a time: bounds the memory, and changes no bit."""
+
+
+class PlantError(ValueError):
+    """A plant description that makes no sense: one line with field and remedy."""
+
+
+class Part(Protocol):
+    """An element of the line; see the module."""
+
+    def settle(self, value: Any) -> Any: ...
+
+    def process(self, block: Array) -> Array: ...
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What every part may want to know: axes, sample time (s), internal steps a sample, rating (V), stroke (measurement unit), seed."""
+
+    name: str
+    axes: tuple[str, ...]
+    units: dict[str, str]
+    sample_time: float
+    substeps: int
+    rating: tuple[float, float]
+    slew_limit: float
+    stroke: tuple[float, float]
+    seed: int
+
+    @property
+    def step(self) -> float:
+        """The internal step, s."""
+        return self.sample_time / self.substeps
+
+    def period(self, place: str) -> float:
+        """Time (s) from one value to the next at a place."""
+        return self.sample_time if place in SAMPLED else self.step
+
+    def stream(self, name: str, axis: int | None) -> np.random.Generator:
+        """Random numbers that belong to one effect on one axis, whatever else the plant draws."""
+        return np.random.default_rng([self.seed, crc32(name.encode()), 0 if axis is None else axis + 1])
+
+
+Entry = tuple["int | None", Part]
+Line = dict[str, list[Entry]]
+
+
+class Plant:
+    """A running truth plant: `reset` it, then `step` it with commands in V."""
+
+    def __init__(self, frame: Frame, line: Line) -> None:
+        self.frame, self._line = frame, line
+        self.name, self.axes, self.units, self.sample_time = frame.name, frame.axes, frame.units, frame.sample_time
+        self.rating, self.slew_limit = frame.rating, frame.slew_limit
+        places = list(PLACES)
+        self._before = line.get("dac", [])
+        self._between = [entry for place in places[1 : places.index("adc")] for entry in line.get(place, [])]
+        self._after = [entry for place in places[places.index("adc") :] for entry in line.get(place, [])]
+        self.reset(np.zeros(len(self.axes)))
+
+    def reset(self, command: Array) -> Array:
+        """Settle at the command (A,) V, reached from 0 V on the virgin curve; measurement[0] (A,)."""
+        values = np.array(np.broadcast_to(np.asarray(command, dtype=float), len(self.axes)))
+        for axis, part in (*self._before, *self._between, *self._after):
+            if axis is None:
+                values = part.settle(values)
+            else:
+                values[axis] = part.settle(float(values[axis]))
+        return values
+
+    def step(self, commands: Array) -> Array:
+        """Commands (N, A) V, each held for one sample; measurements (N, A) at the ticks that follow them."""
+        commands = np.asarray(commands, dtype=float)
+        output = np.empty((len(commands), len(self.axes)))
+        for start in range(0, len(commands), BLOCK):
+            piece = slice(start, start + BLOCK)
+            block = _through(self._before, np.array(commands[piece].T, order="C"))
+            block = _through(self._between, np.repeat(block, self.frame.substeps, axis=1))
+            block = np.ascontiguousarray(block[:, self.frame.substeps - 1 :: self.frame.substeps])
+            output[piece] = _through(self._after, block).T
+        return output
+
+
+def _through(entries: Sequence[Entry], block: Array) -> Array:
+    for axis, part in entries:
+        if axis is None:
+            block = part.process(block)
+        else:
+            block[axis] = part.process(block[axis])
+    return block

@@ -1,0 +1,80 @@
+"""Models that lose an element: what is gone, and that the rest is as it was."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+
+from hyst_control.blind_test.measured import Withheld, oscillating, report_on, uncoupled, without
+from hyst_control.chain import Chain
+from hyst_control.chain.linear import StateSpace
+from hyst_control.model_file import Model
+from hyst_control.records.record import Record, Signal
+
+FREQUENCIES = (300.0, 1200.0)
+
+
+def modal(random: np.random.Generator) -> StateSpace:
+    """Two modes and a real pole of three axes."""
+    blocks = [2 * np.pi * f * np.array([[-0.01, -1.0], [1.0, -0.01]]) for f in FREQUENCIES]
+    return StateSpace(
+        block_diag(*blocks, [[-500.0]]),
+        100.0 * random.standard_normal((5, 3)),
+        random.standard_normal((3, 5)),
+        random.standard_normal((3, 3)),
+    )
+
+
+def response(stage: StateSpace, frequency: float) -> np.ndarray:
+    a, b, c, d = (np.array(getattr(stage, part), dtype=float) for part in "ABCD")
+    return c @ np.linalg.solve(2j * np.pi * frequency * np.eye(len(a)) - a, b.astype(complex)) + d
+
+
+@pytest.mark.parametrize("frequency", [0.0, 290.0, 1199.0])
+def test_without_coupling_only_the_diagonal_is_left(frequency):
+    whole = modal(np.random.default_rng(1))
+    np.testing.assert_allclose(
+        response(uncoupled(whole), frequency), np.diag(np.diag(response(whole, frequency))), rtol=1e-9, atol=1e-9
+    )
+
+
+def test_a_mode_is_found_and_taken_away_whole():
+    whole = modal(np.random.default_rng(2))
+    found = list(oscillating(whole))
+    np.testing.assert_allclose([frequency for _, frequency in found], np.array(FREQUENCIES) * np.sqrt(1 + 1e-4), rtol=1e-9)
+    left = without(whole, found[0][0])
+    assert len(left.A) == 3
+    # What is gone has one residue: its difference is of rank two at most, and largest at the mode.
+    gone = response(whole, FREQUENCIES[0]) - response(left, FREQUENCIES[0])
+    assert np.linalg.svd(gone, compute_uv=False)[2] < 1e-9 * np.abs(gone).max()
+    assert np.abs(gone).max() > 20 * np.abs(response(whole, 3000.0) - response(left, 3000.0)).max()
+    other = response(without(left, slice(0, 2)), 50.0)
+    np.testing.assert_allclose(
+        response(whole, 50.0) - response(without(whole, found[1][0]), 50.0) + other, response(left, 50.0), atol=1e-9
+    )
+
+
+def test_a_case_that_has_its_report_is_not_diagnosed_again(tmp_path, monkeypatch):
+    calls = []
+    monkeypatch.setattr(
+        measured, "diagnosed", lambda records, model, warm_up: calls.append(warm_up) or ({"verdict": "no_gap"},)
+    )
+    time = 1e-3 * np.arange(4)
+    signal = Signal(time, np.ones((4, 3)), ("x", "y", "z"), "V")
+    model = Model("whole", ("x", "y", "z"), {"command": "V", "measurement": "um"}, 1e-3, Chain((modal(np.random.default_rng(3)),)))
+    case = Withheld(
+        "mirror, 100 mV", "mode at 30 Hz", (), model, Record({"command": signal, "measurement": signal}, "here"), 0.5, 0.1
+    )
+    first = report_on(case, tmp_path)
+    assert report_on(case, tmp_path) == first | {"seconds": pytest.approx(0.0, abs=60.0)} and calls == [0.5]
+    other = replace(signal, values=2.0 * signal.values)
+    for changed in (
+        replace(case, warm_up=0.4),
+        replace(case, model=replace(model, sample_time=2e-3)),
+        replace(case, record=replace(case.record, signals={"command": signal, "measurement": other})),
+    ):
+        report_on(changed, tmp_path)
+    assert len(calls) == 4 and [path.name for path in tmp_path.iterdir()] == ["mirror_100_mv_mode_at_30_hz.json"]

@@ -1,0 +1,64 @@
+"""What is foreseen on a command that was not played yet, against the record of it that is then made."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hyst_control.blind_test import cases
+from hyst_control.cli import main
+from hyst_control.diagnose.foreseen_reduction import foresee
+from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.errors import InputError
+from hyst_control.model_file import save_model, simulate
+from hyst_control.records.importing import write_bag
+
+NOISE = 5e-4
+DRAWN = {"pea_published": {"name": "dac_hold", "samples": 4.0}, "fsm_published": {"name": "cross_coupling", "coupling": 0.03}}
+
+
+@pytest.mark.parametrize("plant", DRAWN)
+def test_the_shrink_foreseen_is_the_one_then_measured(plant, tmp_path, capsys):
+    case = cases.Case("case", plant, "single", "rich", NOISE, 21, (DRAWN[plant],))
+    model, record = cases.nominal(plant, NOISE), cases.record_of(case, cases.run(case))
+    document, diagnosis, better = diagnosed([record], model)
+    fresh = cases.run(replace(case, excitation="multisine"))
+    foreseen = foresee(diagnosis, fresh["command"])
+    floor = (NOISE * cases.SETUPS[plant].stroke) ** 2
+    before, after = (np.sqrt(np.mean((fresh["measurement"] - simulate(m, fresh["command"])) ** 2) - floor) for m in (model, better))
+    assert foreseen.rms_before == pytest.approx(before, rel=0.03) and foreseen.rms_after == pytest.approx(after, rel=0.1)
+    assert foreseen.shrink == pytest.approx(1 - (after / before) ** 2, abs=0.02)
+    if plant == "pea_published":  # on the record itself it is another one: another command excites other things
+        assert abs(document["effects"][0]["shrink"] - foreseen.shrink) > 0.2
+        write_bag(tmp_path / "bag", record)
+        save_model(model, tmp_path / "model.yaml")
+        np.save(tmp_path / "next.npy", fresh["command"])
+        assert (
+            main(
+                [
+                    "diagnose",
+                    str(tmp_path / "bag"),
+                    "--model",
+                    str(tmp_path / "model.yaml"),
+                    "--on",
+                    str(tmp_path / "next.npy"),
+                    "--json",
+                    str(tmp_path / "gap.json"),
+                ]
+            )
+            == 0
+        )
+        told = json.loads((tmp_path / "gap.json").read_text())["foreseen"]
+        assert told["shrink"] == pytest.approx(foreseen.shrink, abs=1e-6)
+        assert f"it will shrink by {100 * told['shrink']:.1f} %" in capsys.readouterr().out
+
+
+def test_a_command_of_another_form_is_refused():
+    case = cases.Case("case", "fsm_published", "none", "rich", NOISE, 21, ())
+    _, diagnosis, _ = diagnosed([cases.record_of(case, cases.run(case))], cases.nominal("fsm_published", NOISE))
+    for command in (np.zeros((100, 1)), np.zeros(100), np.full((100, 2), np.nan)):
+        with pytest.raises(InputError, match="2 axes are due"):
+            foresee(diagnosis, command)

@@ -1,0 +1,133 @@
+"""Checks without a fit, each beside what it must not take for its finding."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hyst_control.chain import Chain
+from hyst_control.chain.linear import StateSpace, TransferFunction
+from hyst_control.diagnose.flicker_estimation import flicker
+from hyst_control.diagnose.gap_report import sentence
+from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.diagnose.record_checks import lattice_of, lines, outliers, repeated_samples
+from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.model_file import Model, simulate
+from hyst_control.records.record import Record, Signal
+
+STEP = 5e-3
+TIME = STEP * np.arange(6000)
+
+
+def test_numbers_of_few_digits_are_no_held_samples():
+    """A slow motion in noise, printed with so few digits that neighbours coincide now and then, on more levels than a lattice has."""
+    random = np.random.default_rng(1)
+    printed = np.round(20.0 * np.sin(2 * np.pi * TIME) + 0.2 * random.standard_normal(len(TIME)), 3)
+    same = np.mean(np.diff(printed) == 0.0)
+    assert same > 5e-4
+    assert repeated_samples(printed, 0.0, 0.2)[0] == 0.0
+    held = printed.copy()
+    for k in np.flatnonzero(random.random(len(held)) < 0.02):
+        held[k] = held[max(k - 1, 0)]
+    assert repeated_samples(held, 0.0, 0.2)[0] == pytest.approx(0.02, abs=0.006)
+
+
+@pytest.mark.parametrize("frequency, due", [(3.0, []), (3.5, [3.5])])
+def test_a_harmonic_of_a_sine_that_swells_is_no_vibration(frequency, due):
+    """Unipolar strokes of changing height, whose mean wanders with them; a line at their third harmonic, and one between two."""
+    height = 1.0 + 0.8 * np.sin(2 * np.pi * 0.1 * TIME)
+    command = (0.5 * height * (1.0 - np.cos(2 * np.pi * TIME)))[:, None]
+    model = Model("gain", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain((TransferFunction((1.0,), (1.0,)),)))
+    problem = Problem(model, (Piece(command, command),), STEP, "zoh", np.array([1e-3]))
+    residual = 1e-3 * np.random.default_rng(2).standard_normal(len(TIME)) + 0.02 * height * np.sin(2 * np.pi * frequency * TIME)
+    found = lines(problem, residual / 1e-3)["vibration"]
+    assert found == pytest.approx(due, abs=0.05)
+
+
+def test_a_gain_of_all_coupled_axes_is_one_effect():
+    """Both axes of a coupled plant are 4 % weak: one value on both, not an effect per axis."""
+    w = 2 * np.pi * 300.0
+    a = w * np.array([[-0.2, -1.0, 0.0, 0.0], [1.0, -0.2, 0.0, 0.0], [0.0, 0.0, -0.3, -1.3], [0.0, 0.0, 1.3, -0.3]])
+    b, c = w * np.array([[1.0, 0.2], [0.0, 0.1], [0.3, 1.0], [0.1, 0.0]]), np.array([[0.2, 1.0, 0.1, 0.3], [0.1, 0.2, 0.0, 1.0]])
+    plant = StateSpace(a, b, c, np.zeros((2, 2)))
+    model = Model("coupled", ("x", "y"), {"command": "V", "measurement": "mrad"}, 2e-4, Chain((plant,)), noise={"sigma": 2e-3})
+    random = np.random.default_rng(3)
+    command = np.repeat(random.uniform(0.0, 1.0, (250, 2)), 16, axis=0)
+    command[:300] = 0.0
+    weak = replace(model, chain=Chain((replace(plant, C=0.96 * c),)))
+    measured = simulate(weak, command) + 2e-3 * random.standard_normal(command.shape)
+    time = 2e-4 * np.arange(len(command))
+    record = Record(
+        {"command": Signal(time, command, ("x", "y"), "V"), "measurement": Signal(time, measured, ("x", "y"), "mrad")}, "weak"
+    )
+    report, _, better = diagnosed([record], model)
+    first = report["effects"][0]
+    assert (first["name"], first["axis"]) == ("gain", ["x", "y"])
+    low, high = first["parameters"]["gain"]["ci90"]
+    assert low < -0.04 < high and high - low < 0.02
+    left = measured - simulate(better, command)
+    assert np.sqrt(np.mean(left**2)) < 1.1 * 2e-3
+
+
+def test_rest_before_a_step_is_no_held_samples_on_a_lattice():
+    time = np.arange(20000) * 1e-4
+    steps = np.cumsum(np.where(np.arange(20000) % 100 == 50, 1.0, 0.0) * np.random.default_rng(3).normal(size=20000))
+    moved = np.convolve(steps, np.exp(-np.arange(200) / 5.0) / 5.0)[:20000] + 0.5 * np.sin(2 * np.pi * 40.0 * time)
+    step = 0.004
+    rounded = step * np.rint(moved / step)
+    share, count = repeated_samples(rounded, lattice_of(rounded), 1e-3)
+    assert count >= 200 and share < 0.005
+    random = np.random.default_rng(4)
+    for k in np.flatnonzero(random.random(20000) < 0.05):
+        rounded[k] = rounded[max(k - 1, 0)]
+    assert repeated_samples(rounded, lattice_of(rounded), 1e-3)[0] == pytest.approx(0.05, abs=0.02)
+
+
+def test_outliers_are_told_from_noise_of_any_colour():
+    random = np.random.default_rng(5)
+    white = random.normal(size=30000)
+    for noise in (
+        white,
+        np.cumsum(white),
+        np.convolve(white, np.ones(10) / 10, "same"),
+        np.sin(np.arange(30000) * 0.3) * 50 + white,
+    ):
+        assert outliers(noise)[0] == 0
+    spiked = white.copy()
+    at = random.choice(30000, 60, replace=False)
+    spiked[at] += random.choice([-1, 1], 60) * random.uniform(20, 40, 60)
+    count, rms = outliers(spiked)
+    assert 55 <= count <= 60 and rms == pytest.approx(np.sqrt(np.mean((spiked - white) ** 2)), rel=0.1)
+    assert outliers(np.round(white, 0))[0] == 0
+
+
+def test_the_sentence_says_why_nothing_known_explains_a_gap():
+    report = {
+        "verdict": "unknown",
+        "gap": {"rms": 1.0, "nrmse": 2.0, "unit": "um", "floor_rms": 0.1},
+        "effects": [{"name": name} for name in ("offset", "gain_drift", "softening_modes")],
+        "unexplained_share": 0.5,
+    }
+    assert "offset and gain drift and softening modes, leaves 50 % of it" in sentence(report)
+    told = sentence(report | {"unexplained_share": 0.001})
+    assert "it would take offset and gain drift and softening modes at once" in told and "leaves" not in told
+    assert sentence(report | {"effects": []}).endswith("noise floor 0.1 um).")
+
+
+def test_flicker_noise_has_its_shape_in_most_draws():
+    """1/f noise of three times the white noise's rms, made in the spectrum: its few lowest lines scatter widely."""
+    rows = 16950
+    lines = np.arange(1, rows // 2)
+
+    def drawn(seed: int) -> np.ndarray:
+        random = np.random.default_rng(seed)
+        spectrum = np.zeros(rows // 2 + 1, complex)
+        spectrum[1 : rows // 2] = (random.normal(size=len(lines)) + 1j * random.normal(size=len(lines))) / np.sqrt(lines)
+        noise = np.fft.irfft(spectrum, rows)
+        return 3.0 * noise / noise.std() + random.normal(size=rows)
+
+    seen = [flicker(drawn(seed), np.ones(rows)) for seed in range(40)]
+    assert sum(one.plausible for one in seen) >= 36
+    assert np.median([one.rms for one in seen]) == pytest.approx(3.0, rel=0.05)

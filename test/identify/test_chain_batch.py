@@ -1,0 +1,58 @@
+"""Chains run side by side against each chain by itself."""
+
+import numpy as np
+import pytest
+
+from hyst_control.chain import Chain, Parallel, Sampling
+from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
+from hyst_control.chain.madelung import Madelung
+from hyst_control.chain.memoryless import Gain, Offset
+from hyst_control.identify.chain_batch import Bundle
+
+SLOW, FAST = TransferFunction([1.0], [1e-3, 1.0]), TransferFunction([2.0], [1e-8, 1e-4, 1.0])
+
+
+def loop(bulge: float) -> Madelung:
+    """Hysteresis between two parabolas."""
+    return Madelung([bulge, 1.0 - bulge], [-bulge, 1.0 + bulge], 100.0, 2.0)
+
+
+def mhl(bulge: float, k1: float, dynamics: TransferFunction) -> tuple[object, ...]:
+    """Delay, hysteresis beside a rate correction, dynamics."""
+    return Delay(68e-6), Parallel(((loop(bulge),), (RateCorrection(k1=k1, k2=1e-3, b1=0.1),))), dynamics
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_every_chain_gives_the_same_numbers_as_alone(hold: str) -> None:
+    """Chains equal in their beginnings, their branches, wholly or not at all; two settles and uneven blocks, as records come."""
+    chains = [
+        mhl(0.1, 1e-6, SLOW),
+        mhl(0.2, 1e-6, SLOW),
+        mhl(0.1, 2e-6, SLOW),
+        mhl(0.1, 1e-6, FAST),
+        mhl(0.1, 1e-6, SLOW),
+        (Gain(2.0), SLOW, FAST),
+        (Gain(2.0), SLOW, Offset(1.0)),
+        (loop(0.1), Delay(1e-4)),
+        (),
+    ]
+    sampling = Sampling(5e-5, 1, hold)
+    bundle, alone = Bundle(chains, sampling), [Chain(chain).filter(sampling) for chain in chains]
+    rng = np.random.default_rng(1)
+    for start in (0.0, 30.0):
+        signal = np.clip(start + np.cumsum(rng.normal(0.0, 3.0, 900)), 0.0, 100.0)[:, None]
+        bundle.settle(float(signal[0, 0]))
+        for running in alone:
+            running.settle(signal[0])
+        for part in (signal[:1], signal[1:400], signal[400:]):
+            for found, running in zip(bundle.process(part), alone, strict=True):
+                np.testing.assert_array_equal(found, running.process(part)[:, 0])
+
+
+def test_what_chains_share_is_run_once() -> None:
+    """Neighbours in one parameter of curves, rate part and dynamics: 2 loops, 2 of G behind them for each, 3 rate parts with G."""
+    chains = [mhl(0.1, 1e-6, SLOW), mhl(0.2, 1e-6, SLOW), mhl(0.1, 2e-6, SLOW), mhl(0.1, 1e-6, FAST)]
+    filters = [node for node in Bundle(chains, Sampling(5e-5, 1, "zoh")).nodes if node.running is not None]
+    loops = [node for node in filters if type(node.running).__name__ == "MadelungFilter"]
+    assert len(loops) == 2
+    assert len(filters) == 2 + 3 + 3

@@ -1,0 +1,121 @@
+"""The signal message against two other implementations of the wire format: rosbags' and, where present, ROS 2's own."""
+
+from __future__ import annotations
+
+import array
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_typestore
+
+from hyst_control.errors import InputError
+from hyst_control.records.signal_message import Decoder, Encoder, decode, label_for, parse_label
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+TYPE = "std_msgs/msg/Float64MultiArray"
+AXES = st.lists(st.text("abcxyzé_", min_size=1, max_size=9), min_size=1, max_size=4, unique=True)
+BLOCK = st.integers(0, 2**32 - 1).map(np.random.default_rng)
+
+
+def rosbags_message(label: str, block: np.ndarray):
+    dimension = STORE.types["std_msgs/msg/MultiArrayDimension"]
+    layout = STORE.types["std_msgs/msg/MultiArrayLayout"]
+    rows, columns = block.shape
+    dimensions = [dimension("sample", rows, rows * columns), dimension(label, columns, columns)]
+    return STORE.types[TYPE](layout(dimensions, 0), block.ravel())
+
+
+@given(AXES, st.sampled_from(["V", "um", "mrad"]), st.integers(1, 70), BLOCK)
+def test_bytes_read_the_same_in_rosbags_and_back(axes, unit, rows, generator):
+    label = label_for(axes, unit)
+    block = generator.standard_normal((rows, len(axes) + 1))
+    message = STORE.deserialize_cdr(Encoder(label).encode(block), TYPE)
+    assert [(d.label, d.size, d.stride) for d in message.layout.dim] == [
+        ("sample", rows, block.size),
+        (label, len(axes) + 1, len(axes) + 1),
+    ]
+    assert message.layout.data_offset == 0
+    np.testing.assert_array_equal(message.data.reshape(block.shape), block)
+
+    for little_endian in (True, False):
+        raw = bytes(STORE.serialize_cdr(rosbags_message(label, block), TYPE, little_endian=little_endian))
+        found, read = decode(raw)
+        assert found == label
+        np.testing.assert_array_equal(read, block)
+    assert parse_label(label) == (tuple(axes), (unit,) * len(axes))
+
+
+def test_same_message_as_ros_serialization():
+    serialization = pytest.importorskip("rclpy.serialization")
+    from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+    block = np.arange(12.0).reshape(4, 3) / 7
+    label = label_for(["x", "y"], "mrad")
+    message = Float64MultiArray(data=array.array("d", block.tobytes()))
+    message.layout.dim = [
+        MultiArrayDimension(label="sample", size=4, stride=12),
+        MultiArrayDimension(label=label, size=3, stride=3),
+    ]
+    assert serialization.deserialize_message(Encoder(label).encode(block), Float64MultiArray) == message
+    found, read = decode(serialization.serialize_message(message))
+    assert found == label
+    np.testing.assert_array_equal(read, block)
+
+
+def test_message_without_layout_is_one_row():
+    plain = STORE.types[TYPE](STORE.types["std_msgs/msg/MultiArrayLayout"]([], 0), np.array([1.0, 2.0]))
+    label, block = decode(bytes(STORE.serialize_cdr(plain, TYPE)))
+    assert label == ""
+    np.testing.assert_array_equal(block, [[1.0, 2.0]])
+
+
+def test_empty_block_round_trips():
+    encoder = Encoder("t[s],x[um]")
+    label, block = decode(encoder.encode(np.zeros((0, 2))))
+    assert label == encoder.label and block.shape == (0, 2)
+
+
+@given(st.lists(st.tuples(st.sampled_from(["t[s],x[um]", "t[s],x[V]", "t[s],x[um],y[um]"]), st.integers(1, 5)), max_size=12))
+def test_decoder_with_memory_equals_the_plain_one(messages):
+    decoder = Decoder()
+    for index, (label, rows) in enumerate(messages):
+        raw = Encoder(label).encode(np.full((rows, label.count(",") + 1), float(index)))
+        found, block = decoder.decode(raw)
+        expected_label, expected = decode(raw)
+        assert found == expected_label
+        np.testing.assert_array_equal(block, expected)
+
+
+@given(st.binary(max_size=200))
+def test_arbitrary_bytes_are_refused_or_read_but_never_crash(raw):
+    try:
+        label, block = decode(raw)
+    except InputError:
+        return
+    assert block.ndim == 2 and (label == "" or label.count(",") + 1 == block.shape[1])
+
+
+@given(st.data())
+def test_damaged_messages_are_refused_or_read_but_never_crash(data):
+    raw = bytearray(Encoder("t[s],x[um],y[um]").encode(np.ones((3, 3))))
+    for _ in range(data.draw(st.integers(1, 4))):
+        raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
+    raw = raw[: data.draw(st.integers(0, len(raw)))]
+    try:
+        label, block = Decoder().decode(bytes(raw))
+    except InputError:
+        return
+    assert block.ndim == 2 and (label == "" or label.count(",") + 1 == block.shape[1])
+
+
+@pytest.mark.parametrize("label", ["", "x[um]", "t[s]", "t[ms],x[um]", "t[s],x", "t[s],x[um],x[um]", "t[s],x[um"])
+def test_labels_of_another_form_are_refused(label):
+    with pytest.raises(InputError):
+        Encoder(label)
+
+
+def test_block_of_another_width_is_refused():
+    with pytest.raises(InputError, match="2 columns"):
+        Encoder("t[s],x[um],y[um]").encode(np.zeros((1, 2)))
