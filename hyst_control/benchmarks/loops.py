@@ -48,7 +48,7 @@ class Run:
     rate: float
     cpu: float
     memory: list[float]
-    values: dict[str, dict[str, str]]
+    values: Mapping[str, dict[str, str]]
 
     def microseconds(self, entry: str) -> float:
         """An entry of the plant's diagnostics, NaN when it is not there."""
@@ -101,7 +101,7 @@ def soak(table: Table, minutes: float) -> None:
             measured = measure("composed", "hyst", schedule, 60.0 * length, Path(folder) / "bag")
             case = f"{length:g} min, composed, recorded"
             quarter = max(len(measured.memory) // 4, 1)
-            begin, end = np.mean(measured.memory[:quarter]), np.mean(measured.memory[-quarter:])
+            begin, end = float(np.mean(measured.memory[:quarter])), float(np.mean(measured.memory[-quarter:]))
             table.add(name, case, "hyst", "rounds_rate", "rounds/s", measured.rate)
             table.add(name, case, "hyst", "memory", "MiB", end)
             table.add(name, case, "hyst", "memory_growth", "MiB", end - begin, n=len(measured.memory))

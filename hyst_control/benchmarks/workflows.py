@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from hyst_control.blind_test import cases
+from hyst_control.chain.stage import Array
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
@@ -23,7 +24,7 @@ from hyst_plant_sim.physics import load_plant
 
 RATE = 20e3  # Hz
 SECONDS = 60.0
-IDENTIFIED = {
+IDENTIFIED: dict[str, tuple[str, tuple[str, ...], str, float, Callable[[float], Array]]] = {
     "hampi": ("pea", ("x",), "um", 1e-4, excitation.hampi_identification),
     "mhl": ("fsm", ("x", "y"), "mrad", 1e-6, partial(excitation.mhl_identification, axes=2)),
 }

@@ -69,7 +69,7 @@ class PushPull:
 
 
 @njit(cache=True, error_model="numpy")
-def _slip(block, slack, weights, sums, law, slip, state, output):
+def _slip(block: Array, slack: Array, weights: Array, sums: Array, law: Array, slip: Array, state: Array, output: Array) -> None:
     """Elements of little slack move first: those that move are the first few, and their sum is known without a look at each.
 
     state: last voltage, its direction (0: settled), how many elements move with it, sum of the others, last output.

@@ -40,7 +40,7 @@ def mean_of_step(a: Array, b: Array, step: float) -> tuple[Array, Array]:
 
 def rest(a: Array, b: Array, value: float) -> Array:
     """The state at rest for a constant input."""
-    return -np.linalg.solve(a, b) * value
+    return np.asarray(-np.linalg.solve(a, b) * value, dtype=np.float64)
 
 
 def series(

@@ -110,7 +110,18 @@ class Irregular:
 
 
 @njit(cache=True, error_model="numpy")
-def _irregular(block, phi, gamma, end, read, force, turn, x, memory, output):
+def _irregular(
+    block: Array,
+    phi: Array,
+    gamma: Array,
+    end: Array,
+    read: Array,
+    force: Array,
+    turn: Array,
+    x: Array,
+    memory: Array,
+    output: Array,
+) -> None:
     order, middle = x.size, (phi.shape[0] - 1) // 2
     fresh = np.empty(order)
     y = (end * x).sum()

@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hyst_plant_sim.physics import exact_discretization
+from hyst_plant_sim.physics.signal_path import Part
 
 Array = NDArray[np.float64]
 System = tuple[Array, Array, Array, float]
@@ -146,7 +147,7 @@ class Mixing:
 class Chain:
     """Parts in a row, as one."""
 
-    def __init__(self, *parts) -> None:
+    def __init__(self, *parts: Part) -> None:
         self._parts = parts
 
     def settle(self, value: float) -> float:
@@ -163,21 +164,22 @@ class Chain:
 class Sum:
     """Parts fed alike, their outputs added."""
 
-    def __init__(self, *parts) -> None:
+    def __init__(self, *parts: Part) -> None:
         self._parts = parts
 
     def settle(self, value: float) -> float:
         return float(sum(part.settle(value) for part in self._parts))
 
     def process(self, block: Array) -> Array:
-        return sum(part.process(block) for part in self._parts)
+        first, *others = [part.process(block) for part in self._parts]
+        return np.asarray(sum(others, start=first), dtype=np.float64)
 
 
 # The states of the small systems stay in registers, which makes a step three times as fast as the one for any order.
 
 
 @njit(cache=True, error_model="numpy")
-def _of_any_order(block, rows, x, last, output):
+def _of_any_order(block: Array, rows: Array, x: Array, last: Array, output: Array) -> None:
     order = x.size
     fresh = np.empty(order + 1)
     before = last[0]
@@ -196,7 +198,7 @@ def _of_any_order(block, rows, x, last, output):
 
 
 @njit(cache=True, error_model="numpy")
-def _of_first_order(block, rows, x, last, output):
+def _of_first_order(block: Array, rows: Array, x: Array, last: Array, output: Array) -> None:
     (a, a_from, a_to), (y, y_from, y_to) = rows[0], rows[1]
     first, before = x[0], last[0]
     for k in range(block.size):
@@ -208,7 +210,7 @@ def _of_first_order(block, rows, x, last, output):
 
 
 @njit(cache=True, error_model="numpy")
-def _of_second_order(block, rows, x, last, output):
+def _of_second_order(block: Array, rows: Array, x: Array, last: Array, output: Array) -> None:
     (a, b, a_from, a_to), (c, d, b_from, b_to), (y, z, y_from, y_to) = rows[0], rows[1], rows[2]
     first, second, before = x[0], x[1], last[0]
     for k in range(block.size):
@@ -223,7 +225,7 @@ def _of_second_order(block, rows, x, last, output):
 
 
 @njit(cache=True, error_model="numpy")
-def _of_third_order(block, rows, x, last, output):
+def _of_third_order(block: Array, rows: Array, x: Array, last: Array, output: Array) -> None:
     (a, b, c, a_from, a_to), (d, e, f, b_from, b_to) = rows[0], rows[1]
     (g, h, i, c_from, c_to), (y, z, w, y_from, y_to) = rows[2], rows[3]
     first, second, third, before = x[0], x[1], x[2], last[0]

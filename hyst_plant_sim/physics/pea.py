@@ -121,7 +121,7 @@ class Drag:
 
 
 @njit(cache=True, error_model="numpy")
-def _drag(block, law, state, output):
+def _drag(block: Array, law: Array, state: Array, output: Array) -> None:
     rise, fall, level, step = law
     polarisation = state[0]
     for k in range(block.size):

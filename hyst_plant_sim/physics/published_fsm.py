@@ -101,7 +101,7 @@ class Madelung:
 
 
 @njit(cache=True, error_model="numpy")
-def _branch(coefficients, d):
+def _branch(coefficients: Array, d: float) -> float:
     value = 0.0
     for c in coefficients:
         value = (value + c) * d
@@ -109,7 +109,7 @@ def _branch(coefficients, d):
 
 
 @njit(cache=True, error_model="numpy")
-def _madelung(block, up, down, law, points, state, output):
+def _madelung(block: Array, up: Array, down: Array, law: Array, points: Array, state: Array, output: Array) -> None:
     span, scale, width, top = law
     last, y, direction, count = state[0], state[1], state[2], int(state[3])
     for k in range(block.size):

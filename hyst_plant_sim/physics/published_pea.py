@@ -78,7 +78,7 @@ class DynamicWeights:
 
 
 @njit(cache=True, error_model="numpy")
-def _dynamic_weights(block, earlier, r, w, law, h, output):
+def _dynamic_weights(block: Array, earlier: Array, r: Array, w: Array, law: Array, h: Array, output: Array) -> None:
     for k in range(block.size):
         u = block[k]
         rate = (u - earlier[k]) / law[5]

@@ -111,13 +111,14 @@ class BoucWen:
 
 
 @njit(cache=True, error_model="numpy")
-def _slope(u, z, sign, law):
+def _slope(u: float, z: float, sign: float, law: Array) -> float:
     size = abs(z) ** law[5]
-    return law[1] * (1.0 + law[2] * (u - law[7])) - (law[3] * (1.0 if z * sign > 0 else -1.0) + law[4]) * size
+    slope: float = law[1] * (1.0 + law[2] * (u - law[7])) - (law[3] * (1.0 if z * sign > 0 else -1.0) + law[4]) * size
+    return slope
 
 
 @njit(cache=True, error_model="numpy")
-def _bouc_wen(block, law, state, output):
+def _bouc_wen(block: Array, law: Array, state: Array, output: Array) -> None:
     u, z = state
     for k in range(block.size):
         way = block[k] - u

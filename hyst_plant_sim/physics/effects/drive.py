@@ -72,7 +72,7 @@ class Stretch:
         whole = np.floor(late).astype(np.int64)
         share = late - whole
 
-        def at(index: Array) -> Array:
+        def at(index: NDArray[np.int64]) -> Array:
             return np.where(index < 0, self._first, known[np.clip(index - oldest, 0, len(known) - 1)])
 
         output = share * at(whole + (share > 0)) + (1.0 - share) * at(whole)
@@ -82,7 +82,7 @@ class Stretch:
 
 
 @njit(cache=True, error_model="numpy")
-def _slew(block, most, last, output):
+def _slew(block: Array, most: float, last: Array, output: Array) -> None:
     value = last[0]
     for k in range(block.size):
         way = block[k] - value

@@ -38,7 +38,7 @@ class Context:
 
     def times(self, count: int, length: int) -> Array:
         """Times (s) of `length` values, after `count` ones that `process` has seen."""
-        return (count + (self.place in SETTLED) + np.arange(length)) * self.period
+        return np.asarray((count + (self.place in SETTLED) + np.arange(length)) * self.period, dtype=np.float64)
 
     def stream(self, name: str) -> np.random.Generator:
         """Random numbers of this effect on this axis."""

@@ -62,7 +62,7 @@ class Vibration:
     def settle(self, value: float) -> float:
         self._count, self._stream = 0, self._context.stream("vibration")
         self._envelope = self._stream.standard_normal(2)
-        return value + self._amplitude * self._envelope[0] / np.sqrt(2.0)
+        return float(value + self._amplitude * self._envelope[0] / np.sqrt(2.0))
 
     def process(self, block: Array) -> Array:
         draws = self._stream.standard_normal((len(block), 2))
@@ -70,18 +70,19 @@ class Vibration:
         _wander(draws, self._keep, np.sqrt(1.0 - self._keep**2), self._envelope, envelope)
         angle = 2 * np.pi * self._frequency * self._context.times(self._count, len(block))
         self._count += len(block)
-        return block + self._amplitude / np.sqrt(2.0) * (envelope[:, 0] * np.cos(angle) + envelope[:, 1] * np.sin(angle))
+        wave: Array = envelope[:, 0] * np.cos(angle) + envelope[:, 1] * np.sin(angle)
+        return np.asarray(block + self._amplitude / np.sqrt(2.0) * wave, dtype=np.float64)
 
 
 @njit(cache=True, error_model="numpy")
-def _play(block, half_width, place, output):
+def _play(block: Array, half_width: float, place: Array, output: Array) -> None:
     for k in range(block.size):
         place[0] = min(max(place[0], block[k] - half_width), block[k] + half_width)
         output[k] = place[0]
 
 
 @njit(cache=True, error_model="numpy")
-def _wander(draws, keep, fresh, state, output):
+def _wander(draws: Array, keep: float, fresh: float, state: Array, output: Array) -> None:
     for k in range(draws.shape[0]):
         for i in range(draws.shape[1]):
             state[i] = keep * state[i] + fresh * draws[k, i]

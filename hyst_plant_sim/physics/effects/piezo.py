@@ -25,12 +25,12 @@ class Shape:
         self._part, self._lower, self._span = part, frame.rating[0], frame.rating[1] - frame.rating[0]
         self._height = amount * (part.settle(frame.rating[1]) - part.settle(frame.rating[0]))
 
-    def _bend(self, voltage: Any) -> Any:
+    def _bend(self, voltage: Array) -> Array:
         share = (voltage - self._lower) / self._span
-        return self._height * 4.0 * share * (1.0 - share)
+        return np.asarray(self._height * 4.0 * share * (1.0 - share), dtype=np.float64)
 
     def settle(self, value: float) -> float:
-        return float(self._part.settle(value) + self._bend(value))
+        return float(self._part.settle(value) + self._bend(np.array(value)))
 
     def process(self, block: Array) -> Array:
         return self._part.process(block) + self._bend(block)

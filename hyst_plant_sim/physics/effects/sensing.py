@@ -39,7 +39,7 @@ class Flicker:
         corners = FLICKER_LOWEST * 10.0 ** (np.arange(int(decades * FLICKER_PER_DECADE) + 1) / FLICKER_PER_DECADE)
         self._keep = np.exp(-2 * np.pi * corners * context.period)
         self._fresh = np.sqrt(1.0 - self._keep**2)
-        self._rms = rms / np.sqrt(len(corners))
+        self._rms = rms / float(np.sqrt(len(corners)))
 
     def settle(self, value: float) -> float:
         self._stream = self._context.stream("flicker_noise")
@@ -88,7 +88,7 @@ class Held:
 
 
 @njit(cache=True, error_model="numpy")
-def _coloured(draws, keep, fresh, state, output):
+def _coloured(draws: Array, keep: Array, fresh: Array, state: Array, output: Array) -> None:
     for k in range(draws.shape[0]):
         total = 0.0
         for i in range(keep.size):
