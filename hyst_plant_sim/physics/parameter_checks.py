@@ -12,20 +12,31 @@ from hyst_plant_sim.physics.signal_path import PlantError
 
 
 def check_positive(parameters: Any, positive: Sequence[str], vectors: Mapping[str, int | None] | None = None) -> None:
-    """Every parameter is a number that is not negative, those named positive.
+    """Check that every parameter is a finite number of at least 0, and those named above 0.
 
-    vectors: parameters that are lists of such numbers, and how many are due (None: any number).
-    Raises `PlantError` naming the parameter.
+    Parameters
+    ----------
+    parameters : dataclass
+        Physical parameters of a plant.
+    positive : sequence of str
+        Names of the parameters that must not be 0.
+    vectors : mapping, optional
+        Parameters that are lists of such numbers, with their length (None: any length).
+
+    Raises
+    ------
+    PlantError
+        Naming the parameter.
     """
     for field in fields(parameters):
         given, values = getattr(parameters, field.name), (getattr(parameters, field.name),)
         if vectors and field.name in vectors:
-            due = vectors[field.name]
-            if not isinstance(given, (list, tuple)) or len(given) != (len(given) if due is None else due):
-                raise PlantError(f"{field.name}: {given!r}: a list of {'' if due is None else f'{due} '}numbers is due")
+            length = vectors[field.name]
+            if not isinstance(given, (list, tuple)) or len(given) != (len(given) if length is None else length):
+                raise PlantError(f"{field.name}: must be a list of {'' if length is None else f'{length} '}numbers, got {given!r}")
             values = tuple(given)
         for value in values:
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value) or value < 0:
-                raise PlantError(f"{field.name}: {value!r}: a number that is not negative is due")
+                raise PlantError(f"{field.name}: must be a number of at least 0, got {value!r}")
             if field.name in positive and value == 0:
                 raise PlantError(f"{field.name}: must be positive")

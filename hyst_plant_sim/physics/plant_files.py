@@ -81,17 +81,17 @@ def _read(path: Path) -> Any:
 
 def _built(document: Any, seed: int | None, sample_time: float | None, refinement: int, changes: Mapping[str, Any]) -> Plant:
     if not isinstance(document, Mapping):
-        raise PlantError("a mapping with plant, rating, parameters, … is due")
+        raise PlantError("must be a mapping with plant, rating, parameters, …")
     for key in document:
         if key not in KEYS:
-            raise PlantError(f"{key}: no such key, one of {', '.join(KEYS)} is due")
+            raise PlantError(f"{key}: unknown key: choose one of {', '.join(KEYS)}")
     kind = document.get("plant")
     if kind not in PLANTS:
-        raise PlantError(f"plant: {kind!r} is not known, one of {', '.join(PLANTS)} is due")
+        raise PlantError(f"plant: {kind!r} is unknown: choose one of {', '.join(PLANTS)}")
     parameters = _described(PLANTS[kind], {**dict(document.get("parameters") or {}), **changes})
     step = sample_time or document.get("sample_time")
     if isinstance(step, bool) or not isinstance(step, (int, float)) or not 0 < step < 1:
-        raise PlantError(f"sample_time: {step!r}, a time in s is due")
+        raise PlantError(f"sample_time: must be a time in s between 0 and 1, got {step!r}")
     substeps = int(np.ceil(step * parameters.internal_rate - 1e-9)) * refinement
     frame = Frame(
         str(document.get("name", kind)),
@@ -111,7 +111,7 @@ def _described(described: type, given: Mapping[str, Any]) -> Any:
     known = {field.name for field in fields(described)}
     for key in given:
         if key not in known:
-            raise PlantError(f"parameters.{key}: no such parameter, one of {', '.join(sorted(known))} is due")
+            raise PlantError(f"parameters.{key}: unknown parameter: choose one of {', '.join(sorted(known))}")
     try:
         return described(**given)
     except TypeError as error:
@@ -121,7 +121,7 @@ def _described(described: type, given: Mapping[str, Any]) -> Any:
 def _range(document: Mapping[str, Any], key: str, unit: str) -> tuple[float, float]:
     given = document.get(key)
     if not isinstance(given, (list, tuple)) or len(given) != 2 or not given[0] < given[1]:
-        raise PlantError(f"{key}: {given!r}, [lower, upper] in {unit} is due")
+        raise PlantError(f"{key}: must be [lower, upper] in {unit}, got {given!r}")
     return float(given[0]), float(given[1])
 
 

@@ -57,7 +57,7 @@ class PublishedFsmParameters:
     def __post_init__(self) -> None:
         for name in ("delay", "ascending", "descending", "span", "scale", "k1", "k2", "b2", "num", "den"):
             if not isinstance(getattr(self, name), (list, tuple)) or len(getattr(self, name)) != 2:
-                raise PlantError(f"{name}: {getattr(self, name)!r}: a list of 2 entries, one per axis, is due")
+                raise PlantError(f"{name}: must be a list of 2 entries, one per axis, got {getattr(self, name)!r}")
         for axis in range(2):
             ends = sum(self.ascending[axis]), sum(self.descending[axis])
             if abs(ends[0] - ends[1]) > 1e-6 * abs(ends[0]):

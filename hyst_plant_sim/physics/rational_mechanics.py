@@ -41,7 +41,7 @@ def _altered(den: Array, mass_ratio: float, frequency_ratio: float) -> tuple[Arr
     poles = np.roots(den)
     pair = poles[np.abs(poles.imag) > 1e-9 * np.abs(poles)]
     if len(pair) != 2:
-        raise PlantError(f"den: {len(pair)} complex poles: the main mode is due as one pair to be altered")
+        raise PlantError(f"den: must have one pair of complex poles, the main mode, got {len(pair)} complex poles")
     damping, stiffness = -2.0 * pair[0].real, abs(pair[0]) ** 2  # of a unit mass
     mass = 1.0 + mass_ratio
     mode = np.array([1.0, damping * frequency_ratio / mass, stiffness * frequency_ratio**2 / mass])

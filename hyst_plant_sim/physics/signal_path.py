@@ -43,7 +43,7 @@ class Part(Protocol):
 
 @dataclass(frozen=True)
 class Frame:
-    """What every part may want to know: axes, sample time (s), internal steps a sample, rating (V), stroke (measurement unit), seed."""
+    """Common data of all parts of a plant: axes, sample time (s), internal steps a sample, rating (V), stroke (measurement unit), seed."""
 
     name: str
     axes: tuple[str, ...]

@@ -181,7 +181,7 @@ def ReferenceGenerator_of(signal):
         (PlantNode, {}, "plant"),
         (PlantNode, {"model": "nowhere.yaml"}, "nowhere.yaml"),
         (PlantNode, {"plant": "pea", "effects": "delay"}, "plant: effects: 'delay', a list"),
-        (PlantNode, {"plant": "pea", "effects": "[{name: dealy}]"}, "'dealy' is not known"),
+        (PlantNode, {"plant": "pea", "effects": "[{name: dealy}]"}, "'dealy' is unknown"),
         (PlantNode, {"plant": "pea", "parameters": "{colour: 1}"}, "parameters.colour"),
         (PlantNode, {"model": MODEL, "parameters": "{noise: 0.0}"}, "put them into the model file"),
         (PlantNode, {"model": MODEL, "axes": ["x", "y"]}, "axes"),

@@ -161,9 +161,9 @@ def test_a_delay_is_exact_whatever_its_share_of_an_internal_step(together):
 @pytest.mark.parametrize(
     "effects, words",
     [
-        ([{"name": "dealy", "tau": 1e-4}], "'dealy' is not known"),
-        ([{"name": "delay", "time": 1e-4}], "delay: time: no such parameter"),
-        ([{"name": "delay", "tau": "long"}], "tau: 'long': a number is due"),
+        ([{"name": "dealy", "tau": 1e-4}], "'dealy' is unknown"),
+        ([{"name": "delay", "time": 1e-4}], "delay: time: unknown parameter"),
+        ([{"name": "delay", "tau": "long"}], "tau: must be a number, got 'long'"),
         ([{"name": "delay", "tau": 1e-4, "axis": "z"}], "axis: 'z'"),
         ("delay", "a list of"),
     ],

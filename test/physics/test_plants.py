@@ -178,7 +178,7 @@ def test_the_published_plants_and_the_chain_agree(name, model, excitation):
         ("fsm_published", {"descending": [[1.0], [1.0]]}, "descending: axis x ends at"),
         ("pea_published", {"weights": [1.0]}, "weights: 1 for"),
         ("third", {"ladder_times": [1.0]}, "ladder_times: 1 for 4"),
-        ("third", {"elastic": 1.0}, "parameters.elastic: no such parameter"),
+        ("third", {"elastic": 1.0}, "parameters.elastic: unknown parameter"),
     ],
 )
 def test_unusable_plants_are_named(name, change, words):

@@ -44,7 +44,7 @@ class Present:
 
     @property
     def kind(self) -> str:
-        """How it is brought in; put elsewhere, every effect is a part of its own."""
+        """Kind of insertion: the effect's own at its usual place; anywhere else a part of its own."""
         effect = EFFECTS[self.name]
         return effect.kind if self.place == effect.place else "insert"
 
@@ -52,7 +52,7 @@ class Present:
 def read_effects(given: Any, frame: Frame) -> list[Present]:
     """The effects of a list of mappings that are there at all. Raises `PlantError` naming effect, field and remedy."""
     if not isinstance(given, Sequence) or isinstance(given, str) or not all(isinstance(item, Mapping) for item in given):
-        raise PlantError("effects: a list of {name: …, parameters} is due")
+        raise PlantError("effects: must be a list of {name: …, parameters}")
     found = [_read(item, frame) for item in given]
     return sorted((item for item in found if item is not None), key=lambda item: list(EFFECTS).index(item.name))
 
@@ -60,20 +60,20 @@ def read_effects(given: Any, frame: Frame) -> list[Present]:
 def _read(item: Mapping[str, Any], frame: Frame) -> Present | None:
     name = item.get("name")
     if name not in EFFECTS:
-        raise PlantError(f"effects: {name!r} is not known, one of {', '.join(EFFECTS)} is due")
+        raise PlantError(f"effects: {name!r} is unknown: choose one of {', '.join(EFFECTS)}")
     effect, where = EFFECTS[name], f"effects: {name}"
     known = {**effect.absent, **effect.others}
     for key, value in item.items():
         if key not in known and key not in KEYS:
-            raise PlantError(f"{where}: {key}: no such parameter, one of {', '.join([*known, 'axis', 'from'])} is due")
+            raise PlantError(f"{where}: {key}: unknown parameter: choose one of {', '.join([*known, 'axis', 'from'])}")
         if key in known or key == "from":
             if isinstance(value, bool) or not isinstance(value, (int, float)) or np.isnan(value):
-                raise PlantError(f"{where}: {key}: {value!r}: a number is due")
+                raise PlantError(f"{where}: {key}: must be a number, got {value!r}")
     axis, place = item.get("axis"), item.get("at", effect.place)
     if axis is not None and axis not in frame.axes:
-        raise PlantError(f"{where}: axis: {axis!r}, one of {', '.join(frame.axes)} is due")
+        raise PlantError(f"{where}: axis: {axis!r} is unknown: choose one of {', '.join(frame.axes)}")
     if place not in ELSEWHERE.get(name, (effect.place,)):
-        raise PlantError(f"{where}: at: {place!r}, one of {', '.join(ELSEWHERE.get(name, (effect.place,)))} is due")
+        raise PlantError(f"{where}: at: {place!r} is not possible: choose one of {', '.join(ELSEWHERE.get(name, (effect.place,)))}")
     if effect.kind == "mixing" and len(frame.axes) < 2:
         raise PlantError(f"{where}: the plant has one axis: choose another effect or plant")
     values = {key: item.get(key, default) for key, default in known.items()}

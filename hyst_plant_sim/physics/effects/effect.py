@@ -1,4 +1,4 @@
-"""What an effect is, and the parts that bring one in, from a time on, in place of another."""
+"""Effects, and the parts that switch one in from a given time on."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SETTLED = ("motion", "sensor", "adc", "transport")
 
 @dataclass(frozen=True)
 class Context:
-    """Where an effect is: the plant, the place, the axis (None: all), the time (s) from which it acts."""
+    """Location of an effect: the plant, the place, the axis (None: all), the time (s) from which it acts."""
 
     frame: Frame
     place: str
@@ -33,7 +33,7 @@ class Context:
 
     @property
     def first(self) -> int:
-        """Which value of `process` is the first one at or after `start`."""
+        """Index of the first value of `process` at or after `start`."""
         return max(int(np.ceil(self.start / self.period - 1e-9)) - (self.place in SETTLED), 0)
 
     def times(self, count: int, length: int) -> Array:

@@ -98,7 +98,7 @@ def _coloured(draws: Array, keep: Array, fresh: Array, state: Array, output: Arr
 
 
 def _arrived(times: Array, tau: float) -> Array:
-    """How much of a drift has come: 1 - exp(-t / tau)."""
+    """Share of a drift that has happened by each time: 1 - exp(-t / tau)."""
     return -np.expm1(-times / tau)
 
 
