@@ -12,8 +12,9 @@ import numpy as np
 import yaml
 
 import hyst_control.effects  # noqa: F401  (makes the effects' stages known)
-from hyst_control.chain import STAGES, Chain, Parallel, Sampling, Stage
-from hyst_control.chain.stage import HOLDS, Array
+from hyst_control.chain import STAGES, Chain, Filter, Sampling, Stage
+from hyst_control.chain.parameter import Array, Kind, declared
+from hyst_control.chain.stage import HOLDS
 from hyst_control.errors import InputError
 from hyst_control.files import write_text
 
@@ -44,7 +45,7 @@ class Model:
     noise: Mapping[str, Any] = field(default_factory=dict)
     tolerance: Mapping[str, float] = field(default_factory=dict)
 
-    def filter(self, sample_time: float | None = None, hold: str | None = None) -> Any:
+    def filter(self, sample_time: float | None = None, hold: str | None = None) -> Filter:
         """A running filter of the chain, at the model's own clock and hold unless given."""
         return self.chain.filter(Sampling(sample_time or self.sample_time, len(self.axes), hold or self.hold))
 
@@ -196,9 +197,11 @@ def stages_from_document(rows: Any, where: str) -> tuple[Stage, ...]:
 
 def stage_to_document(stage: Stage) -> dict[str, Any]:
     """A stage as the mapping of the model file."""
-    if isinstance(stage, Parallel):
-        return {"stage": stage.name, "branches": [[stage_to_document(item) for item in branch] for branch in stage.branches]}
-    return {"stage": stage.name, **_plain(stage.parameters())}
+    found = {"stage": stage.name, **_plain(stage.parameters())}
+    for key, declaration in stage.declarations().items():
+        if declaration.kind is Kind.CHAINS:
+            found[key] = [[stage_to_document(item) for item in chain] for chain in getattr(stage, key)]
+    return found
 
 
 def _stage_from_document(row: Any, where: str) -> Stage:
@@ -215,11 +218,12 @@ def _stage_from_document(row: Any, where: str) -> Stage:
     for key, item in known.items():
         if key not in given and item.default is MISSING:
             raise InputError(f"{where} ({name}).{key}: is missing")
-    if name == Parallel.name:
-        branches = given["branches"]
-        if not isinstance(branches, list) or not branches:
-            raise InputError(f"{where}.branches: a list of chains is due")
-        given["branches"] = tuple(stages_from_document(branch, f"{where}.branches[{i}]") for i, branch in enumerate(branches))
+    for key, declaration in declared(STAGES[name]).items():
+        if declaration.kind is Kind.CHAINS:
+            chains = given[key]
+            if not isinstance(chains, list) or not chains:
+                raise InputError(f"{where}.{key}: must be a list of chains")
+            given[key] = tuple(stages_from_document(chain, f"{where}.{key}[{i}]") for i, chain in enumerate(chains))
     try:
         return STAGES[name](**given)
     except InputError as error:

@@ -16,16 +16,17 @@ Before that, stages that change others (`Modifier`) are applied to the stages be
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any, ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 
 from hyst_control.chain.linear import Delay, linear_filter
 from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.chain.stage import Array, Filter, Modifier, Sampling, Stage, register
+from hyst_control.chain.parameter import Array, chains
+from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, register
 from hyst_control.errors import InputError
 
 
@@ -101,14 +102,51 @@ class Parallel(Stage):
     """Branches fed alike, outputs added. MHL's H_D is `madelung` in parallel with `rate_correction` (MHL paper Eq. 3)."""
 
     name: ClassVar[str] = "parallel"
-    branches: Any
+    branches: tuple[tuple[Stage, ...], ...] = chains("fed alike, outputs added")
 
     def check(self) -> None:
         if not self.branches:
             raise InputError("branches: is empty, at least one chain is needed")
 
+    @property
+    def inner_chains(self) -> tuple[tuple[Stage, ...], ...]:
+        return self.branches
+
+    def with_inner_chains(self, chains: Sequence[Sequence[Stage]]) -> Parallel:
+        return Parallel(tuple(tuple(chain) for chain in chains))
+
+    @property
+    def _members(self) -> Iterator[Stage]:
+        return (member for branch in self.branches for member in branch)
+
+    @property
+    def commutes_with_delay(self) -> bool:
+        return all(member.commutes_with_delay for member in self._members)
+
+    @property
+    def mixes_axes(self) -> bool:
+        return any(member.mixes_axes for member in self._members)
+
+    @property
+    def is_hysteresis(self) -> bool:
+        return any(member.is_hysteresis for member in self._members)
+
+    @property
+    def has_compensator(self) -> bool:
+        return any(member.has_compensator for member in self._members)
+
+    def at_rest(self, signal: Array) -> Array:
+        return cast(Array, np.sum([at_rest(branch, signal) for branch in self.branches], axis=0))
+
     def filter(self, sampling: Sampling) -> Filter:
         return started((self,), sampling)
+
+
+def at_rest(stages: Sequence[Stage], signal: Array) -> Array:
+    """Output (N, A) of stages in a row when every value of a signal (N, A) is held until all has settled, from rest at 0."""
+    for stage in stages:
+        signal = stage.at_rest(signal)
+    return signal
 
 
 def started(stages: Sequence[Stage], sampling: Sampling) -> Filter:
@@ -178,7 +216,7 @@ def _is_system(stage: Stage) -> bool:
 
 
 def _in_linear_run(stage: Stage) -> bool:
-    return isinstance(stage, Delay) or (stage.linear and not getattr(stage, "discrete", False))
+    return isinstance(stage, Delay) or stage.linear
 
 
 def _averaged(run: Sequence[Stage]) -> bool:
@@ -223,20 +261,7 @@ def _place_delays(stages: Sequence[Stage]) -> list[Stage]:
 
 def _commutes(stage: Stage, delays: Sequence[Stage]) -> bool:
     """Whether the delays may change places with a stage: not one that mixes the axes, where they differ between the axes."""
-    if not all(inner.commutes_with_delay for inner in _within(stage)):
-        return False
-    return _even(delays) or not any(_couples(inner) for inner in _within(stage))
-
-
-def _within(stage: Stage) -> list[Stage]:
-    """A stage itself, or all the stages in the branches of a parallel one."""
-    if not isinstance(stage, Parallel):
-        return [stage]
-    return [inner for branch in stage.branches for member in branch for inner in _within(member)]
-
-
-def _couples(stage: Stage) -> bool:
-    return stage.mixes_axes or getattr(stage, "coupled", False)
+    return stage.commutes_with_delay and (_even(delays) or not stage.mixes_axes)
 
 
 def _even(delays: Sequence[Stage]) -> bool:
@@ -247,7 +272,7 @@ def _cut_before_uneven_delays(run: Sequence[Stage]) -> list[list[Stage]]:
     """A run takes its delays at its input: one that differs between the axes starts a new run behind a stage that mixes them."""
     pieces: list[list[Stage]] = [[]]
     for stage in run:
-        if isinstance(stage, Delay) and not _even([stage]) and any(_couples(before) for before in pieces[-1]):
+        if isinstance(stage, Delay) and not _even([stage]) and any(before.mixes_axes for before in pieces[-1]):
             pieces.append([])
         pieces[-1].append(stage)
     return pieces
@@ -262,8 +287,8 @@ def _gains_last(stages: Sequence[Stage]) -> list[Stage]:
     for index in range(1, len(ordered) - 1):
         before, static, after = ordered[index - 1 : index + 2]
         in_between = isinstance(before, Parallel) or _in_linear_run(before)
-        commutes = isinstance(static, Gain) or isinstance(static, Offset) and getattr(after, "unit_gain", False)
-        if in_between and commutes and _in_linear_run(after) and not _couples(after):
+        commutes = isinstance(static, Gain) or isinstance(static, Offset) and after.unit_gain
+        if in_between and commutes and _in_linear_run(after) and not after.mixes_axes:
             ordered[index], ordered[index + 1] = after, static
     return ordered
 

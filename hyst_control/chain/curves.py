@@ -13,7 +13,7 @@ from numba import njit
 from scipy.interpolate import PchipInterpolator
 
 from hyst_control.chain.bounded_cache import remembered
-from hyst_control.chain.stage import Array
+from hyst_control.chain.parameter import Array
 from hyst_control.errors import InputError
 
 

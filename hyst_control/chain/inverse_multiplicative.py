@@ -19,13 +19,14 @@ throw the command to its limits for a sample.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 
+from hyst_control.chain.parameter import Array, ScalarPerAxis, VectorPerAxis, count, flag, scalar, vector
 from hyst_control.chain.prandtl_ishlinskii import check_operators, play_filter
-from hyst_control.chain.stage import Array, Filter, Sampling, Stage, per_axis_scalar, register, require_finite, require_positive
+from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar, per_axis_scalars, register
 from hyst_control.errors import InputError
 
 
@@ -143,11 +144,10 @@ class InverseMultiplicativeFilter(Filter):
     def __init__(self, stage: InverseMultiplicative, sampling: Sampling) -> None:
         axes = sampling.axes
         self.hold = sampling.hold
-        names = ("m1", "m2", "k", "b", "w0")
-        model = play_filter(stage, sampling, **{name: getattr(stage, name) for name in names})
+        model = play_filter(stage, sampling, w0=stage.w0, m1=stage.m1, m2=stage.m2, k=stage.k, b=stage.b)
         self.thresholds, self.release, self.weights, self.state = model.thresholds, model.release, model.weights, model.state
         self.coefficients = model.coefficients
-        self.lower, self.upper = (per_axis_scalar(getattr(stage, name), axes, name) for name in ("lower", "upper"))
+        self.lower, self.upper = per_axis_scalars(stage, axes, "lower", "upper")
         slope = np.empty((3, axes))
         for axis in range(axes):
             slope[:, axis] = slope_range(
@@ -221,29 +221,27 @@ class InverseMultiplicative(Stage):
     """
 
     name: ClassVar[str] = "inverse_multiplicative"
-    thresholds: Any
-    weights: Any
-    lower: Any
-    upper: Any
-    m1: Any = 0.0
-    m2: Any = 0.0
-    k: Any = 0.0
-    b: Any = 0.0
-    w0: Any = 0.0
-    one_sided: bool = False
-    gain: Any = None
-    iterations: int = 4
+    thresholds: VectorPerAxis = vector("V", "of the model's operators, increasing", lower=0.0)
+    weights: VectorPerAxis = vector("output unit / V", "of the model's operators")
+    lower: ScalarPerAxis = scalar("V", "least command")
+    upper: ScalarPerAxis = scalar("V", "greatest command")
+    m1: ScalarPerAxis = scalar("output unit s / V²", "as in the model", default=0.0)
+    m2: ScalarPerAxis = scalar("output unit s / V²", "as in the model", default=0.0)
+    k: ScalarPerAxis = scalar("output unit / V²", "as in the model", default=0.0)
+    b: ScalarPerAxis = scalar("output unit / V", "as in the model", default=0.0)
+    w0: ScalarPerAxis = scalar("output unit / V", "as in the model", default=0.0)
+    one_sided: bool = flag("as in the model")
+    gain: ScalarPerAxis | None = scalar("V / output unit", "of a step; default 1 / greatest slope", default=None, above=0.0)
+    iterations: int = count("steps per sample, 0 for the exact solution", default=4)
+
+    @property
+    def has_compensator(self) -> bool:
+        return True
 
     def check(self) -> None:
         check_operators(self.thresholds, self.weights)
-        for field in ("m1", "m2", "k", "b", "w0", "lower", "upper"):
-            require_finite(getattr(self, field), field)
         if np.any(np.subtract(self.upper, self.lower) <= 0):
             raise InputError(f"lower: {self.lower} V is not below upper, {self.upper} V")
-        if self.gain is not None:
-            require_positive(self.gain, "gain", "V per output unit")
-        if isinstance(self.iterations, bool) or not isinstance(self.iterations, int) or self.iterations < 0:
-            raise InputError(f"iterations: {self.iterations!r}: a whole number of steps is due, 0 for the exact solution")
 
     def filter(self, sampling: Sampling) -> Filter:
         return InverseMultiplicativeFilter(self, sampling)

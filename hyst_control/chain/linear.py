@@ -7,28 +7,30 @@ number of samples is exact too, because the held input is known between the samp
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import block_diag, expm, matrix_balance
 
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.linear_kernels import advance_linear, advance_single
-from hyst_control.chain.stage import (
+from hyst_control.chain.parameter import (
+    AllAxes,
     Array,
-    Filter,
-    Sampling,
-    Stage,
-    depth,
-    frozen,
-    per_axis,
-    per_axis_scalar,
-    register,
-    require_finite,
-    require_positive,
+    Kind,
+    Parameter,
+    ScalarPerAxis,
+    Scattering,
+    VectorPerAxis,
+    all_axes,
+    flag,
+    scalar,
+    vector,
 )
+from hyst_control.chain.stage import Filter, Sampling, Stage, depth, per_axis, per_axis_scalar, per_axis_scalars, register, scaled
 from hyst_control.errors import InputError
 
 LONGEST_DELAY = 1e6
@@ -109,9 +111,9 @@ def transfer_function_system(num: Array, den: Array) -> LinearSystem:
 class LinearStage(Stage):
     """A stage that is a linear continuous-time system; `systems` gives one per axis, or a single one that couples the axes."""
 
-    linear: ClassVar[bool] = True
-    unit_gain: ClassVar[bool] = False
-    """Whether a constant passes unchanged, whatever the parameters."""
+    @property
+    def linear(self) -> bool:
+        return True
 
     def systems(self, axes: int) -> list[LinearSystem]:
         """One single-input system per axis, or one system for all axes where the stage couples them."""
@@ -119,6 +121,19 @@ class LinearStage(Stage):
 
     def filter(self, sampling: Sampling) -> Filter:
         return linear_filter([self], sampling)
+
+    def gain_at_rest(self, axes: int) -> tuple[Array, Array]:
+        """Gain (A, A) and bias (A,) that all settles to."""
+        systems = self.systems(axes)
+        gain = np.zeros((axes, axes))
+        width = axes // len(systems)
+        for i, system in enumerate(systems):
+            gain[i * width : (i + 1) * width, i * width : (i + 1) * width] = system.static_gain()
+        return gain, np.concatenate([system.bias for system in systems])
+
+    def at_rest(self, signal: Array) -> Array:
+        gain, bias = self.gain_at_rest(signal.shape[1])
+        return signal @ gain.T + bias
 
 
 @register
@@ -130,13 +145,14 @@ class Delay(Stage):
     """
 
     name: ClassVar[str] = "delay"
-    tau: Any
-
-    def check(self) -> None:
-        require_positive(self.tau, "tau", "s", zero_allowed=True)
+    place: ClassVar[str] = "drive"
+    tau: ScalarPerAxis = scalar("s", "transport delay", lower=0.0)
 
     def filter(self, sampling: Sampling) -> Filter:
         return linear_filter([self], sampling)
+
+    def at_rest(self, signal: Array) -> Array:
+        return signal
 
 
 @register
@@ -145,13 +161,26 @@ class TransferFunction(LinearStage):
     """G(s) = num(s) / den(s), descending powers of s; with `coupled` matrices of polynomials, [output][input]."""
 
     name: ClassVar[str] = "transfer_function"
-    num: Any
-    den: Any
-    coupled: bool = False
+    num: VectorPerAxis | AllAxes = vector("descending powers of s", "numerator", scatter=Scattering.POLES)
+    den: VectorPerAxis | AllAxes = vector("descending powers of s", "denominator", scatter=Scattering.POLES)
+    coupled: bool = flag("whether num is [output][input] of polynomials, and den likewise or one for all")
+
+    def declarations(self) -> Mapping[str, Parameter]:
+        known = super().declarations()
+        if not self.coupled:
+            return known
+        matrix = {"num": (3,), "den": (1, 3)}
+        return {**known, **{key: replace(known[key], kind=Kind.ALL_AXES, dimensions=due) for key, due in matrix.items()}}
+
+    @property
+    def mixes_axes(self) -> bool:
+        return self.coupled
+
+    @property
+    def is_mechanics(self) -> bool:
+        return True
 
     def check(self) -> None:
-        require_finite(self.num, "num")
-        require_finite(self.den, "den")
         axes = len(self.num) if depth(self.num) > 1 else (len(self.den) if depth(self.den) > 1 else 1)
         for system in self.systems(axes):
             system.static_gain()
@@ -161,8 +190,6 @@ class TransferFunction(LinearStage):
             pairs = zip(per_axis(self.num, axes, 1, "num"), per_axis(self.den, axes, 1, "den"), strict=True)
             return [self._single(num, den) for num, den in pairs]
         common = depth(self.den) == 1
-        if depth(self.num) != 3 or (not common and depth(self.den) != 3):
-            raise InputError("num: with coupled: true it is [output][input] of polynomials, and den likewise or one for all")
         if len(self.num) != axes or any(len(row) != axes for row in self.num):
             raise InputError(f"num: {len(self.num)} outputs by {len(self.num[0])} inputs for {axes} axes")
         columns = []
@@ -202,24 +229,29 @@ class StateSpace(LinearStage):
     """dx/dt = A x + B u, y = C x + D u over all axes together; with `sample_time` (s) x[k+1] = A x[k] + B u[k]."""
 
     name: ClassVar[str] = "state_space"
-    mixes_axes: ClassVar[bool] = True
-    A: Any
-    B: Any
-    C: Any
-    D: Any
-    sample_time: float | None = None
+    A: AllAxes = all_axes("1/s, or 1 where discrete", "state from state", 2, scatter=Scattering.POLES)
+    B: AllAxes = all_axes("", "state from input", 2)
+    C: AllAxes = all_axes("", "output from state", 2)
+    D: AllAxes = all_axes("", "output from input", 2)
+    sample_time: float | None = all_axes("s", "of a discrete system", 0, default=None, above=0.0, scatter=Scattering.NONE)
+
+    @property
+    def linear(self) -> bool:
+        return not self.discrete
+
+    @property
+    def mixes_axes(self) -> bool:
+        return True
+
+    @property
+    def is_mechanics(self) -> bool:
+        return not self.discrete
 
     def check(self) -> None:
-        for field in "ABCD":
-            require_finite(getattr(self, field), field)
-            if depth(getattr(self, field)) != 2:
-                raise InputError(f"{field}: a matrix, a list of rows, is due")
         a, b, c, d = (np.array(getattr(self, field), dtype=float) for field in "ABCD")
         n = len(a)
         if a.shape != (n, n) or b.shape[0] != n or c.shape[1] != n or d.shape != (c.shape[0], b.shape[1]):
             raise InputError(f"A: shapes A {a.shape}, B {b.shape}, C {c.shape}, D {d.shape} do not fit together")
-        if self.sample_time is not None:
-            require_positive(self.sample_time, "sample_time", "s")
         # A pole where a constant input never comes to rest: s = 0, or z = 1.
         at_rest = -a if self.sample_time is None else np.eye(n) - a
         if n and np.linalg.cond(at_rest) > 1.0 / np.finfo(float).eps:
@@ -230,6 +262,12 @@ class StateSpace(LinearStage):
         """Whether the matrices advance by one sample instead of giving the derivative."""
         return self.sample_time is not None
 
+    def gain_at_rest(self, axes: int) -> tuple[Array, Array]:
+        if not self.discrete:
+            return super().gain_at_rest(axes)
+        a, b, c, d = (np.array(getattr(self, part), dtype=float) for part in "ABCD")
+        return d + c @ np.linalg.solve(np.eye(len(a)) - a, b), np.zeros(axes)
+
     def systems(self, axes: int) -> list[LinearSystem]:
         system = LinearSystem(*(np.array(getattr(self, field), dtype=float) for field in "ABCD"), bias=np.zeros(len(self.C)))
         if system.D.shape != (axes, axes):
@@ -237,7 +275,7 @@ class StateSpace(LinearStage):
         return [system]
 
     def filter(self, sampling: Sampling) -> Filter:
-        if not self.discrete:
+        if self.sample_time is None:
             return super().filter(sampling)
         if abs(self.sample_time - sampling.sample_time) > 1e-9 * sampling.sample_time:
             raise InputError(
@@ -264,19 +302,18 @@ class RateCorrection(LinearStage):
     """
 
     name: ClassVar[str] = "rate_correction"
-    k1: Any
-    k2: Any
-    b1: Any = 0.0
-    b2: Any = 1.0
+    k1: ScalarPerAxis = scalar("output unit s / V", "gain of the command's rate")
+    k2: ScalarPerAxis = scalar("s", "lag", above=0.0)
+    b1: ScalarPerAxis = scalar("output unit", "constant", default=0.0, scatter=Scattering.ABSOLUTE)
+    b2: ScalarPerAxis = scalar("", "denominator's constant", default=1.0, above=0.0)
 
-    def check(self) -> None:
-        require_finite(self.k1, "k1")
-        require_finite(self.b1, "b1")
-        require_positive(self.k2, "k2", "s")
-        require_positive(self.b2, "b2", "")
+    def with_rate_part(self, factor: Array) -> Stage | None:
+        if not np.any(per_axis_scalar(self.k1, len(factor), "k1")):
+            return None
+        return replace(self, k1=scaled(self.k1, factor, 0, "k1"))
 
     def systems(self, axes: int) -> list[LinearSystem]:
-        k1, k2, b1, b2 = (per_axis_scalar(getattr(self, field), axes, field) for field in ("k1", "k2", "b1", "b2"))
+        k1, k2, b1, b2 = per_axis_scalars(self, axes, "k1", "k2", "b1", "b2")
         return [
             LinearSystem(
                 np.array([[-b2[i] / k2[i]]]),
@@ -298,17 +335,17 @@ class CrossCoupling(LinearStage):
     """
 
     name: ClassVar[str] = "cross_coupling"
-    mixes_axes: ClassVar[bool] = True
-    matrix: Any
-    corner: Any = None
+    matrix: AllAxes = all_axes("", "share of every input in every output, [output][input]", 2)
+    corner: ScalarPerAxis | None = scalar("Hz", "of the low-pass on what comes from other axes", default=None, above=0.0)
+
+    @property
+    def mixes_axes(self) -> bool:
+        return True
 
     def check(self) -> None:
-        require_finite(self.matrix, "matrix")
         matrix = np.array(self.matrix, dtype=float)
         if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
-            raise InputError(f"matrix: shape {matrix.shape}, one row and one column per axis are due")
-        if self.corner is not None:
-            require_positive(self.corner, "corner", "Hz")
+            raise InputError(f"matrix: shape {matrix.shape}, give one row and one column per axis")
 
     def systems(self, axes: int) -> list[LinearSystem]:
         matrix = np.array(self.matrix, dtype=float)
@@ -511,8 +548,3 @@ def _prepared(run: tuple[Stage, ...], sampling: Sampling, averaged: bool) -> Lin
 
 def _coupled(systems: list[LinearSystem]) -> LinearSystem:
     return systems[0] if len(systems) == 1 else stacked(systems)
-
-
-def state_space_stage(system: LinearSystem) -> StateSpace:
-    """The model-file stage of a system without bias."""
-    return StateSpace(*(frozen(getattr(system, part)) for part in "ABCD"))

@@ -13,25 +13,28 @@ slope there, and remembers nothing. The first curve from rest is the ascending o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 
 from hyst_control.chain.bounded_cache import remembered
+from hyst_control.chain.chain import Parallel
 from hyst_control.chain.curves import Curve, evaluate_curve, knot_curve, polynomial_curve, solve_curve
+from hyst_control.chain.memoryless import Gain, Memoryless
+from hyst_control.chain.parameter import AllAxes, Array, ScalarPerAxis, Scattering, VectorPerAxis, all_axes, flag, scalar, vector
 from hyst_control.chain.stage import (
-    Array,
     Filter,
     Sampling,
     Stage,
     depth,
+    frozen,
     per_axis,
     per_axis_scalar,
+    per_axis_scalars,
     register,
-    require_finite,
-    require_positive,
 )
 from hyst_control.errors import InputError
 
@@ -207,20 +210,22 @@ class Madelung(Stage):
     """
 
     name: ClassVar[str] = "madelung"
-    ascending: Any
-    descending: Any
-    input_scale: Any
-    output_scale: Any
-    knots: Any = None
-    inverse: bool = False
+    ascending: VectorPerAxis = vector("", "polynomial p_n … p_1 of the ascending branch, or its values at the knots")
+    descending: VectorPerAxis = vector("", "the descending branch likewise")
+    input_scale: ScalarPerAxis = scalar("V", "end of the major loop", above=0.0)
+    output_scale: ScalarPerAxis = scalar("measurement unit", "of a branch's value 1", above=0.0)
+    knots: AllAxes | None = all_axes("", "inputs of the branches' values, from 0 to 1", 1, default=None, scatter=Scattering.NONE)
+    inverse: bool = flag("whether the stage runs from output to input")
+
+    @property
+    def is_hysteresis(self) -> bool:
+        return True
+
+    @property
+    def has_compensator(self) -> bool:
+        return True
 
     def check(self) -> None:
-        for field in ("ascending", "descending"):
-            require_finite(getattr(self, field), field)
-        if self.knots is not None:
-            require_finite(self.knots, "knots")
-        require_positive(self.input_scale, "input_scale", "V")
-        require_positive(self.output_scale, "output_scale", "(measurement unit)")
         axes = max(len(value) if depth(value) == 2 else 1 for value in (self.ascending, self.descending))
         self.curves(axes)
 
@@ -241,6 +246,44 @@ class Madelung(Stage):
                 )
             pairs.append(pair)
         return pairs
+
+    def with_values(self, values: Mapping[str, Array]) -> Madelung:
+        """The two major branches end at one point: each is scaled to the mean of their ends."""
+        if self.knots is not None:
+            return replace(self, **values)
+        up, down = (np.array(values.get(name, getattr(self, name)), dtype=float) for name in ("ascending", "descending"))
+        ends = up.sum(axis=-1, keepdims=True), down.sum(axis=-1, keepdims=True)
+        mean = 0.5 * (ends[0] + ends[1])
+        return replace(self, **{**values, "ascending": up * mean / ends[0], "descending": down * mean / ends[1]})
+
+    def mean_slope(self, axes: int) -> Array | None:
+        if self.inverse:
+            return None
+        span, scale = per_axis_scalars(self, axes, "input_scale", "output_scale")
+        return np.array([float(up(np.ones(1))[0]) for up, _ in self.curves(axes)]) * scale / span
+
+    def with_loop_width(self, width: Array) -> Parallel | None:
+        """The mean of the major branches takes the mean curve off."""
+        if self.inverse:
+            return None
+        mean = Memoryless(self.mean_curve(len(width)))
+        return Parallel(((self, Gain(frozen(1.0 + width))), (mean, Gain(frozen(-width)))))
+
+    def mean_curve(self, axes: int) -> Callable[[Array], Array]:
+        """Mean of the major branches, straight beyond the loop's ends as the hysteresis is; volts to the stage's output."""
+        curves = self.curves(axes)
+        span, scale = per_axis_scalars(self, axes, "input_scale", "output_scale")
+
+        def mean(u: Array) -> Array:
+            output = np.empty_like(u)
+            for axis, (up, down) in enumerate(curves):
+                x = u[..., axis] / span[axis]
+                inside = np.clip(x, 0.0, 1.0)
+                beyond = np.where(x > 1.0, end_slope(up, 1.0), end_slope(down, 0.0)) * (x - inside)
+                output[..., axis] = scale[axis] * (0.5 * (up(inside) + down(inside)) + beyond)
+            return output
+
+        return mean
 
     def filter(self, sampling: Sampling) -> Filter:
         axes = sampling.axes

@@ -1,23 +1,15 @@
-"""Memoryless stages: gain, offset, saturation, quantisation."""
+"""Memoryless stages: gain, offset, saturation, quantization."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from hyst_control.chain.stage import (
-    Array,
-    Filter,
-    Sampling,
-    Stage,
-    per_axis_scalar,
-    register,
-    require_finite,
-    require_positive,
-)
+from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
+from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar, register
 from hyst_control.errors import InputError
 
 
@@ -35,16 +27,23 @@ class StaticFilter(Filter):
         return self.function(block)
 
 
+@dataclass(frozen=True)
+class Memoryless(Stage):
+    """A function of the input (N, A) or (A,), all axes at once; part of a started chain only, never of a model file."""
+
+    function: Callable[[Array], Array]
+
+    def filter(self, sampling: Sampling) -> Filter:
+        return StaticFilter(self.function, sampling.hold)
+
+
 @register
 @dataclass(frozen=True)
 class Gain(Stage):
     """y = gain · u."""
 
     name: ClassVar[str] = "gain"
-    gain: Any
-
-    def check(self) -> None:
-        require_finite(self.gain, "gain")
+    gain: ScalarPerAxis = scalar("output unit / input unit", "factor")
 
     def filter(self, sampling: Sampling) -> Filter:
         gain = per_axis_scalar(self.gain, sampling.axes, "gain")
@@ -57,10 +56,7 @@ class Offset(Stage):
     """y = u + offset, in the signal's own unit."""
 
     name: ClassVar[str] = "offset"
-    offset: Any
-
-    def check(self) -> None:
-        require_finite(self.offset, "offset")
+    offset: ScalarPerAxis = scalar("signal unit", "constant that is added", scatter=Scattering.ABSOLUTE)
 
     def filter(self, sampling: Sampling) -> Filter:
         offset = per_axis_scalar(self.offset, sampling.axes, "offset")
@@ -73,12 +69,11 @@ class Saturation(Stage):
     """y = min(max(u, lower), upper), in the signal's own unit; an infinite limit is none."""
 
     name: ClassVar[str] = "saturation"
-    lower: Any
-    upper: Any
+    place: ClassVar[str] = "drive"
+    lower: ScalarPerAxis = scalar("signal unit", "least output", infinite=True)
+    upper: ScalarPerAxis = scalar("signal unit", "greatest output", infinite=True)
 
     def check(self) -> None:
-        for field in ("lower", "upper"):
-            require_finite(getattr(self, field), field, infinite_allowed=True)
         axes = max(len(value) if isinstance(value, tuple) else 1 for value in (self.lower, self.upper))
         if np.any(per_axis_scalar(self.lower, axes, "lower") >= per_axis_scalar(self.upper, axes, "upper")):
             raise InputError(f"lower: {self.lower} is not below upper {self.upper}")
@@ -95,10 +90,8 @@ class Quantization(Stage):
     """y = step · round(u / step), halves to even: the lattice of a converter. `step` in the signal's own unit; 0: none."""
 
     name: ClassVar[str] = "quantization"
-    step: Any
-
-    def check(self) -> None:
-        require_positive(self.step, "step", "(signal unit)", zero_allowed=True)
+    place: ClassVar[str] = "adc"
+    step: ScalarPerAxis = scalar("signal unit", "distance of two values; 0: none", lower=0.0)
 
     def filter(self, sampling: Sampling) -> Filter:
         step = per_axis_scalar(self.step, sampling.axes, "step")

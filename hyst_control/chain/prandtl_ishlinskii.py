@@ -10,43 +10,31 @@ Both are rate-independent, wipe out inner loops and start from H = 0, the virgin
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 import numpy as np
 from numba import njit
 
+from hyst_control.chain.chain import Parallel
+from hyst_control.chain.parameter import Array, ScalarPerAxis, VectorPerAxis, flag, scalar, vector
 from hyst_control.chain.stage import (
-    Array,
     Filter,
     Sampling,
     Stage,
     depth,
+    frozen,
     per_axis,
     per_axis_scalar,
+    per_axis_scalars,
     register,
-    require_finite,
-    require_positive,
+    scaled,
 )
 from hyst_control.errors import InputError
 
-
-@njit(cache=True, error_model="numpy")
-def play_operators(command, thresholds, release, state, output):
-    """Outputs (N, n) of n play operators for a command (N,); `state` (n,) is H at the sample before, and is updated.
-
-    `release` (n,) is the distance at which an operator is pulled down: the threshold (two-sided) or 0 (one-sided).
-    """
-    for k in range(command.size):
-        u = command[k]
-        for i in range(thresholds.size):
-            low = u - thresholds[i]
-            high = u + release[i]
-            h = state[i]
-            h = high if h > high else h
-            h = low if h < low else h
-            state[i] = h
-            output[k, i] = h
+if TYPE_CHECKING:
+    from hyst_control.chain.inverse_multiplicative import InverseMultiplicative
+    from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 
 
 @njit(cache=True, error_model="numpy")
@@ -125,10 +113,8 @@ class PlayFilter(Filter):
         return output
 
 
-def check_operators(thresholds: Any, weights: Any) -> None:
-    """Raise `InputError` unless the thresholds are finite, not negative and increasing, with one weight each."""
-    require_positive(thresholds, "thresholds", "V", zero_allowed=True)
-    require_finite(weights, "weights")
+def check_operators(thresholds: VectorPerAxis, weights: VectorPerAxis) -> None:
+    """Raise `InputError` unless the thresholds increase, with one weight each."""
     axes = max(len(value) if depth(value) == 2 else 1 for value in (thresholds, weights))
     for axis, (r, w) in enumerate(
         zip(per_axis(thresholds, axes, 1, "thresholds"), per_axis(weights, axes, 1, "weights"), strict=True)
@@ -141,7 +127,9 @@ def check_operators(thresholds: Any, weights: Any) -> None:
             raise InputError(f"weights{where}: {len(w)} weights for {len(r)} thresholds: give one each")
 
 
-def play_filter(stage: Any, sampling: Sampling, **coefficients: Any) -> PlayFilter:
+def play_filter(
+    stage: PrandtlIshlinskii | ModifiedPrandtlIshlinskii | InverseMultiplicative, sampling: Sampling, **coefficients: ScalarPerAxis
+) -> PlayFilter:
     """A `PlayFilter` for a stage with thresholds and weights; coefficients not given are 0."""
     axes = sampling.axes
     values = {key: per_axis_scalar(coefficients.get(key, 0.0), axes, key) for key in ("w0", "m1", "m2", "k", "b")}
@@ -154,17 +142,42 @@ def play_filter(stage: Any, sampling: Sampling, **coefficients: Any) -> PlayFilt
     )
 
 
+def operators_slope(stage: PrandtlIshlinskii | ModifiedPrandtlIshlinskii | RateDependentPrandtlIshlinskii, axes: int) -> Array:
+    """Slope (A,) of a model in which every operator moves."""
+    weights = per_axis(stage.weights, axes, 1, "weights")
+    return np.array([item.sum() for item in weights]) + per_axis_scalar(stage.w0, axes, "w0")
+
+
+Model = TypeVar("Model", "PrandtlIshlinskii", "RateDependentPrandtlIshlinskii")
+
+
+def wider_operators(stage: Model, width: Array) -> Model:
+    """A model whose loops are wider by 1 + width (A,): what the operators gain, the command itself loses."""
+    axes = len(width)
+    slope = np.array([weights.sum() for weights in per_axis(stage.weights, axes, 1, "weights")])
+    w0 = per_axis_scalar(stage.w0, axes, "w0")
+    return replace(stage, weights=scaled(stage.weights, 1.0 + width, 1, "weights"), w0=frozen(w0 - width * slope))
+
+
 @register
 @dataclass(frozen=True)
 class PlayOperator(Stage):
     """One play operator of unit slope: backlash with half-width `threshold` (input unit). HAMPI paper Eq. 3."""
 
     name: ClassVar[str] = "play_operator"
-    threshold: Any
-    one_sided: bool = False
+    threshold: ScalarPerAxis = scalar("input unit", "half-width", lower=0.0)
+    one_sided: bool = flag("whether it is pulled down without play")
 
-    def check(self) -> None:
-        require_positive(self.threshold, "threshold", "V", zero_allowed=True)
+    @property
+    def is_hysteresis(self) -> bool:
+        return True
+
+    def mean_slope(self, axes: int) -> Array:
+        return np.ones(axes)
+
+    def with_loop_width(self, width: Array) -> PrandtlIshlinskii:
+        thresholds = [[r] for r in per_axis_scalar(self.threshold, len(width), "threshold")]
+        return PrandtlIshlinskii(thresholds, (1.0 + width)[:, None], frozen(-width), self.one_sided)
 
     def filter(self, sampling: Sampling) -> Filter:
         thresholds = [np.array([r]) for r in per_axis_scalar(self.threshold, sampling.axes, "threshold")]
@@ -183,14 +196,27 @@ class PrandtlIshlinskii(Stage):
     """
 
     name: ClassVar[str] = "prandtl_ishlinskii"
-    thresholds: Any
-    weights: Any
-    w0: Any = 0.0
-    one_sided: bool = False
+    thresholds: VectorPerAxis = vector("V", "of the operators, increasing", lower=0.0)
+    weights: VectorPerAxis = vector("output unit / V", "of the operators")
+    w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)
+    one_sided: bool = flag("whether the operators are pulled down without play, for drives that never go negative")
 
     def check(self) -> None:
         check_operators(self.thresholds, self.weights)
-        require_finite(self.w0, "w0")
+
+    @property
+    def is_hysteresis(self) -> bool:
+        return True
+
+    @property
+    def has_compensator(self) -> bool:
+        return True
+
+    def mean_slope(self, axes: int) -> Array:
+        return operators_slope(self, axes)
+
+    def with_loop_width(self, width: Array) -> PrandtlIshlinskii:
+        return wider_operators(self, width)
 
     def filter(self, sampling: Sampling) -> Filter:
         return play_filter(self, sampling, w0=self.w0)
@@ -208,19 +234,50 @@ class ModifiedPrandtlIshlinskii(Stage):
     """
 
     name: ClassVar[str] = "modified_prandtl_ishlinskii"
-    thresholds: Any
-    weights: Any
-    m1: Any = 0.0
-    m2: Any = 0.0
-    k: Any = 0.0
-    b: Any = 0.0
-    w0: Any = 0.0
-    one_sided: bool = False
+    thresholds: VectorPerAxis = vector("V", "of the operators, increasing", lower=0.0)
+    weights: VectorPerAxis = vector("output unit / V", "of the operators")
+    m1: ScalarPerAxis = scalar("output unit s / V²", "rotation of the loop while the command rises", default=0.0)
+    m2: ScalarPerAxis = scalar("output unit s / V²", "rotation of the loop while the command falls", default=0.0)
+    k: ScalarPerAxis = scalar("output unit / V²", "change of every weight with the command", default=0.0)
+    b: ScalarPerAxis = scalar("output unit / V", "part common to all weights", default=0.0)
+    w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)
+    one_sided: bool = flag("whether the operators are pulled down without play, for drives that never go negative")
 
     def check(self) -> None:
         check_operators(self.thresholds, self.weights)
-        for field in ("m1", "m2", "k", "b", "w0"):
-            require_finite(getattr(self, field), field)
+
+    @property
+    def is_hysteresis(self) -> bool:
+        return True
+
+    @property
+    def has_compensator(self) -> bool:
+        return True
+
+    def mean_slope(self, axes: int) -> Array:
+        return operators_slope(self, axes)
+
+    def with_loop_width(self, width: Array) -> Parallel:
+        """The model once more with every operator replaced by the command takes the mean curve off."""
+        axes = len(width)
+        return Parallel(((self._with_share(1.0 + width),), (self._mean(axes)._with_share(-width),)))
+
+    def with_rate_part(self, factor: Array) -> ModifiedPrandtlIshlinskii | None:
+        if not any(np.any(values) for values in per_axis_scalars(self, len(factor), "m1", "m2")):
+            return None
+        return replace(self, **{name: scaled(getattr(self, name), factor, 0, name) for name in ("m1", "m2")})
+
+    def _with_share(self, share: Array) -> ModifiedPrandtlIshlinskii:
+        """The model's output times a share (A,)."""
+        rest = {name: scaled(getattr(self, name), share, 0, name) for name in ("m1", "m2", "k", "b", "w0")}
+        return replace(self, weights=scaled(self.weights, share, 1, "weights"), **rest)
+
+    def _mean(self, axes: int) -> ModifiedPrandtlIshlinskii:
+        """The model with u in place of every H_i[u]: one operator of threshold 0, with the sum of the weights."""
+        weights = per_axis(self.weights, axes, 1, "weights")
+        count = np.array([float(len(item)) for item in weights])
+        rest = {name: scaled(getattr(self, name), count, 0, name) for name in ("m1", "m2", "k", "b")}
+        return replace(self, thresholds=(0.0,), weights=[[item.sum()] for item in weights], **rest)
 
     def filter(self, sampling: Sampling) -> Filter:
         return play_filter(self, sampling, w0=self.w0, m1=self.m1, m2=self.m2, k=self.k, b=self.b)

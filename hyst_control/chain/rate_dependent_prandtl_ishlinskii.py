@@ -9,24 +9,15 @@ Trans. Mechatronics 18, 2013), r_i = α i + β |u̇|, with the thresholds at res
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 
-from hyst_control.chain.prandtl_ishlinskii import check_operators
-from hyst_control.chain.stage import (
-    Array,
-    Filter,
-    Sampling,
-    Stage,
-    per_axis,
-    per_axis_scalar,
-    register,
-    require_finite,
-    require_positive,
-)
+from hyst_control.chain.parameter import Array, ScalarPerAxis, VectorPerAxis, scalar, vector
+from hyst_control.chain.prandtl_ishlinskii import check_operators, operators_slope, wider_operators
+from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis, per_axis_scalar, register, scaled
 
 
 @njit(cache=True, error_model="numpy")
@@ -81,15 +72,32 @@ class RateDependentPrandtlIshlinskii(Stage):
     """RDPI; see the module. thresholds V, increasing; weights, w0 output unit / V; beta s (V per V/s)."""
 
     name: ClassVar[str] = "rate_dependent_prandtl_ishlinskii"
-    thresholds: Any
-    weights: Any
-    beta: Any
-    w0: Any = 0.0
+    thresholds: VectorPerAxis = vector("V", "of the operators at rest, increasing", lower=0.0)
+    weights: VectorPerAxis = vector("output unit / V", "of the operators")
+    beta: ScalarPerAxis = scalar("s", "widening of every threshold, V per V/s of the command's rate", lower=0.0)
+    w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)
 
     def check(self) -> None:
         check_operators(self.thresholds, self.weights)
-        require_positive(self.beta, "beta", "s", zero_allowed=True)
-        require_finite(self.w0, "w0")
+
+    @property
+    def is_hysteresis(self) -> bool:
+        return True
+
+    @property
+    def has_compensator(self) -> bool:
+        return True
+
+    def mean_slope(self, axes: int) -> Array:
+        return operators_slope(self, axes)
+
+    def with_loop_width(self, width: Array) -> RateDependentPrandtlIshlinskii:
+        return wider_operators(self, width)
+
+    def with_rate_part(self, factor: Array) -> RateDependentPrandtlIshlinskii | None:
+        if not np.any(per_axis_scalar(self.beta, len(factor), "beta")):
+            return None
+        return replace(self, beta=scaled(self.beta, factor, 0, "beta"))
 
     def filter(self, sampling: Sampling) -> Filter:
         axes = sampling.axes

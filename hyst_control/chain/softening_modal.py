@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,7 +10,8 @@ from numba import njit
 from scipy.linalg import block_diag
 
 from hyst_control.chain.linear import StateSpace
-from hyst_control.chain.stage import Array, Filter, Sampling, Stage, depth, register, require_finite, require_positive
+from hyst_control.chain.parameter import AllAxes, Array, Scattering, all_axes
+from hyst_control.chain.stage import Filter, Sampling, Stage, register
 from hyst_control.errors import InputError
 
 
@@ -40,35 +41,42 @@ class SofteningModal(Stage):
     """
 
     name: ClassVar[str] = "softening_modal"
-    mixes_axes: ClassVar[bool] = True
-    decay: Any
-    frequency: Any
-    outputs: Any
-    inputs: Any
-    feedthrough: Any
-    amplitude: float
-    decay_change: Any = 0.0
-    frequency_change: Any = 0.0
-    inputs_change: Any = 0.0
-    elongation: Any = 0.0
-    force_inputs: Any = 0.0
-    force_feedthrough: Any = 0.0
-    force_mean: Any = 0.0
-    exponent: Any = 0.5
-    memory: float = 0.1
+    decay: AllAxes = all_axes("log(1/s)", "of every mode", 1, scatter=Scattering.POLES)
+    frequency: AllAxes = all_axes("rad/s", "of every mode; 0: a real one", 0, 1, scatter=Scattering.POLES)
+    outputs: AllAxes = all_axes("measurement unit", "c, [real, imaginary] of (modes, axes)", 3)
+    inputs: AllAxes = all_axes("1/(V s)", "b at the amplitude, [real, imaginary] of (modes, axes)", 0, 1, 2, 3)
+    feedthrough: AllAxes = all_axes("measurement unit / V", "of the command, (axes, axes)", 0, 1, 2)
+    amplitude: float = all_axes("V", "slow amplitude at which decay, frequency and inputs hold", 0, above=0.0)
+    decay_change: AllAxes = all_axes("log(1/s)", "change of decay with g", 0, 1, default=0.0)
+    frequency_change: AllAxes = all_axes("rad/s", "change of frequency with g", 0, 1, default=0.0)
+    inputs_change: AllAxes = all_axes("1/(V s)", "change of inputs with g", 0, 1, 2, 3, default=0.0)
+    elongation: AllAxes = all_axes("V / measurement unit", "of the softening force, (axes, axes)", 0, 1, 2, default=0.0)
+    force_inputs: AllAxes = all_axes("1/(V s)", "of the force, as inputs, (modes, exponents · axes)", 0, 1, 2, 3, default=0.0)
+    force_feedthrough: AllAxes = all_axes("measurement unit / V", "of the force", 0, 1, 2, default=0.0)
+    force_mean: AllAxes = all_axes("", "average of the force, (exponents · axes)", 0, 1, default=0.0)
+    exponent: AllAxes = all_axes("", "of the softening force, one or several", 0, 1, default=0.5, above=0.0)
+    memory: float = all_axes("s", "over which the amplitude is averaged", 0, default=0.1, above=0.0)
+
+    @property
+    def mixes_axes(self) -> bool:
+        return True
+
+    @property
+    def is_hysteresis(self) -> bool:
+        return True
 
     def check(self) -> None:
-        for field in (item.name for item in fields(self)):
-            require_finite(getattr(self, field), field)
-        for field, unit in (("amplitude", "V"), ("memory", "s"), ("exponent", "")):
-            require_positive(getattr(self, field), field, unit)
-        if depth(self.decay) != 1 or depth(self.outputs) != 3:
-            raise InputError("decay: a list with one entry per mode is due, and outputs [real, imaginary] of (modes, axes)")
-        self.arrays(len(self.outputs[0][0]))
+        self.arrays(self.axes)
+
+    @property
+    def axes(self) -> int:
+        """Number of axes that the parameters are for."""
+        outputs: Any = self.outputs
+        return len(outputs[0][0])
 
     def arrays(self, axes: int) -> dict[str, np.ndarray]:
         """Every parameter as an array of its full shape, complex where it is a pair."""
-        modes, terms = len(self.decay), axes * int(np.size(self.exponent))
+        modes, terms = int(np.size(self.decay)), axes * int(np.size(self.exponent))
         due = {
             "decay": (modes,),
             "frequency": (modes,),
@@ -88,14 +96,14 @@ class SofteningModal(Stage):
                 value = np.broadcast_to(np.array(getattr(self, field), dtype=float), shape).copy()
             except ValueError:
                 raise InputError(
-                    f"{field}: shape {np.shape(getattr(self, field))}, {shape} is due for {modes} modes and {axes} axes"
+                    f"{field}: shape {np.shape(getattr(self, field))}, give {shape} for {modes} modes and {axes} axes"
                 ) from None
             arrays[field] = value[0] + 1j * value[1] if field in pairs else value
         return arrays
 
     def mean(self) -> StateSpace:
         """The structure as it responds on the average at `amplitude`: a linear stage."""
-        parts = self.arrays(len(self.outputs[0][0]))
+        parts = self.arrays(self.axes)
         blocks, rows, columns = [], [], []
         for i, (decay, frequency) in enumerate(zip(parts["decay"], parts["frequency"], strict=True)):
             b, c, rate = parts["inputs"][i], parts["outputs"][i], -np.exp(decay)
@@ -107,8 +115,8 @@ class SofteningModal(Stage):
         return StateSpace(block_diag(*blocks), np.array(rows), np.array(columns).T, parts["feedthrough"])
 
     def filter(self, sampling: Sampling) -> Filter:
-        if len(self.outputs[0][0]) != sampling.axes:
-            raise InputError(f"outputs: for {len(self.outputs[0][0])} axes, the model has {sampling.axes}")
+        if self.axes != sampling.axes:
+            raise InputError(f"outputs: for {self.axes} axes, the model has {sampling.axes}")
         return SofteningModalFilter(self, sampling)
 
 

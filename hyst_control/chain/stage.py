@@ -14,17 +14,19 @@ the output at the same instant as the input sample.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
+from hyst_control.chain.parameter import Array, Parameter, ScalarPerAxis, VectorPerAxis, declared, undeclared
 from hyst_control.errors import InputError
 
-Array = NDArray[np.float64]
-
 HOLDS = ("zoh", "foh")
+
+SLOW = 1e9
+"""Sample time in s at which the rate terms of hysteresis stages vanish."""
 
 
 @dataclass(frozen=True)
@@ -74,27 +76,33 @@ class Filter:
 
 @dataclass(frozen=True)
 class Stage:
-    """Description of a stage: its fields are the model file's parameters.
+    """Description of a stage: its fields are the model file's parameters, declared by `chain.parameter`.
 
     A number holds for every axis; a list where a number is due, or a list of lists where a list is due, is per axis.
-    Subclasses set `name`, check their parameters in `check` and start a filter in `filter`.
+    Subclasses set `name`, start a filter in `filter`, and check in `check` what relates several parameters. What others have
+    to know of a stage are the properties and methods below, each with the answer of a stage that is nothing special.
     """
 
     name: ClassVar[str] = ""
-    linear: ClassVar[bool] = False
-    """Whether the stage is a linear continuous-time system (see `chain.linear`), which may be merged with its neighbours."""
-    commutes_with_delay: ClassVar[bool] = True
-    """Whether delaying the input is the same as delaying the output, as it is for every time-invariant stage."""
-    mixes_axes: ClassVar[bool] = False
-    """Whether an axis' output depends on other axes' inputs: delays that differ between the axes then stay on their side."""
+    place: ClassVar[str] = ""
+    """Place of `effects.effect.PLACES` that the stage belongs to: what is inserted there goes behind it, what belongs to an
+    earlier place before it. "" where it may be anywhere."""
+    last_at_place: ClassVar[bool] = False
+    """Whether the stage stands behind the others of its place."""
+    unit_gain: ClassVar[bool] = False
+    """Whether a constant passes unchanged, whatever the parameters."""
+    adds_hysteresis: ClassVar[bool] = False
+    """Whether the stage is a chain's hysteresis where it has no other."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
             object.__setattr__(self, field.name, frozen(getattr(self, field.name)))
+        for name, declaration in self.declarations().items():
+            declaration.check(name, getattr(self, name))
         self.check()
 
     def check(self) -> None:
-        """Raise `InputError` naming the parameter and the remedy when the parameters make no sense."""
+        """Raise `InputError` naming parameter and remedy when parameters do not fit together."""
 
     def filter(self, sampling: Sampling) -> Filter:
         """A filter of this stage for the given clock."""
@@ -106,9 +114,95 @@ class Stage:
             field.name: thawed(getattr(self, field.name)) for field in fields(self) if getattr(self, field.name) != field.default
         }
 
+    def declarations(self) -> Mapping[str, Parameter]:
+        """Declaration of every parameter, by name; a stage whose values decide about a parameter's form says so here."""
+        return declared(type(self))
+
+    # Roles.
+
+    @property
+    def linear(self) -> bool:
+        """Whether the stage is a linear continuous-time system (see `chain.linear`), which may be merged with its neighbours."""
+        return False
+
+    @property
+    def commutes_with_delay(self) -> bool:
+        """Whether delaying the input is the same as delaying the output, as it is for every time-invariant stage."""
+        return True
+
+    @property
+    def mixes_axes(self) -> bool:
+        """Whether an axis' output depends on other axes' inputs: delays that differ between the axes then stay on their side."""
+        return False
+
+    @property
+    def is_hysteresis(self) -> bool:
+        """Whether the stage is, or contains, a plant's hysteresis."""
+        return False
+
+    @property
+    def has_compensator(self) -> bool:
+        """Whether the stage is, or contains, a hysteresis that a feedforward compensator inverts by itself."""
+        return False
+
+    @property
+    def is_mechanics(self) -> bool:
+        """Whether the stage may be a plant's mechanics."""
+        return False
+
+    # The stage for other axes or other values.
+
+    @property
+    def inner_chains(self) -> tuple[tuple[Stage, ...], ...]:
+        """Chains inside the stage: its branches."""
+        return ()
+
+    def with_inner_chains(self, chains: Sequence[Sequence[Stage]]) -> Stage:
+        """The stage with other chains inside, as many as it has."""
+        assert not chains
+        return self
+
+    def for_axis(self, axis: int) -> Stage:
+        """The stage of one axis. Raises `InputError` where the axes mix."""
+        if self.inner_chains:
+            return self.with_inner_chains([[member.for_axis(axis) for member in chain] for chain in self.inner_chains])
+        if self.mixes_axes:
+            raise InputError(f"{self.name}: mixes the axes: it cannot be split by axis, take all axes together")
+        return replace(self, **{key: known.of_axis(getattr(self, key), axis) for key, known in self.declarations().items()})
+
+    def spread(self, names: Sequence[str], axes: int) -> Stage:
+        """The stage with the named parameters as one value per axis where they were one for all."""
+        known = self.declarations()
+        changed = {key: known[key].spread(getattr(self, key), axes) for key in names}
+        return replace(self, **changed) if changed else self
+
+    def with_values(self, values: Mapping[str, Array]) -> Stage:
+        """The stage with scattered values of some parameters; a stage whose parameters depend on each other closes them here."""
+        return replace(self, **values)
+
+    # Answers to effects and control.
+
+    def with_loop_width(self, width: Array) -> Stage | None:
+        """The stage with its memory part scaled by 1 + width (A,), its mean curve kept; None where it has no loop."""
+        return None
+
+    def with_rate_part(self, factor: Array) -> Stage | None:
+        """The stage with its rate-dependent part scaled by a factor (A,); None where it has none."""
+        return None
+
+    def mean_slope(self, axes: int) -> Array | None:
+        """Mean slope (A,) of a hysteresis, output unit per input unit; None for any other stage."""
+        return None
+
+    def at_rest(self, signal: Array) -> Array:
+        """Output (N, A) when every value of a signal (N, A) is held until all has settled, from rest at 0."""
+        running = self.filter(Sampling(SLOW, signal.shape[1], "foh"))
+        running.settle(signal[0])
+        return running.process(np.ascontiguousarray(signal))
+
 
 class ThroughFilter(Filter):
-    """Nothing happens."""
+    """Passes the signal through unchanged."""
 
     def __init__(self, hold: str) -> None:
         self.hold = hold
@@ -124,7 +218,7 @@ class ThroughFilter(Filter):
 class Modifier(Stage):
     """A stage that changes the stages before it instead of the signal; a chain lets it do so when it starts.
 
-    Its parameters are numbers, for every axis alike or a list with one per axis.
+    Read by itself, as from a model file, it passes the signal through.
     """
 
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
@@ -132,21 +226,45 @@ class Modifier(Stage):
         raise NotImplementedError
 
     def filter(self, sampling: Sampling) -> Filter:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if value is not None:
-                per_axis_scalar(value, sampling.axes, field.name)
+        for name, declaration in self.declarations().items():
+            value = getattr(self, name)
+            if declaration.per_axis == 0 and value is not None:
+                per_axis_scalar(value, sampling.axes, name)
         return ThroughFilter(sampling.hold)
 
 
 STAGES: dict[str, type[Stage]] = {}
 """Every stage by its name in the model file."""
 
+Registered = TypeVar("Registered", bound=type[Stage])
 
-def register(stage: type[Stage]) -> type[Stage]:
-    """Class decorator that makes a stage known to the model file."""
+
+def register(stage: Registered) -> Registered:
+    """Class decorator that makes a stage known to the model file.
+
+    Raises `TypeError` for a stage with a field that declares no parameter.
+    """
+    for field in undeclared(stage):
+        raise TypeError(f"{stage.__name__}.{field.name}: declares no parameter: see hyst_control.chain.parameter")
     STAGES[stage.name] = stage
     return stage
+
+
+def replaced(stages: Sequence[Stage], change: Callable[[Stage], Stage | None]) -> tuple[Stage, ...] | None:
+    """The stages with every one, also inside others, for which `change` gives another replaced by it; None if it never does."""
+    found = [_replaced(stage, change) for stage in stages]
+    if all(new is None for new in found):
+        return None
+    return tuple(old if new is None else new for new, old in zip(found, stages, strict=True))
+
+
+def _replaced(stage: Stage, change: Callable[[Stage], Stage | None]) -> Stage | None:
+    if not stage.inner_chains:
+        return change(stage)
+    chains = [replaced(chain, change) for chain in stage.inner_chains]
+    if all(chain is None for chain in chains):
+        return None
+    return stage.with_inner_chains([new or old for new, old in zip(chains, stage.inner_chains, strict=True)])
 
 
 def frozen(value: Any) -> Any:
@@ -166,23 +284,24 @@ def thawed(value: Any) -> Any:
 
 
 def depth(value: Any) -> int:
-    """Nesting depth: 0 for a number, 1 for a list of numbers, and so on."""
+    """Nesting depth of a checked value: 0 for a number, 1 for a list of numbers, and so on."""
     return 1 + (depth(value[0]) if value else 0) if isinstance(value, tuple) else 0
 
 
-def per_axis(value: Any, axes: int, due: int, field: str) -> list[Array]:
+def per_axis(value: VectorPerAxis | ScalarPerAxis, axes: int, due: int, field: str) -> list[Array]:
     """Spread a parameter over the axes: one array of `due` dimensions per axis.
 
     Raises `InputError` when a per-axis list has another length than there are axes.
     """
-    nesting = depth(value)
-    if nesting == due:
+    found = depth(value)
+    if found == due:
         return [_array(value, due, field)] * axes
-    if nesting == due + 1:
-        if len(value) != axes:
-            raise InputError(f"{field}: {len(value)} values for {axes} axes: give one for all or one per axis")
-        return [_array(item, due, field) for item in value]
-    raise InputError(f"{field}: nested {nesting} deep, {due} (all axes alike) or {due + 1} (per axis) is due")
+    if found == due + 1:
+        items: Sequence[Any] = value  # type: ignore[assignment]
+        if len(items) != axes:
+            raise InputError(f"{field}: {len(items)} values for {axes} axes: give one for all or one per axis")
+        return [_array(item, due, field) for item in items]
+    raise InputError(f"{field}: nested {found} deep, give {due} (all axes alike) or {due + 1} (per axis)")
 
 
 def _array(value: Any, dimensions: int, field: str) -> Array:
@@ -195,29 +314,16 @@ def _array(value: Any, dimensions: int, field: str) -> Array:
     return array
 
 
-def per_axis_scalar(value: Any, axes: int, field: str) -> Array:
+def per_axis_scalar(value: ScalarPerAxis, axes: int, field: str) -> Array:
     """A number for every axis as an array (A,)."""
     return np.array([float(item) for item in per_axis(value, axes, 0, field)])
 
 
-def require_finite(value: ArrayLike | Any, field: str, infinite_allowed: bool = False) -> None:
-    """Raise `InputError` unless every number in the nested value is a finite number (or infinite where that is allowed)."""
-    if isinstance(value, tuple):
-        if not value:
-            raise InputError(f"{field}: is empty, at least one value is needed")
-        for item in value:
-            require_finite(item, field, infinite_allowed)
-    elif isinstance(value, bool) or not isinstance(value, (int, float)) or np.isnan(value):
-        raise InputError(f"{field}: {value!r} is not a finite number")
-    elif np.isinf(value) and not infinite_allowed:
-        raise InputError(f"{field}: {value!r} is not a finite number")
+def per_axis_scalars(stage: Stage, axes: int, *names: str) -> list[Array]:
+    """Parameters of a stage that are a number per axis, each as an array (A,)."""
+    return [per_axis_scalar(getattr(stage, name), axes, name) for name in names]
 
 
-def require_positive(value: Any, field: str, unit: str, zero_allowed: bool = False, infinite_allowed: bool = False) -> None:
-    """Raise `InputError` unless every number in the nested value is positive (or zero, infinite, where that is allowed)."""
-    require_finite(value, field, infinite_allowed)
-    if isinstance(value, tuple):
-        for item in value:
-            require_positive(item, field, unit, zero_allowed, infinite_allowed)
-    elif value < 0 or (value == 0 and not zero_allowed):
-        raise InputError(f"{field}: {value:g} {unit} must be {'zero or ' if zero_allowed else ''}positive")
+def scaled(value: VectorPerAxis | ScalarPerAxis, factor: Array, due: int, field: str) -> Any:
+    """A parameter of `due` dimensions per axis, times a factor (A,) per axis."""
+    return frozen([item * share for item, share in zip(per_axis(value, len(factor), due, field), factor, strict=True)])

@@ -6,16 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hyst_control.chain import Parallel, Stage
-from hyst_control.chain.chain import resolved
-from hyst_control.chain.linear import Delay, LinearStage
-from hyst_control.chain.madelung import Madelung
-from hyst_control.chain.stage import Array, Filter, Sampling
+from hyst_control.chain import Stage
+from hyst_control.chain.chain import at_rest, resolved
+from hyst_control.chain.parameter import Array
+from hyst_control.chain.stage import SLOW  # noqa: F401  (read from here)
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
-
-SLOW = 1e9
-"""Sample time in s at which the rate terms of hysteresis stages vanish."""
 
 
 def quasi_static(model: Model, commands: Array) -> Array:
@@ -25,32 +21,7 @@ def quasi_static(model: Model, commands: Array) -> Array:
 
 def quasi_static_stages(stages: Sequence[Stage], signal: Array, axes: int) -> Array:
     """The same for a list of stages and the signal (N, A) that enters them."""
-    for stage in stages:
-        if isinstance(stage, Delay):
-            continue
-        if isinstance(stage, Parallel):
-            signal = np.sum([quasi_static_stages(branch, signal, axes) for branch in stage.branches], axis=0)
-        elif isinstance(stage, LinearStage):
-            gain, bias = static_gain(stage, axes)
-            signal = signal @ gain.T + bias
-        else:
-            running: Filter = stage.filter(Sampling(SLOW, axes, "foh"))
-            running.settle(signal[0])
-            signal = running.process(np.ascontiguousarray(signal))
-    return signal
-
-
-def static_gain(stage: LinearStage, axes: int) -> tuple[Array, Array]:
-    """Static gain (A, A) and bias (A,) of a linear stage."""
-    if getattr(stage, "discrete", False):
-        a, b, c, d = (np.array(getattr(stage, part), dtype=float) for part in "ABCD")
-        return d + c @ np.linalg.solve(np.eye(len(a)) - a, b), np.zeros(axes)
-    systems = stage.systems(axes)
-    gain = np.zeros((axes, axes))
-    width = axes // len(systems)
-    for i, system in enumerate(systems):
-        gain[i * width : (i + 1) * width, i * width : (i + 1) * width] = system.static_gain()
-    return gain, np.concatenate([system.bias for system in systems])
+    return at_rest(stages, signal)
 
 
 def mean_line(model: Model, lower: Array, upper: Array) -> tuple[Array, Array]:
@@ -74,6 +45,4 @@ def mean_line(model: Model, lower: Array, upper: Array) -> tuple[Array, Array]:
 
 def hysteretic(stage: Stage) -> bool:
     """Whether a stage has memory and no linear description: the part of a chain that a compensator inverts by itself."""
-    if isinstance(stage, Parallel):
-        return any(hysteretic(item) for branch in stage.branches for item in branch)
-    return isinstance(stage, Madelung) or hasattr(stage, "thresholds")
+    return stage.has_compensator

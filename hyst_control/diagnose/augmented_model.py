@@ -10,7 +10,7 @@ import numpy as np
 
 from hyst_control.chain.stage import Stage
 from hyst_control.diagnose.diagnosis import Diagnosis
-from hyst_control.diagnose.hypothesis import SWELLS, Member
+from hyst_control.diagnose.hypothesis import Member
 from hyst_control.effects import EFFECTS, insert
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
@@ -72,7 +72,7 @@ def _absent(diagnosis: Diagnosis, effect: str, parameter: str) -> float:
 
 def _phase(member: Member, x: np.ndarray) -> dict[str, float]:
     """Of a line, from its sine and cosine."""
-    return {"phase": float(np.arctan2(x[SWELLS[member.name]], x[0]))} if member.is_line else {}
+    return {"phase": float(np.arctan2(x[member.line.swells], x[0]))} if member.is_line else {}
 
 
 def _noise(diagnosis: Diagnosis) -> list[float] | float | None:

@@ -10,20 +10,15 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from hyst_control.chain.stage import Array, Stage
+from hyst_control.chain.parameter import Array
+from hyst_control.chain.stage import Stage
 from hyst_control.diagnose.hypothesis_fit import Unknowns
 from hyst_control.diagnose.problem import Problem
 from hyst_control.effects import EFFECTS, insert
-from hyst_control.effects.effect import Effect, Parameter
-
-HARMONICS = {"mains_hum": (1, 3, 5), "vibration": (1,)}
-"""Effects that are lines in the residual's spectrum: which harmonics are fitted, each with its own amplitude and phase."""
+from hyst_control.effects.effect import Effect, Line, Parameter
 
 STEP = 0.02
 """Of difference quotients by scaled parameters."""
-
-SWELLS = {"mains_hum": 1, "vibration": 24}
-"""Legendre polynomials over the record by which a line's amplitude and phase may change: a vibration comes and goes."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +40,13 @@ class Member:
 
     @property
     def is_line(self) -> bool:
-        return self.name in HARMONICS
+        return self.effect.line is not None
+
+    @property
+    def line(self) -> Line:
+        """What it is in the spectrum, of a line."""
+        assert self.effect.line is not None, f"{self.name} is no line"
+        return self.effect.line
 
     @property
     def is_extra(self) -> bool:
@@ -64,7 +65,7 @@ class Member:
 
     @property
     def size(self) -> int:
-        return 2 * len(HARMONICS[self.name]) * SWELLS[self.name] + 1 if self.is_line else len(self.parameters)
+        return 2 * len(self.line.harmonics) * self.line.swells + 1 if self.is_line else len(self.parameters)
 
     def starts(self) -> list[Array]:
         """Where fits begin: every parameter's starts in turn, those of several parameters side by side."""
@@ -92,7 +93,7 @@ class Member:
     def values(self, x: Array) -> dict[str, float]:
         """Parameter values, by the names of the gap report."""
         if self.is_line:
-            swells = SWELLS[self.name]
+            swells = self.line.swells
             # Mean square of the swelling amplitude: that of a Legendre polynomial of degree i is 1 / (2 i + 1).
             square = sum((x[i] ** 2 + x[swells + i] ** 2) / (2 * i + 1) for i in range(swells))
             return {"amplitude": float(np.sqrt(square)) * self._line_scale, "frequency": self._line_frequency(x)}
@@ -155,7 +156,7 @@ class Member:
         return self._flat([basis @ x[:-1] for _, basis in self._bases(x)])
 
     def _line_columns(self, x: Array) -> Array:
-        swells, columns = SWELLS[self.name], []
+        swells, columns = self.line.swells, []
         turned = np.concatenate(
             [
                 harmonic * np.concatenate([-x[first + swells : first + 2 * swells], x[first : first + swells]])
@@ -170,7 +171,7 @@ class Member:
 
     def _harmonics(self) -> list[tuple[int, int]]:
         """Of every harmonic: where its coefficients begin, and which it is."""
-        return [(2 * i * SWELLS[self.name], harmonic) for i, harmonic in enumerate(HARMONICS[self.name])]
+        return [(2 * i * self.line.swells, harmonic) for i, harmonic in enumerate(self.line.harmonics)]
 
     def _bases(self, x: Array) -> list[tuple[Array, Array]]:
         """Of every piece the times (N,) and the signals (N, P - 1) that the line is put together from: sines, then cosines."""
@@ -187,7 +188,7 @@ class Member:
         for piece in self.problem.pieces:
             time = piece.counted(np.arange(len(piece.command))) * self.problem.sample_time
             span = max(len(piece.command) * self.problem.sample_time, 1e-12)
-            found.append((time, np.polynomial.legendre.legvander(2.0 * time / span - 1.0, SWELLS[self.name] - 1)))
+            found.append((time, np.polynomial.legendre.legvander(2.0 * time / span - 1.0, self.line.swells - 1)))
         return found
 
     def _flat(self, pieces: Sequence[Array]) -> Array:
@@ -252,7 +253,7 @@ class Candidate:
 def catalogue(problem: Problem, lines: Mapping[str, Sequence[float]], without: Sequence[str] = ()) -> list[Member]:
     """Every effect with a waveform that the record could show, on all axes of the problem alike and on every single one.
 
-    lines: frequencies (Hz) of `mains_hum` and `vibration` that the residual's spectrum suggests; without: names left out.
+    lines: frequencies (Hz) of effects that are lines, by name, that the residual's spectrum suggests; without: names left out.
     """
     count = len(problem.model.axes)
     others = 0 if problem.pieces[0].others is None else problem.pieces[0].others.shape[1]
@@ -260,25 +261,17 @@ def catalogue(problem: Problem, lines: Mapping[str, Sequence[float]], without: S
     axes: list[int | None] = [None] if count == 1 else [None, *range(count)]
     found: list[Member] = []
     for name, effect in EFFECTS.items():
-        if name in without or (not effect.waveform and name not in HARMONICS) or not effect.exercised(surroundings):
+        if name in without or (not effect.waveform and effect.line is None) or not effect.exercised(surroundings):
             continue
         if effect.couples and count + others < 2:
             continue
         parameters = effect.parameters(surroundings)
-        if name in HARMONICS:
+        if effect.line is not None:
             found += [
                 Member(effect, parameters, problem, axis, frequency) for axis in axes[-count:] for frequency in lines.get(name, ())
             ]
-        elif name == "dac_hold":
-            samples, step = parameters
-            counts = sorted({value for value in samples.starts if value > 1.0})
-            found += [
-                Member(effect, (), problem, axis, fixed=((samples.name, value), (step.name, step.absent)))
-                for axis in axes
-                for value in counts
-            ]
-            step = replace(step, starts=tuple(sorted({value for value in step.starts if value > 0.0})))
-            found += [Member(effect, (step,), problem, axis, fixed=((samples.name, samples.absent),)) for axis in axes]
+        elif any(parameter.counted for parameter in parameters):
+            found += _counted(effect, parameters, problem, axes)
         else:
             together = effect.coupled_parameters(problem.surroundings) if count > 1 and effect.coupled_parameters else parameters
             found += [
@@ -286,6 +279,22 @@ def catalogue(problem: Problem, lines: Mapping[str, Sequence[float]], without: S
                 for axis in ([None] if effect.shared else axes)
             ]
     return found
+
+
+def _counted(effect: Effect, parameters: tuple[Parameter, ...], problem: Problem, axes: Sequence[int | None]) -> list[Member]:
+    """An effect with a parameter that is a count: every count tried by itself, and what is fitted without any."""
+    absent = {parameter.name: parameter.absent for parameter in parameters}
+    counts = [parameter for parameter in parameters if parameter.counted]
+    fitted = tuple(replace(parameter, starts=_present(parameter)) for parameter in parameters if not parameter.counted)
+    tried = [(axis, {**absent, count.name: value}) for axis in axes for count in counts for value in _present(count)]
+    found = [Member(effect, (), problem, axis, fixed=tuple(values.items())) for axis, values in tried]
+    none = tuple((count.name, count.absent) for count in counts)
+    return [*found, *(Member(effect, fitted, problem, axis, fixed=none) for axis in axes if fitted)]
+
+
+def _present(parameter: Parameter) -> tuple[float, ...]:
+    """Starts at which the effect is there."""
+    return tuple(sorted({value for value in parameter.starts if value != parameter.absent}))
 
 
 def _scaled(parameter: Parameter, value: float) -> float:

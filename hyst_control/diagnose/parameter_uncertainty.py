@@ -1,27 +1,21 @@
 """The scatter of a nominal model: which of its coefficients are uncertain, by how much, and the model for other values of them.
 
 A nominal model whose coefficients are 1 % off looks like every effect at once; so each coefficient that the model file's
-`tolerance` names becomes a nuisance parameter z with prior N(0, 1): value = nominal · (1 + tolerance · z).
+`tolerance` names becomes a nuisance parameter z with prior N(0, 1): value = nominal · (1 + tolerance · z). What a name stands for
+(one number per axis, a list, all axes together) and whether it scatters at all is declared by the stage (`chain.parameter`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from hyst_control.chain import Parallel, Stage
+from hyst_control.chain import Stage
 from hyst_control.chain.bounded_cache import KEPT
-from hyst_control.chain.stage import Array, depth
+from hyst_control.chain.parameter import Array, Scattering
 from hyst_control.model_file import Model
-
-LISTS = ("weights", "thresholds", "num", "den", "ascending", "descending", "decay", "frequency", "decay_change", "frequency_change")
-"""Parameters that are a list for one axis."""
-
-MATRICES = ("A", "B", "C", "D", "matrix", "outputs", "inputs", "feedthrough", "elongation", "force_inputs")
-"""Parameters that belong to all axes together."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +48,7 @@ class Scatter:
         return self._known[key]
 
     def _stages(self, z: Array) -> tuple[Stage, ...]:
-        changes: dict[tuple[int, ...], dict[str, Any]] = {}
+        changes: dict[tuple[int, ...], dict[str, Array]] = {}
         for coefficient, value in zip(self.coefficients, z, strict=True):
             if value:
                 stage = _find(self.model.chain.stages, coefficient.path)
@@ -75,45 +69,37 @@ def scatter_of(model: Model) -> Scatter:
     return Scatter(model.with_stages(spread), tuple(found))
 
 
-def _named(stage: Stage, tolerance: Any) -> dict[str, float]:
-    """Tolerance by field of a stage."""
+def _named(stage: Stage, tolerance: Mapping[str, float]) -> dict[str, float]:
+    """Tolerance by parameter of a stage, of those that scatter."""
     found = {}
-    for parameter in fields(stage):
-        value = tolerance.get(f"{stage.name}.{parameter.name}", tolerance.get(parameter.name))
-        if value:
-            found[parameter.name] = float(np.max(value))
+    for name, declaration in stage.declarations().items():
+        value = tolerance.get(f"{stage.name}.{name}", tolerance.get(name))
+        if value and declaration.scatter is not Scattering.NONE and getattr(stage, name) is not None:
+            found[name] = float(np.max(value))
     return found
 
 
-def _spread(stage: Stage, tolerance: Any, axes: int) -> Stage:
+def _spread(stage: Stage, tolerance: Mapping[str, float], axes: int) -> Stage:
     """A stage whose uncertain parameters are lists with an entry per axis: axes scatter on their own."""
-    if isinstance(stage, Parallel):
-        return Parallel(tuple(tuple(_spread(member, tolerance, axes) for member in branch) for branch in stage.branches))
-    if axes == 1 or getattr(stage, "coupled", False):
-        return stage
-    changed = {}
-    for name in _named(stage, tolerance):
-        value = getattr(stage, name)
-        if name not in MATRICES and not isinstance(value, (bool, str)) and depth(value) == (name in LISTS):
-            changed[name] = (value,) * axes
-    return replace(stage, **changed) if changed else stage
+    if stage.inner_chains:
+        return stage.with_inner_chains([[_spread(member, tolerance, axes) for member in chain] for chain in stage.inner_chains])
+    return stage if axes == 1 else stage.spread(list(_named(stage, tolerance)), axes)
 
 
-def _coefficients(stage: Stage, path: tuple[int, ...], tolerance: Any, axes: Sequence[str]) -> list[Coefficient]:
-    if isinstance(stage, Parallel):
-        return [
-            found
-            for b, branch in enumerate(stage.branches)
-            for m, member in enumerate(branch)
-            for found in _coefficients(member, (*path, b, m), tolerance, axes)
-        ]
-    found = []
+def _coefficients(stage: Stage, path: tuple[int, ...], tolerance: Mapping[str, float], axes: Sequence[str]) -> list[Coefficient]:
+    found = [
+        inner
+        for b, chain in enumerate(stage.inner_chains)
+        for m, member in enumerate(chain)
+        for inner in _coefficients(member, (*path, b, m), tolerance, axes)
+    ]
+    known = stage.declarations()
     for name, share in _named(stage, tolerance).items():
         try:
             value = np.array(getattr(stage, name), dtype=float)
         except (TypeError, ValueError):
             continue  # lists of different lengths per axis: not scattered
-        per_axis = len(axes) > 1 and name not in MATRICES and not getattr(stage, "coupled", False)
+        per_axis = len(axes) > 1 and known[name].per_axis is not None
         for index in np.ndindex(value.shape):
             if value[index] != 0.0:
                 place = index[1:] if per_axis else index
@@ -124,27 +110,15 @@ def _coefficients(stage: Stage, path: tuple[int, ...], tolerance: Any, axes: Seq
 
 def _find(stages: Sequence[Stage], path: tuple[int, ...]) -> Stage:
     stage = stages[path[0]]
-    return stage if len(path) == 1 else _find(stage.branches[path[1]], path[2:])
+    return stage if len(path) == 1 else _find(stage.inner_chains[path[1]], path[2:])
 
 
-def _changed(stage: Stage, path: tuple[int, ...], changes: dict[tuple[int, ...], dict[str, Any]]) -> Stage:
-    if isinstance(stage, Parallel):
-        return Parallel(
-            tuple(
-                tuple(_changed(member, (*path, b, m), changes) for m, member in enumerate(branch))
-                for b, branch in enumerate(stage.branches)
-            )
+def _changed(stage: Stage, path: tuple[int, ...], changes: Mapping[tuple[int, ...], Mapping[str, Array]]) -> Stage:
+    if stage.inner_chains:
+        return stage.with_inner_chains(
+            [
+                [_changed(member, (*path, b, m), changes) for m, member in enumerate(chain)]
+                for b, chain in enumerate(stage.inner_chains)
+            ]
         )
-    if path not in changes:
-        return stage
-    return replace(stage, **_closed(stage, changes[path]))
-
-
-def _closed(stage: Stage, changed: dict[str, Any]) -> dict[str, Any]:
-    """Madelung's two major branches end at one point: each is scaled to the mean of their ends."""
-    if stage.name != "madelung" or getattr(stage, "knots", None) is not None:
-        return changed
-    up, down = (np.array(changed.get(name, getattr(stage, name)), dtype=float) for name in ("ascending", "descending"))
-    ends = up.sum(axis=-1, keepdims=True), down.sum(axis=-1, keepdims=True)
-    mean = 0.5 * (ends[0] + ends[1])
-    return {**changed, "ascending": up * mean / ends[0], "descending": down * mean / ends[1]}
+    return stage.with_values(changes[path]) if path in changes else stage

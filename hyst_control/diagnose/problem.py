@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from hyst_control.chain import Chain, Parallel, Sampling, Stage
-from hyst_control.chain.stage import Array, depth
-from hyst_control.diagnose.parameter_uncertainty import LISTS, MATRICES
+from hyst_control.chain import Chain, Sampling, Stage
+from hyst_control.chain.parameter import Array
 from hyst_control.effects.effect import Surroundings
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
@@ -82,45 +81,16 @@ class Problem:
         )
 
 
-def mixes_axes(stages: Sequence[Stage]) -> bool:
-    """Whether an axis' output depends on another's input anywhere."""
-    for stage in stages:
-        if isinstance(stage, Parallel):
-            if any(mixes_axes(branch) for branch in stage.branches):
-                return True
-        elif stage.mixes_axes or getattr(stage, "coupled", False) or stage.name in ("state_space", "cross_coupling"):
-            return True
-    return False
-
-
 def axis_model(model: Model, axis: int) -> Model:
     """The model of one axis of a model that does not mix them."""
-    noise = {name: _of_axis(value, axis, 0) for name, value in model.noise.items()}
-    stages = tuple(_stage_of_axis(stage, axis) for stage in model.chain.stages)
+    noise = {name: value[axis] if np.ndim(value) else value for name, value in model.noise.items()}
+    stages = tuple(stage.for_axis(axis) for stage in model.chain.stages)
     return replace(model, axes=(model.axes[axis],), chain=Chain(stages), noise=noise)
-
-
-def _of_axis(value: object, axis: int, due: int) -> object:
-    if isinstance(value, (list, tuple, np.ndarray)):
-        value = tuple(value)
-        return value[axis] if depth(value) > due else value
-    return value
-
-
-def _stage_of_axis(stage: Stage, axis: int) -> Stage:
-    if isinstance(stage, Parallel):
-        return Parallel(tuple(tuple(_stage_of_axis(member, axis) for member in branch) for branch in stage.branches))
-    changed = {
-        field.name: _of_axis(getattr(stage, field.name), axis, int(field.name in LISTS))
-        for field in fields(stage)
-        if field.name not in MATRICES
-    }
-    return replace(stage, **changed)
 
 
 def split(problem: Problem) -> list[Problem]:
     """One problem per axis where the axes do not mix, else the problem itself."""
-    if len(problem.model.axes) == 1 or mixes_axes(problem.model.chain.stages):
+    if len(problem.model.axes) == 1 or any(stage.mixes_axes for stage in problem.model.chain.stages):
         return [problem]
     found = []
     for axis in range(len(problem.model.axes)):

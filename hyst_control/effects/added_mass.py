@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from hyst_control.chain.linear import LinearSystem, stacked, transfer_function_system
-from hyst_control.chain.stage import Array, Modifier, Stage, per_axis_scalar, register, require_finite
+from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.stage import Modifier, Stage, per_axis_scalar, register
 from hyst_control.effects.effect import Effect, Parameter
 from hyst_control.effects.modifiers import Changed
 from hyst_control.effects.placement import mechanics_index
@@ -29,12 +30,8 @@ class AddedMass(Modifier):
     """
 
     name: ClassVar[str] = "added_mass"
-    mass_ratio: Any
-
-    def check(self) -> None:
-        require_finite(self.mass_ratio, "mass_ratio")
-        if np.any(np.array(self.mass_ratio, dtype=float) <= -1.0):
-            raise InputError(f"mass_ratio: {self.mass_ratio}: no mass would be left: give a value above -1")
+    place: ClassVar[str] = "mechanics"
+    mass_ratio: ScalarPerAxis = scalar("", "mass that is added, in that of the mode", above=-1.0)
 
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
         index = mechanics_index(before)

@@ -24,6 +24,8 @@ class AmplifierLowpass(Lowpass, Averaged):
     """
 
     name: ClassVar[str] = "amplifier_lowpass"
+    place: ClassVar[str] = "drive"
+    last_at_place: ClassVar[bool] = True
 
     def at_samples(self) -> Stage:
         """The voltage at the ends of the intervals."""

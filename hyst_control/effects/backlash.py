@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
+from hyst_control.chain.parameter import ScalarPerAxis, scalar
 from hyst_control.chain.prandtl_ishlinskii import PlayOperator
-from hyst_control.chain.stage import Filter, Sampling, Stage, register, require_positive
+from hyst_control.chain.stage import Filter, Sampling, Stage, register
 from hyst_control.effects.effect import Effect, Parameter
 
 
@@ -16,10 +17,8 @@ class Backlash(Stage):
     """Follows its input with a play of `half_width` (measurement unit) to either side; starts from 0 like every play."""
 
     name: ClassVar[str] = "backlash"
-    half_width: Any
-
-    def check(self) -> None:
-        require_positive(self.half_width, "half_width", "(measurement unit)", zero_allowed=True)
+    place: ClassVar[str] = "motion"
+    half_width: ScalarPerAxis = scalar("measurement unit", "half of the play", lower=0.0)
 
     def filter(self, sampling: Sampling) -> Filter:
         return PlayOperator(self.half_width).filter(sampling)

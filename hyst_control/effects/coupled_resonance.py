@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from hyst_control.chain.linear import LinearSystem, stacked
-from hyst_control.chain.stage import Modifier, Stage, register, require_finite, require_positive
+from hyst_control.chain.parameter import AllAxes, all_axes
+from hyst_control.chain.stage import Modifier, Stage, register
 from hyst_control.effects.modifiers import Changed
 from hyst_control.effects.placement import with_mechanics
 from hyst_control.errors import InputError
@@ -25,23 +26,20 @@ class CoupledResonance(Modifier):
     """
 
     name: ClassVar[str] = "coupled_resonance"
-    frequency: Any
-    damping: Any
-    in_phase: Any
-    quadrature: Any
+    place: ClassVar[str] = "mechanics"
+    frequency: float = all_axes("Hz", "of the mode", 0, above=0.0)
+    damping: float = all_axes("", "of the mode", 0, above=0.0)
+    in_phase: AllAxes = all_axes("output unit / input unit", "P, [output][input]", 2)
+    quadrature: AllAxes = all_axes("output unit / input unit", "V, [output][input]", 2)
 
-    def check(self) -> None:
-        require_positive(self.frequency, "frequency", "Hz")
-        require_positive(self.damping, "damping", "")
-        for field in ("in_phase", "quadrature"):
-            require_finite(getattr(self, field), field)
+    @property
+    def mixes_axes(self) -> bool:
+        return True
 
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
         for field in ("in_phase", "quadrature"):
             if np.shape(getattr(self, field)) != (axes, axes):
-                raise InputError(
-                    f"{field}: shape {np.shape(getattr(self, field))} does not fit {axes} axes: [output][input] is due"
-                )
+                raise InputError(f"{field}: shape {np.shape(getattr(self, field))} does not fit {axes} axes, give [output][input]")
         before, index = with_mechanics(before)
         return (*before[:index], ChangedTogether(before[index], self._with_mode, self.name), *before[index + 1 :])
 
@@ -64,4 +62,6 @@ class CoupledResonance(Modifier):
 class ChangedTogether(Changed):
     """A linear stage whose axes drive each other once it is changed."""
 
-    coupled = True  # type: ignore[assignment]
+    @property
+    def mixes_axes(self) -> bool:
+        return True

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from hyst_control.chain.linear import LinearStage, LinearSystem
-from hyst_control.chain.stage import per_axis_scalar, register, require_finite
+from hyst_control.chain.parameter import ScalarPerAxis, scalar
+from hyst_control.chain.stage import per_axis_scalar, register
 from hyst_control.effects.effect import Effect, Parameter
 
 BEGIN = 0.1
@@ -26,10 +27,8 @@ class Creep(LinearStage):
     """
 
     name: ClassVar[str] = "creep"
-    gamma: Any
-
-    def check(self) -> None:
-        require_finite(self.gamma, "gamma")
+    place: ClassVar[str] = "piezo"
+    gamma: ScalarPerAxis = scalar("1/decade", "share of a step by which the output grows on")
 
     def systems(self, axes: int) -> list[LinearSystem]:
         count = DECADES * PER_DECADE

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 
-from hyst_control.chain.stage import Array, Filter, Sampling, Stage, frozen, per_axis_scalar, register, require_positive
+from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalar, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
-from hyst_control.errors import InputError
 
 
 @register
@@ -22,15 +22,13 @@ class DacHold(Stage):
     """
 
     name: ClassVar[str] = "dac_hold"
-    commutes_with_delay: ClassVar[bool] = False
-    samples: Any = 1
-    step: Any = 0.0
+    place: ClassVar[str] = "dac"
+    samples: ScalarPerAxis = scalar("", "for which a command is held", default=1, lower=1.0, whole=True)
+    step: ScalarPerAxis = scalar("V", "of the lattice; 0: none", default=0.0, lower=0.0)
 
-    def check(self) -> None:
-        require_positive(self.samples, "samples", "")
-        if np.any(np.mod(np.array(self.samples, dtype=float), 1.0)):
-            raise InputError(f"samples: {self.samples!r} is not a whole number of samples")
-        require_positive(self.step, "step", "V", zero_allowed=True)
+    @property
+    def commutes_with_delay(self) -> bool:
+        return False
 
     def filter(self, sampling: Sampling) -> Filter:
         axes = sampling.axes
@@ -78,7 +76,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     held = (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 16.0, 20.0)
     steps = (0.002 * reach, 0.01 * reach, 0.05 * reach)
     return (
-        Parameter("samples", "", 1.0, (*held, *(1.0 for _ in steps)), 1.0, 20.0, 3.0),
+        Parameter("samples", "", 1.0, (*held, *(1.0 for _ in steps)), 1.0, 20.0, 3.0, counted=True),
         Parameter("step", "V", 0.0, (*(0.0 for _ in held), *steps), 0.0, 0.2 * reach, 0.01 * reach),
     )
 

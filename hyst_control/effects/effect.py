@@ -46,7 +46,8 @@ class Parameter:
     unit: "" (a share), "s", "Hz", "V", "V/s", or "unit" for that of the measurement. absent: the value at which the effect is
     not there. starts: where fits begin. lower, upper: its bounds. scale: a usual deviation from `absent` (of its natural
     logarithm where `logarithmic`): the standard deviation of a broad prior. told: whether the gap report has it; otherwise it only
-    stands in the augmented model.
+    stands in the augmented model. counted: a number of things, whose starts are tried one by one instead of fitted, each with the
+    effect's other parameters absent.
     """
 
     name: str
@@ -58,6 +59,20 @@ class Parameter:
     scale: float
     logarithmic: bool = False
     told: bool = True
+    counted: bool = False
+
+
+@dataclass(frozen=True)
+class Line:
+    """An effect that is lines in the residual's spectrum, whose amplitudes and phases are fitted at frequencies seen there.
+
+    harmonics: those that are fitted, each with its own amplitude and phase. swells: Legendre polynomials over the record by which
+    they may change. skirt: share of the frequency on either side that is the effect's own.
+    """
+
+    harmonics: tuple[int, ...] = (1,)
+    swells: int = 1
+    skirt: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -70,7 +85,7 @@ class Effect:
     and repeated samples have none and are found by looking at the record. couples: whether it needs a second axis. shared: whether
     coupled axes have it in common, as they have their modes.
     coupled_parameters: on all axes of a plant that mixes them, where these are others; summary: what the gap report has of parameters
-    that are not told.
+    that are not told. line: of an effect that is one in the spectrum.
     """
 
     name: str
@@ -84,3 +99,4 @@ class Effect:
     shared: bool = False
     coupled_parameters: Callable[[Surroundings], tuple[Parameter, ...]] | None = None
     summary: Callable[[Values], dict[str, float]] = lambda _: {}
+    line: Line | None = None

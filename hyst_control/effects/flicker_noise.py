@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 
-from hyst_control.chain.stage import Array, Filter, Sampling, register
+from hyst_control.chain.parameter import Array
+from hyst_control.chain.stage import Filter, Sampling, register
 from hyst_control.effects.effect import Effect, Parameter
-from hyst_control.effects.random_stages import NoiseFilter, RandomStage, check_noise, noise_level
+from hyst_control.effects.random_stages import NoiseFilter, NoiseStage
 
 LOWEST = 0.03
 PER_DECADE = 3
@@ -18,21 +19,16 @@ PER_DECADE = 3
 
 @register
 @dataclass(frozen=True)
-class FlickerNoise(RandomStage):
+class FlickerNoise(NoiseStage):
     """Noise whose power density falls as 1/f from 0.03 Hz to half the sampling rate; `rms` (measurement unit) over all of it.
 
     A sum of low-passed white noises of equal power whose corners are a third of a decade apart, from a generator with `seed`.
     """
 
     name: ClassVar[str] = "flicker_noise"
-    rms: Any
-    seed: int = 0
-
-    def check(self) -> None:
-        check_noise(self)
 
     def filter(self, sampling: Sampling) -> Filter:
-        return FlickerFilter(noise_level(self, sampling), self.seed, sampling)
+        return FlickerFilter(self.level(sampling.axes), self.seed, sampling)
 
 
 class FlickerFilter(NoiseFilter):

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from hyst_control.chain.stage import Array, Filter, Sampling, per_axis_scalar, register, require_positive
+from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.stage import Filter, Sampling, per_axis_scalar, register
 from hyst_control.effects.effect import Effect, Parameter
-from hyst_control.effects.random_stages import RandomStage, check_seed
-from hyst_control.errors import InputError
+from hyst_control.effects.random_stages import RandomStage, seed
 
 
 @register
@@ -19,14 +19,9 @@ class HeldSamples(RandomStage):
     """Repeats the value before in a `fraction` of the samples, at random on every axis, from a generator with `seed`."""
 
     name: ClassVar[str] = "held_samples"
-    fraction: Any
-    seed: int = 0
-
-    def check(self) -> None:
-        require_positive(self.fraction, "fraction", "", zero_allowed=True)
-        if np.any(np.array(self.fraction) > 1.0):
-            raise InputError(f"fraction: {self.fraction}: a share, 1 at most, is due")
-        check_seed(self.seed)
+    place: ClassVar[str] = "transport"
+    fraction: ScalarPerAxis = scalar("", "of the samples", lower=0.0, upper=1.0)
+    seed: int = seed()
 
     def filter(self, sampling: Sampling) -> Filter:
         return HeldFilter(per_axis_scalar(self.fraction, sampling.axes, "fraction"), self.seed, sampling.hold)

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from hyst_control.chain.linear import RateCorrection
-from hyst_control.chain.madelung import Madelung
-from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
-from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
-from hyst_control.chain.stage import Array, Modifier, Stage, frozen, per_axis, per_axis_scalar, register, require_positive
+from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.stage import Modifier, Stage, frozen, per_axis_scalar, register, replaced
 from hyst_control.effects.effect import Effect, Parameter
-from hyst_control.effects.modifiers import beside, numbers, replaced, scaled
+from hyst_control.effects.modifiers import beside
 from hyst_control.errors import InputError
-
-RATE_PARTS = {ModifiedPrandtlIshlinskii: ("m1", "m2"), RateDependentPrandtlIshlinskii: ("beta",), RateCorrection: ("k1",)}
-"""Parameters that make a model rate-dependent."""
 
 ADDED_SHARE = 0.1
 ADDED_TIME = 1e-3
@@ -34,36 +29,22 @@ class HysteresisRate(Modifier):
     """
 
     name: ClassVar[str] = "hysteresis_rate"
-    factor: Any
-
-    def check(self) -> None:
-        require_positive(self.factor, "factor", "", zero_allowed=True)
+    place: ClassVar[str] = "hysteresis"
+    factor: ScalarPerAxis = scalar("", "of the rate part", lower=0.0)
 
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
         factor = per_axis_scalar(self.factor, axes, "factor")
-        changed = replaced(before, lambda stage: _scaled(stage, factor)) or replaced(before, lambda stage: _added(stage, factor))
+        changed = replaced(before, lambda stage: stage.with_rate_part(factor)) or replaced(
+            before, lambda stage: _added(stage, factor)
+        )
         if changed is None:
             raise InputError("hysteresis_rate: no hysteresis before it whose rate part could change: put it behind one")
         return changed if np.any(factor != 1.0) else before
 
 
-def _scaled(stage: Stage, factor: Array) -> Stage | None:
-    names = RATE_PARTS.get(type(stage), ())
-    if not any(np.any(values) for values in numbers(stage, len(factor), *names)):
-        return None
-    return replace(stage, **{name: scaled(getattr(stage, name), factor, 0, name) for name in names})
-
-
 def _added(stage: Stage, factor: Array) -> Stage | None:
-    axes = len(factor)
-    if isinstance(stage, PlayOperator):
-        slope = np.ones(axes)
-    elif isinstance(stage, (PrandtlIshlinskii, ModifiedPrandtlIshlinskii, RateDependentPrandtlIshlinskii)):
-        slope = np.array([weights.sum() for weights in per_axis(stage.weights, axes, 1, "weights")]) + numbers(stage, axes, "w0")[0]
-    elif isinstance(stage, Madelung) and not stage.inverse:
-        span, scale = numbers(stage, axes, "input_scale", "output_scale")
-        slope = np.array([float(up(np.ones(1))[0]) for up, _ in stage.curves(axes)]) * scale / span
-    else:
+    slope = stage.mean_slope(len(factor))
+    if slope is None:
         return None
     return beside(stage, RateCorrection(frozen(-(factor - 1.0) * ADDED_SHARE * slope * ADDED_TIME), ADDED_TIME))
 

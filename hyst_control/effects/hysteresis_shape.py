@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from hyst_control.chain.stage import Array, Modifier, Stage, per_axis_scalar, register, require_finite
+from hyst_control.chain.memoryless import Memoryless
+from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.stage import Modifier, Stage, per_axis_scalar, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter
-from hyst_control.effects.modifiers import Memoryless, beside, settled
+from hyst_control.effects.modifiers import beside, settled
 from hyst_control.effects.placement import hysteresis_index
 from hyst_control.errors import InputError
 
@@ -23,16 +25,13 @@ class HysteresisShape(Modifier):
     """
 
     name: ClassVar[str] = "hysteresis_shape"
-    amount: Any
-    lower: Any
-    upper: Any
-    stroke: Any = None
+    place: ClassVar[str] = "hysteresis"
+    amount: ScalarPerAxis = scalar("", "of the stroke, midway")
+    lower: ScalarPerAxis = scalar("V", "where the bend begins")
+    upper: ScalarPerAxis = scalar("V", "where the bend ends")
+    stroke: ScalarPerAxis | None = scalar("output unit", "default that of the hysteresis", default=None)
 
     def check(self) -> None:
-        for field in ("amount", "lower", "upper"):
-            require_finite(getattr(self, field), field)
-        if self.stroke is not None:
-            require_finite(self.stroke, "stroke")
         if np.any(np.array(self.lower) >= np.array(self.upper)):
             raise InputError(f"lower: {self.lower} is not below upper {self.upper}")
 
@@ -40,7 +39,7 @@ class HysteresisShape(Modifier):
         index = hysteresis_index(before)
         if index is None:
             raise InputError("hysteresis_shape: no hysteresis before it that it could bend: put it behind one")
-        amount, lower, upper = (per_axis_scalar(getattr(self, name), axes, name) for name in ("amount", "lower", "upper"))
+        amount, lower, upper = per_axis_scalars(self, axes, "amount", "lower", "upper")
         if not np.any(amount):
             return before
         if self.stroke is None:

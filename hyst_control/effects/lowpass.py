@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from hyst_control.chain.linear import LinearStage, LinearSystem, linear_filter
-from hyst_control.chain.stage import Array, Filter, Sampling, Stage, per_axis_scalar, require_positive
+from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar
 from hyst_control.effects.effect import Parameter, Surroundings
-from hyst_control.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -18,14 +18,8 @@ class Lowpass(LinearStage):
     """1 / (1 + s / (2π cutoff))^order; cutoff Hz, infinite: none on that axis. Exact: it merges with its linear neighbours."""
 
     unit_gain: ClassVar[bool] = True
-    cutoff: Any
-    order: Any = 1
-
-    def check(self) -> None:
-        require_positive(self.cutoff, "cutoff", "Hz", infinite_allowed=True)
-        require_positive(self.order, "order", "")
-        if np.any(np.mod(np.array(self.order, dtype=float), 1.0)):
-            raise InputError(f"order: {self.order!r} is not a whole number of first-order low-passes")
+    cutoff: ScalarPerAxis = scalar("Hz", "of every low-pass", above=0.0, infinite=True)
+    order: ScalarPerAxis = scalar("", "number of low-passes", default=1, lower=1.0, whole=True)
 
     def systems(self, axes: int) -> list[LinearSystem]:
         return [
@@ -40,7 +34,7 @@ class Lowpass(LinearStage):
 class AtSamples(Stage):
     """The values of a linear stage's output at the ends of the intervals, handed on as if held; part of a started chain only."""
 
-    base: Any
+    base: LinearStage
 
     def filter(self, sampling: Sampling) -> Filter:
         running = linear_filter([self.base], sampling)
@@ -55,7 +49,7 @@ class Rebuilt(Stage):
     z_k = (u_k - e u_{k-1}) / (1 - e) with e = exp(-2π cutoff · sample time), per axis.
     """
 
-    cutoff: Any
+    cutoff: ScalarPerAxis
 
     def filter(self, sampling: Sampling) -> Filter:
         cutoff = per_axis_scalar(self.cutoff, sampling.axes, "cutoff")

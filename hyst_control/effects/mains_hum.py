@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from hyst_control.chain.stage import Array, per_axis_scalar, register, require_finite, require_positive
-from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
+from hyst_control.chain.stage import per_axis_scalars, register
+from hyst_control.effects.effect import Effect, Line, Parameter
 from hyst_control.effects.time_dependent import TimedStage
 
 
@@ -22,17 +23,12 @@ class MainsHum(TimedStage):
     """
 
     name: ClassVar[str] = "mains_hum"
-    amplitude: Any
-    frequency: Any = 50.0
-    phase: Any = 0.0
-
-    def check(self) -> None:
-        require_finite(self.amplitude, "amplitude")
-        require_positive(self.frequency, "frequency", "Hz")
-        require_finite(self.phase, "phase")
+    amplitude: ScalarPerAxis = scalar("measurement unit", "of the fundamental")
+    frequency: ScalarPerAxis = scalar("Hz", "of the mains", default=50.0, above=0.0)
+    phase: ScalarPerAxis = scalar("rad", "at the start of the record", default=0.0, scatter=Scattering.ABSOLUTE)
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
-        amplitude, frequency, phase = (per_axis_scalar(getattr(self, f), axes, f) for f in ("amplitude", "frequency", "phase"))
+        amplitude, frequency, phase = per_axis_scalars(self, axes, "amplitude", "frequency", "phase")
 
         def hum(u: Array, t: Array) -> Array:
             angle = 2 * np.pi * frequency * t + phase
@@ -53,4 +49,5 @@ EFFECT = Effect(
     ),
     lambda values, around: MainsHum(values["amplitude"], values["frequency"], values.get("phase", 0.0)),
     exercised=lambda around: 0.5 / around.sample_time > 65.0,
+    line=Line(harmonics=(1, 3, 5)),
 )

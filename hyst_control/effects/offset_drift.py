@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from hyst_control.chain.stage import Array, per_axis_scalar, register, require_finite, require_positive
+from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
+from hyst_control.chain.stage import per_axis_scalar, register
 from hyst_control.effects.effect import Effect, Parameter
 from hyst_control.effects.gain_drift import tau_parameter
 from hyst_control.effects.time_dependent import TimedStage
@@ -20,12 +21,8 @@ class OffsetDrift(TimedStage):
     """y = u + change (1 - exp(-t / tau)), t from the start of the record; change in the measurement unit, tau s."""
 
     name: ClassVar[str] = "offset_drift"
-    change: Any
-    tau: Any
-
-    def check(self) -> None:
-        require_finite(self.change, "change")
-        require_positive(self.tau, "tau", "s")
+    change: ScalarPerAxis = scalar("measurement unit", "of the zero in the end", scatter=Scattering.ABSOLUTE)
+    tau: ScalarPerAxis = scalar("s", "time constant", above=0.0)
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
         change, tau = per_axis_scalar(self.change, axes, "change"), per_axis_scalar(self.tau, axes, "tau")

@@ -3,25 +3,39 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from hyst_control.chain.stage import Array, Filter, Sampling, Stage, per_axis_scalar, require_positive
-from hyst_control.errors import InputError
+from hyst_control.chain.parameter import Array, ScalarPerAxis, count, scalar
+from hyst_control.chain.stage import Filter, Stage, per_axis_scalar
 
 
 @dataclass(frozen=True)
 class RandomStage(Stage):
-    """A stage that draws from a generator of its own, which starts at `seed` whenever the stage is settled."""
+    """A stage that draws from a generator of its own, which starts at a seed whenever the stage is settled."""
 
-    commutes_with_delay: ClassVar[bool] = False
+    @property
+    def commutes_with_delay(self) -> bool:
+        return False
 
 
-def check_seed(seed: object) -> None:
-    """Raise `InputError` unless the seed is a whole number, not negative."""
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise InputError(f"seed: {seed!r} is not a whole number, zero or more")
+def seed() -> Any:
+    """Declare the field of a generator's seed."""
+    return count("of the generator", default=0)
+
+
+@dataclass(frozen=True)
+class NoiseStage(RandomStage):
+    """Additive noise of a level."""
+
+    place: ClassVar[str] = "adc"
+    rms: ScalarPerAxis = scalar("measurement unit", "level of the noise", lower=0.0)
+    seed: int = seed()
+
+    def level(self, axes: int) -> Array:
+        """Level (A,) of the noise."""
+        return per_axis_scalar(self.rms, axes, "rms")
 
 
 class NoiseFilter(Filter):
@@ -45,14 +59,3 @@ class NoiseFilter(Filter):
 
     def process(self, block: Array) -> Array:
         return block + self.rms * self.draw(len(block))
-
-
-def noise_level(stage: Stage, sampling: Sampling) -> Array:
-    """rms (A,) of a noise stage."""
-    return per_axis_scalar(stage.rms, sampling.axes, "rms")
-
-
-def check_noise(stage: Stage) -> None:
-    """Raise `InputError` unless rms and seed make sense."""
-    require_positive(stage.rms, "rms", "(measurement unit)", zero_allowed=True)
-    check_seed(stage.seed)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from hyst_control.chain.linear import LinearSystem
-from hyst_control.chain.stage import Modifier, Stage, per_axis_scalar, register, require_finite, require_positive
+from hyst_control.chain.parameter import ScalarPerAxis, scalar
+from hyst_control.chain.stage import Modifier, Stage, per_axis_scalars, register
 from hyst_control.effects.coupled_resonance import CoupledResonance
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.modifiers import Changed
@@ -25,21 +26,17 @@ class Resonance(Modifier):
     """
 
     name: ClassVar[str] = "resonance"
-    frequency: Any
-    damping: Any
-    gain: Any
-
-    def check(self) -> None:
-        require_positive(self.frequency, "frequency", "Hz")
-        require_positive(self.damping, "damping", "")
-        require_finite(self.gain, "gain")
+    place: ClassVar[str] = "mechanics"
+    frequency: ScalarPerAxis = scalar("Hz", "of the mode", above=0.0)
+    damping: ScalarPerAxis = scalar("", "of the mode", above=0.0)
+    gain: ScalarPerAxis = scalar("", "of the mode, in the static gain of the mechanics")
 
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
         before, index = with_mechanics(before)
         return (*before[:index], Changed(before[index], self._with_mode, self.name), *before[index + 1 :])
 
     def _with_mode(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
-        frequency, damping, gain = (per_axis_scalar(getattr(self, name), axes, name) for name in ("frequency", "damping", "gain"))
+        frequency, damping, gain = per_axis_scalars(self, axes, "frequency", "damping", "gain")
         changed = []
         first = 0
         for system in systems:

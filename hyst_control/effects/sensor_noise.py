@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from hyst_control.chain.stage import Array, Filter, Sampling, register
+from hyst_control.chain.parameter import Array
+from hyst_control.chain.stage import Filter, Sampling, register
 from hyst_control.effects.effect import Effect, Parameter
-from hyst_control.effects.random_stages import NoiseFilter, RandomStage, check_noise, noise_level
+from hyst_control.effects.random_stages import NoiseFilter, NoiseStage
 
 
 @register
 @dataclass(frozen=True)
-class SensorNoise(RandomStage):
+class SensorNoise(NoiseStage):
     """White Gaussian noise of `rms` (measurement unit) on every sample and axis, from a generator with `seed`."""
 
     name: ClassVar[str] = "sensor_noise"
-    rms: Any
-    seed: int = 0
-
-    def check(self) -> None:
-        check_noise(self)
 
     def filter(self, sampling: Sampling) -> Filter:
-        return WhiteFilter(noise_level(self, sampling), self.seed, sampling.hold)
+        return WhiteFilter(self.level(sampling.axes), self.seed, sampling.hold)
 
 
 class WhiteFilter(NoiseFilter):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from hyst_control.chain.memoryless import StaticFilter
-from hyst_control.chain.stage import Array, Filter, Sampling, Stage, per_axis_scalar, register, require_finite
+from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
+from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.errors import InputError
 
@@ -19,22 +20,18 @@ class SensorNonlinearity(Stage):
     """y = u + second P2(x) + third P3(x) + zero, Legendre polynomials of x = 2 (u - lower) / (upper - lower) - 1; measurement unit."""
 
     name: ClassVar[str] = "sensor_nonlinearity"
-    second: Any
-    third: Any
-    lower: Any
-    upper: Any
-    zero: Any = 0.0
+    second: ScalarPerAxis = scalar("measurement unit", "factor of P2")
+    third: ScalarPerAxis = scalar("measurement unit", "factor of P3")
+    lower: ScalarPerAxis = scalar("measurement unit", "where x is -1")
+    upper: ScalarPerAxis = scalar("measurement unit", "where x is 1")
+    zero: ScalarPerAxis = scalar("measurement unit", "constant", default=0.0, scatter=Scattering.ABSOLUTE)
 
     def check(self) -> None:
-        for field in ("second", "third", "lower", "upper", "zero"):
-            require_finite(getattr(self, field), field)
         if np.any(np.array(self.lower) >= np.array(self.upper)):
             raise InputError(f"lower: {self.lower} is not below upper {self.upper}")
 
     def filter(self, sampling: Sampling) -> Filter:
-        second, third, lower, upper, zero = (
-            per_axis_scalar(getattr(self, field), sampling.axes, field) for field in ("second", "third", "lower", "upper", "zero")
-        )
+        second, third, lower, upper, zero = per_axis_scalars(self, sampling.axes, "second", "third", "lower", "upper", "zero")
 
         def bent(u: Array) -> Array:
             x = 2.0 * (u - lower) / (upper - lower) - 1.0

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 
-from hyst_control.chain.stage import Array, Filter, Sampling, Stage, per_axis_scalar, register, require_positive
+from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings
 
 
@@ -22,10 +23,8 @@ class SlewLimit(Stage):
     """
 
     name: ClassVar[str] = "slew_limit"
-    rate: Any
-
-    def check(self) -> None:
-        require_positive(self.rate, "rate", "V/s", infinite_allowed=True)
+    place: ClassVar[str] = "drive"
+    rate: ScalarPerAxis = scalar("V/s", "greatest slope of the output", above=0.0, infinite=True)
 
     def filter(self, sampling: Sampling) -> Filter:
         return SlewFilter(per_axis_scalar(self.rate, sampling.axes, "rate") * sampling.sample_time, sampling.hold)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
@@ -11,17 +11,8 @@ from scipy.linalg import block_diag
 
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear import LinearStage, LinearSystem, stacked
-from hyst_control.chain.stage import (
-    Array,
-    Filter,
-    Modifier,
-    Sampling,
-    Stage,
-    per_axis_scalar,
-    register,
-    require_finite,
-    require_positive,
-)
+from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter
 from hyst_control.effects.placement import mechanics_index
 from hyst_control.errors import InputError
@@ -46,14 +37,10 @@ class SofteningModes(Modifier):
     """
 
     name: ClassVar[str] = "softening_modes"
-    softening: Any
-    damping: Any
-    amplitude: Any
-
-    def check(self) -> None:
-        for field in ("softening", "damping"):
-            require_finite(getattr(self, field), field)
-        require_positive(self.amplitude, "amplitude", "(measurement unit)")
+    place: ClassVar[str] = "motion"
+    softening: ScalarPerAxis = scalar("", "share of the frequencies that is lost at the amplitude")
+    damping: ScalarPerAxis = scalar("", "share by which the damping grows at the amplitude")
+    amplitude: ScalarPerAxis = scalar("measurement unit", "of the motion", above=0.0)
 
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
         index = mechanics_index(before)
@@ -61,7 +48,7 @@ class SofteningModes(Modifier):
             raise InputError(
                 f"{self.name}: no mechanics before it (transfer function or continuous state space): put it behind them"
             )
-        softening, damping, amplitude = (per_axis_scalar(getattr(self, field.name), axes, field.name) for field in fields(self))
+        softening, damping, amplitude = per_axis_scalars(self, axes, "softening", "damping", "amplitude")
         if not softening.any() and not damping.any():
             return before
         moved = ModesMoved(before[index], tuple(softening), tuple(damping), tuple(amplitude))
@@ -73,14 +60,13 @@ class SofteningModes(Modifier):
 class ModesMoved(Stage):
     """What moving modes add to the response of a linear stage; values per axis. Part of a started chain only."""
 
-    base: Any
+    base: LinearStage
     softening: tuple[float, ...]
     damping: tuple[float, ...]
     amplitude: tuple[float, ...]
 
     def filter(self, sampling: Sampling) -> Filter:
-        stage: LinearStage = self.base
-        systems = stage.systems(sampling.axes)
+        systems = self.base.systems(sampling.axes)
         if len(systems) == 1 and sampling.axes > 1 and len(set(zip(self.softening, self.damping, self.amplitude))) > 1:
             raise InputError("softening_modes: a list with one value per axis, but coupled axes share their modes: give one number")
         return ModesMovedFilter(systems, self, sampling)

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from hyst_control.chain.stage import Array, Filter, Sampling, Stage
+from hyst_control.chain.parameter import Array
+from hyst_control.chain.stage import Filter, Sampling, Stage
 
 
 @dataclass(frozen=True)
 class TimedStage(Stage):
     """A function of the signal and of the time t (s); settling is t = 0. `function` gives it for a number of axes."""
 
-    commutes_with_delay: ClassVar[bool] = False
+    @property
+    def commutes_with_delay(self) -> bool:
+        return False
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
         """f(values (N, A), times (N, 1)) -> (N, A)."""

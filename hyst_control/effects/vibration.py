@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from hyst_control.chain.stage import Array, per_axis_scalar, register, require_finite, require_positive
-from hyst_control.effects.effect import Effect, Parameter, Surroundings
+from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
+from hyst_control.chain.stage import per_axis_scalars, register
+from hyst_control.effects.effect import Effect, Line, Parameter, Surroundings
 from hyst_control.effects.time_dependent import TimedStage
 
 
@@ -22,17 +23,13 @@ class Vibration(TimedStage):
     """
 
     name: ClassVar[str] = "vibration"
-    amplitude: Any
-    frequency: Any
-    phase: Any = 0.0
-
-    def check(self) -> None:
-        require_finite(self.amplitude, "amplitude")
-        require_positive(self.frequency, "frequency", "Hz")
-        require_finite(self.phase, "phase")
+    place: ClassVar[str] = "motion"
+    amplitude: ScalarPerAxis = scalar("measurement unit", "of the fundamental")
+    frequency: ScalarPerAxis = scalar("Hz", "of the disturbance", above=0.0)
+    phase: ScalarPerAxis = scalar("rad", "at the start of the record", default=0.0, scatter=Scattering.ABSOLUTE)
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
-        amplitude, frequency, phase = (per_axis_scalar(getattr(self, f), axes, f) for f in ("amplitude", "frequency", "phase"))
+        amplitude, frequency, phase = per_axis_scalars(self, axes, "amplitude", "frequency", "phase")
         return lambda u, t: u + amplitude * np.sin(2 * np.pi * frequency * t + phase)
 
 
@@ -53,4 +50,5 @@ EFFECT = Effect(
     "A disturbance of one frequency moves the mechanics or the sensor's head.",
     parameters,
     lambda values, around: Vibration(values["amplitude"], values["frequency"], values.get("phase", 0.0)),
+    line=Line(swells=24, skirt=0.05),
 )
