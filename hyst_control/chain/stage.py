@@ -20,7 +20,8 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from hyst_control.chain.parameter import Array, Parameter, ScalarPerAxis, VectorPerAxis, declared, undeclared
+from hyst_control.chain.parameter import Array as Array
+from hyst_control.chain.parameter import Parameter, ScalarPerAxis, VectorPerAxis, declared, undeclared
 from hyst_control.errors import InputError
 
 HOLDS = ("zoh", "foh")

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
-from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalar, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 
@@ -23,7 +23,7 @@ class DacHold(Stage):
 
     name: ClassVar[str] = "dac_hold"
     place: ClassVar[str] = "dac"
-    samples: ScalarPerAxis = scalar("", "for which a command is held", default=1, lower=1.0, whole=True)
+    samples: ScalarPerAxis = scalar("", "for which a command is held", default=1, lower=1.0, whole=True, scatter=Scattering.NONE)
     step: ScalarPerAxis = scalar("V", "of the lattice; 0: none", default=0.0, lower=0.0)
 
     @property

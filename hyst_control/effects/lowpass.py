@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from hyst_control.chain.linear import LinearStage, LinearSystem, linear_filter
-from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar
 from hyst_control.effects.effect import Parameter, Surroundings
 
@@ -19,7 +19,7 @@ class Lowpass(LinearStage):
 
     unit_gain: ClassVar[bool] = True
     cutoff: ScalarPerAxis = scalar("Hz", "of every low-pass", above=0.0, infinite=True)
-    order: ScalarPerAxis = scalar("", "number of low-passes", default=1, lower=1.0, whole=True)
+    order: ScalarPerAxis = scalar("", "number of low-passes", default=1, lower=1.0, whole=True, scatter=Scattering.NONE)
 
     def systems(self, axes: int) -> list[LinearSystem]:
         return [

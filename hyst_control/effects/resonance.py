@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from hyst_control.chain.linear import LinearSystem
-from hyst_control.chain.parameter import ScalarPerAxis, scalar
+from hyst_control.chain.parameter import ScalarPerAxis, declared, scalar
 from hyst_control.chain.stage import Modifier, Stage, per_axis_scalars, register
 from hyst_control.effects.coupled_resonance import CoupledResonance
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
@@ -94,7 +94,8 @@ def coupled_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     )
 
 
-PARTS = ("in_phase", "quadrature")
+PARTS = tuple(name for name, parameter in declared(CoupledResonance).items() if parameter.dimensions == (2,))
+"""Matrices of a mode of all axes: in phase with its position, and in quadrature."""
 
 
 def names(part: str, axes: int) -> list[list[str]]:
@@ -104,7 +105,7 @@ def names(part: str, axes: int) -> list[list[str]]:
 
 def stage(values: Values, around: Surroundings) -> Stage:
     """The mode of an axis, or of all together."""
-    if "in_phase_0_0" not in values:
+    if f"{PARTS[0]}_0_0" not in values:
         return Resonance(values["frequency"], values["damping"], values["gain"])
     size = around.stroke / max(around.command[1] - around.command[0], 1e-300)
     matrices = [[[size * values[name] for name in row] for row in names(part, around.axes)] for part in PARTS]

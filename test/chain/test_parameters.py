@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -12,6 +13,7 @@ from hyst_control.chain import STAGES, Chain, Sampling
 from hyst_control.chain.linear import TransferFunction
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.parameter import Kind, Parameter, Scattering, declared, flag, scalar, vector
+from hyst_control.chain.reference import stages_reference
 from hyst_control.chain.stage import Stage, register
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import PLACES
@@ -148,3 +150,9 @@ def test_a_bound_is_open_or_closed_as_declared():
 
 def test_the_catalogue_names_places_that_there_are():
     assert {effect.place for effect in EFFECTS.values()} <= set(PLACES)
+
+
+def test_the_page_of_all_stages_is_what_the_stages_declare():
+    page = Path(__file__).resolve().parents[2] / "docs" / "stages.md"
+    documented = {name for name, stage in STAGES.items() if stage.__module__.startswith("hyst_control.")}
+    assert documented == set(STAGES) and page.read_text(encoding="utf-8") == stages_reference(), "run: python docs/make_stages.py"
