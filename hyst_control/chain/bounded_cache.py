@@ -43,4 +43,5 @@ def _key(value: Any) -> Hashable:
     parts = getattr(value, "__dict__", None)
     if parts is not None and any(isinstance(part, np.ndarray) for part in parts.values()):
         return type(value), *(_key(part) for part in parts.values())
-    return value
+    key: Hashable = value
+    return key

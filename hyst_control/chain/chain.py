@@ -87,7 +87,7 @@ class ParallelFilter(Filter):
         self.hold = "zoh" if all(running.hold == "zoh" for running in filters) else "foh"
 
     def settle(self, value: Array) -> Array:
-        return np.sum([running.settle(value) for running in self.filters], axis=0)
+        return cast(Array, np.sum([running.settle(value) for running in self.filters], axis=0))
 
     def process(self, block: Array) -> Array:
         total = self.filters[0].process(block)
@@ -265,7 +265,7 @@ def _commutes(stage: Stage, delays: Sequence[Stage]) -> bool:
 
 
 def _even(delays: Sequence[Stage]) -> bool:
-    return all(not isinstance(delay, Delay) or np.ndim(delay.tau) == 0 or len(set(delay.tau)) == 1 for delay in delays)
+    return all(not isinstance(delay, Delay) or len(np.unique(delay.tau)) == 1 for delay in delays)
 
 
 def _cut_before_uneven_delays(run: Sequence[Stage]) -> list[list[Stage]]:

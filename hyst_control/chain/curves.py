@@ -7,6 +7,7 @@ distance from the piece's left break.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -25,9 +26,8 @@ class Curve:
     coefficients: Array
 
     def __call__(self, x: Array) -> Array:
-        return evaluate_curve_array(np.ascontiguousarray(x, dtype=float).ravel(), self.breaks, self.coefficients).reshape(
-            np.shape(x)
-        )
+        flat: Array = evaluate_curve_array(np.ascontiguousarray(x, dtype=float).ravel(), self.breaks, self.coefficients)
+        return flat.reshape(np.shape(x))
 
 
 @remembered
@@ -71,15 +71,15 @@ def knot_curve(knots: Array, values: Array, field: str) -> Curve:
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def evaluate_curve(x, breaks, coefficients):
-    """Value of a piecewise polynomial at x; the end pieces continue beyond the ends."""
+def evaluate_curve(x: float, breaks: Array, coefficients: Array) -> Any:
+    """Value (a float) of a piecewise polynomial at x; the end pieces continue beyond the ends."""
     degree = coefficients.shape[1]
     if breaks.size == 2:
         value = coefficients[0, 0]
         for i in range(1, degree):
             value = value * x + coefficients[0, i]
         return value
-    piece = min(max(np.searchsorted(breaks, x, side="right") - 1, 0), breaks.size - 2)
+    piece = min(max(int(np.searchsorted(breaks, x, side="right")) - 1, 0), breaks.size - 2)
     d = x - breaks[piece]
     value = coefficients[piece, 0]
     for i in range(1, degree):
@@ -88,7 +88,7 @@ def evaluate_curve(x, breaks, coefficients):
 
 
 @njit(cache=True, error_model="numpy")
-def evaluate_curve_array(x, breaks, coefficients):
+def evaluate_curve_array(x: Array, breaks: Array, coefficients: Array) -> Array:
     """`evaluate_curve` for an array (N,)."""
     output = np.empty_like(x)
     for k in range(x.size):
@@ -97,7 +97,7 @@ def evaluate_curve_array(x, breaks, coefficients):
 
 
 @njit(cache=True, error_model="numpy")
-def solve_curve(y, breaks, coefficients):
+def solve_curve(y: float, breaks: Array, coefficients: Array) -> float:
     """The x in [0, 1] at which a rising curve reaches y, by bisection safeguarded Newton to the last digits."""
     low, high = 0.0, 1.0
     if y <= evaluate_curve(low, breaks, coefficients):
@@ -108,7 +108,7 @@ def solve_curve(y, breaks, coefficients):
     for _ in range(100):
         piece = 0
         if breaks.size > 2:
-            piece = min(max(np.searchsorted(breaks, x, side="right") - 1, 0), breaks.size - 2)
+            piece = min(max(int(np.searchsorted(breaks, x, side="right")) - 1, 0), breaks.size - 2)
         d = x - breaks[piece]
         value, slope = coefficients[piece, 0], 0.0
         for i in range(1, coefficients.shape[1]):

@@ -31,7 +31,9 @@ from hyst_control.errors import InputError
 
 
 @njit(cache=True)
-def trial(u, thresholds, release, weights, w0, rotation, k, b, state):
+def trial(
+    u: float, thresholds: Array, release: Array, weights: Array, w0: float, rotation: float, k: float, b: float, state: Array
+) -> tuple[float, float]:
     """Output and slope of the model at u without touching its memory; thresholds, release, weights, state (n,)."""
     total, weighted, active, active_weight = 0.0, 0.0, 0, 0.0
     for i in range(thresholds.size):
@@ -51,7 +53,21 @@ def trial(u, thresholds, release, weights, w0, rotation, k, b, state):
 
 
 @njit(cache=True)
-def solve_command(v, start, lower, upper, resolution, thresholds, release, weights, w0, rotation, k, b, state):
+def solve_command(
+    v: float,
+    start: float,
+    lower: float,
+    upper: float,
+    resolution: float,
+    thresholds: Array,
+    release: Array,
+    weights: Array,
+    w0: float,
+    rotation: float,
+    k: float,
+    b: float,
+    state: Array,
+) -> float:
     """The u in [lower, upper] nearest to `start`, in the direction of the difference, at which the output is v."""
     u = min(max(start, lower), upper)
     y, _ = trial(u, thresholds, release, weights, w0, rotation, k, b, state)
@@ -91,26 +107,26 @@ def solve_command(v, start, lower, upper, resolution, thresholds, release, weigh
 
 @njit(cache=True)
 def inverse_multiplicative(
-    demand,
-    previous,
-    rate_factor,
-    most,
-    thresholds,
-    release,
-    weights,
-    w0,
-    m1,
-    m2,
-    k,
-    b,
-    lower,
-    upper,
-    gain,
-    iterations,
-    state,
-    command,
-    output,
-):
+    demand: Array,
+    previous: Array,
+    rate_factor: Array,
+    most: Array,
+    thresholds: Array,
+    release: Array,
+    weights: Array,
+    w0: Array,
+    m1: Array,
+    m2: Array,
+    k: Array,
+    b: Array,
+    lower: Array,
+    upper: Array,
+    gain: Array,
+    iterations: int,
+    state: Array,
+    command: Array,
+    output: Array,
+) -> None:
     """Commands (N, A) for demands (N, A); `previous` (A,) demand, `command` (A,) and `state` (A, n) are updated.
 
     rate_factor (A,) turns the difference of two demands into the command's rate in V/s; most (A,) bounds |w_r|; gain (A,) V per
@@ -150,12 +166,9 @@ class InverseMultiplicativeFilter(Filter):
         self.lower, self.upper = per_axis_scalars(stage, axes, "lower", "upper")
         slope = np.empty((3, axes))
         for axis in range(axes):
-            slope[:, axis] = slope_range(
-                *(field[axis] for field in (self.thresholds, self.release, self.weights)),
-                *(values[axis] for values in self.coefficients[0:1] + self.coefficients[3:]),
-                self.lower[axis],
-                self.upper[axis],
-            )[:3]
+            w0, k, b = (values[axis] for values in self.coefficients[0:1] + self.coefficients[3:])
+            operators = self.thresholds[axis], self.release[axis], self.weights[axis]
+            slope[:, axis] = slope_range(*operators, w0, k, b, self.lower[axis], self.upper[axis])[:3]
         if np.any(slope[0] <= 0.0):
             raise InputError(
                 "weights: the output does not rise with the command everywhere between "
@@ -178,7 +191,8 @@ class InverseMultiplicativeFilter(Filter):
         self.previous[:] = value
         self.command[:] = np.clip(0.0, self.lower, self.upper)
         block = np.array(value, dtype=float).reshape(1, -1)
-        return self._run(block, 0)[0]
+        first: Array = self._run(block, 0)[0]
+        return first
 
     def process(self, block: Array) -> Array:
         return self._run(block, self.iterations)

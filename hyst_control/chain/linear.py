@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm, matrix_balance
 
 from hyst_control.chain.bounded_cache import remembered
@@ -75,10 +76,8 @@ class LinearSystem:
 
 def stacked(systems: list[LinearSystem]) -> LinearSystem:
     """Systems side by side as one, each on its own inputs and outputs."""
-    return LinearSystem(
-        *(block_diag(*(getattr(system, part) for system in systems)) for part in "ABCD"),
-        bias=np.concatenate([system.bias for system in systems]),
-    )
+    a, b, c, d = (block_diag(*(getattr(system, part) for system in systems)) for part in "ABCD")
+    return LinearSystem(a, b, c, d, np.concatenate([system.bias for system in systems]))
 
 
 @remembered
@@ -181,22 +180,26 @@ class TransferFunction(LinearStage):
         return True
 
     def check(self) -> None:
-        axes = len(self.num) if depth(self.num) > 1 else (len(self.den) if depth(self.den) > 1 else 1)
+        axes = next((len(value) for value in self._polynomials if depth(value) > 1), 1)
         for system in self.systems(axes):
             system.static_gain()
+
+    @property
+    def _polynomials(self) -> tuple[Any, Any]:
+        """Numerator and denominator as nested tuples."""
+        return self.num, self.den
 
     def systems(self, axes: int) -> list[LinearSystem]:
         if not self.coupled:
             pairs = zip(per_axis(self.num, axes, 1, "num"), per_axis(self.den, axes, 1, "den"), strict=True)
             return [self._single(num, den) for num, den in pairs]
-        common = depth(self.den) == 1
-        if len(self.num) != axes or any(len(row) != axes for row in self.num):
-            raise InputError(f"num: {len(self.num)} outputs by {len(self.num[0])} inputs for {axes} axes")
+        num, den = self._polynomials
+        common = depth(den) == 1
+        if len(num) != axes or any(len(row) != axes for row in num):
+            raise InputError(f"num: {len(num)} outputs by {len(num[0])} inputs for {axes} axes")
         columns = []
         for j in range(axes):
-            entries = [
-                self._single(np.array(self.num[i][j]), np.array(self.den if common else self.den[i][j])) for i in range(axes)
-            ]
+            entries = [self._single(np.array(num[i][j]), np.array(den if common else den[i][j])) for i in range(axes)]
             columns.append(
                 LinearSystem(
                     block_diag(*(e.A for e in entries)),
@@ -269,7 +272,8 @@ class StateSpace(LinearStage):
         return d + c @ np.linalg.solve(np.eye(len(a)) - a, b), np.zeros(axes)
 
     def systems(self, axes: int) -> list[LinearSystem]:
-        system = LinearSystem(*(np.array(getattr(self, field), dtype=float) for field in "ABCD"), bias=np.zeros(len(self.C)))
+        a, b, c, d = (np.array(getattr(self, field), dtype=float) for field in "ABCD")
+        system = LinearSystem(a, b, c, d, np.zeros(len(c)))
         if system.D.shape != (axes, axes):
             raise InputError(f"D: {system.D.shape[0]} outputs by {system.D.shape[1]} inputs for {axes} axes")
         return [system]
@@ -435,7 +439,7 @@ class LinearFilter(Filter):
 
     hold = "foh"
 
-    def __init__(self, systems: list[Discretised], whole: Array) -> None:
+    def __init__(self, systems: list[Discretised], whole: NDArray[np.int64] | Array) -> None:
         n = max(len(system.A) for system in systems)
         m = systems[0].C.shape[0]
         count = len(systems)
@@ -473,15 +477,28 @@ class LinearFilter(Filter):
         self.history[:] = value
         self.position = 0
         self.state[:] = (self.rest @ u)[:, :, 0]
-        return (self.static_gain @ u).reshape(-1) + self.bias
+        settled: Array = (self.static_gain @ u).reshape(-1) + self.bias
+        return settled
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
-        system = (block, self.a, self.reach, self.b, self.late, self.c, self.d, self.bias, self.whole, self.state, self.scratch)
+        system: tuple[Any, ...] = (
+            block,
+            self.a,
+            self.reach,
+            self.b,
+            self.late,
+            self.c,
+            self.d,
+            self.bias,
+            self.whole,
+            self.state,
+            self.scratch,
+        )
         if self.c.shape[1] == 1:
-            self.position = advance_single(*system, self.history, self.position, output)
+            self.position = advance_single(*system, self.history, self.position, output)  # type: ignore[call-arg]
         else:
-            self.position = advance_linear(*system, self.taps, self.history, self.position, output)
+            self.position = advance_linear(*system, self.taps, self.history, self.position, output)  # type: ignore[call-arg]
         return output
 
 
@@ -513,7 +530,7 @@ def _prepared(run: tuple[Stage, ...], sampling: Sampling, averaged: bool) -> Lin
         if isinstance(stage, Delay):
             late += per_axis_scalar(stage.tau, axes, "tau")
             continue
-        following = stage.systems(axes)
+        following = cast(LinearStage, stage).systems(axes)
         if systems is None:
             systems = following
         elif len(systems) == len(following):

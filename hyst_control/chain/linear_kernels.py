@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+from hyst_control.chain.parameter import Array
 
 TINY = 1e-80
 """States below this are 0: a decaying state would else end in subnormal numbers, which processors handle a hundred times slower."""
@@ -11,7 +15,23 @@ CLOSE = 8
 
 
 @njit(cache=True, error_model="numpy")
-def advance_linear(block, a, reach, b, late, c, d, bias, whole, state, scratch, taps, history, position, output):
+def advance_linear(
+    block: Array,
+    a: Array,
+    reach: NDArray[np.int64],
+    b: Array,
+    late: NDArray[np.bool_],
+    c: Array,
+    d: Array,
+    bias: Array,
+    whole: NDArray[np.int64],
+    state: Array,
+    scratch: Array,
+    taps: Array,
+    history: Array,
+    position: int,
+    output: Array,
+) -> int:
     """Run S systems of m inputs each over a block (N, S m); see `Discretised`.
 
     a (S, n, n), reach (S, n, 2) first and past-the-last nonzero column of its rows, b (S, 3, n, m), late (S,) whether any but the
@@ -63,7 +83,22 @@ def advance_linear(block, a, reach, b, late, c, d, bias, whole, state, scratch, 
 
 
 @njit(cache=True, error_model="numpy")
-def advance_single(block, a, reach, b, late, c, d, bias, whole, state, scratch, history, position, output):
+def advance_single(
+    block: Array,
+    a: Array,
+    reach: NDArray[np.int64],
+    b: Array,
+    late: NDArray[np.bool_],
+    c: Array,
+    d: Array,
+    bias: Array,
+    whole: NDArray[np.int64],
+    state: Array,
+    scratch: Array,
+    history: Array,
+    position: int,
+    output: Array,
+) -> int:
     """As `advance_linear` for systems of one input each (m = 1), one after the other: with fewer indices it is faster."""
     length = history.shape[0]
     systems, n = state.shape

@@ -15,10 +15,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.chain import Parallel
@@ -41,8 +42,20 @@ from hyst_control.errors import InputError
 
 @njit(cache=True, error_model="numpy")
 def madelung_branches(
-    source, inverse, rising_breaks, rising, falling_breaks, falling, full, end_slope, stack, stack_depth, last, output, start
-):
+    source: Array,
+    inverse: bool,
+    rising_breaks: Array,
+    rising: Array,
+    falling_breaks: Array,
+    falling: Array,
+    full: float,
+    end_slope: Array,
+    stack: Array,
+    stack_depth: NDArray[np.int64],
+    last: Array,
+    output: Array,
+    start: int,
+) -> int:
     """Follow one axis from row `start`; returns the row reached, less than N only when the stack is full.
 
     source (N,), output (N,) normalised: input → output, or output → input with `inverse`. rising_breaks, rising and
@@ -137,7 +150,8 @@ class MadelungFilter(Filter):
             self.stack[axis][:2] = (1.0, full), (0.0, 0.0)
             self.stack_depth[axis][0] = 2
             self.last[axis][:] = 0.0, 0.0, 1.0
-        return self.process(np.array(value, dtype=float).reshape(1, -1))[0]
+        first: Array = self.process(np.array(value, dtype=float).reshape(1, -1))[0]
+        return first
 
     def process(self, block: Array) -> Array:
         inside = block * self.to_inside
@@ -238,7 +252,8 @@ class Madelung(Stage):
             if self.knots is None:
                 pair = polynomial_curve(up, "ascending"), polynomial_curve(down, "descending")
             else:
-                pair = knot_curve(self.knots, up, "ascending"), knot_curve(self.knots, down, "descending")
+                knots = np.array(self.knots, dtype=float)
+                pair = knot_curve(knots, up, "ascending"), knot_curve(knots, down, "descending")
             ends = [full_output(curve) for curve in pair]
             if abs(ends[0] - ends[1]) > 1e-6 * abs(ends[0]):
                 raise InputError(
@@ -247,7 +262,7 @@ class Madelung(Stage):
             pairs.append(pair)
         return pairs
 
-    def with_values(self, values: Mapping[str, Array]) -> Madelung:
+    def with_values(self, values: Mapping[str, Any]) -> Madelung:
         """The two major branches end at one point: each is scaled to the mean of their ends."""
         if self.knots is not None:
             return replace(self, **values)

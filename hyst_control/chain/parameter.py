@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields
 from enum import Enum
-from functools import cache
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -221,10 +220,14 @@ def _field(parameter: Parameter, default: Any) -> Any:
     return field(metadata=metadata) if default is MISSING else field(default=default, metadata=metadata)
 
 
-@cache
+_DECLARED: dict[type, Mapping[str, Parameter]] = {}
+
+
 def declared(owner: type) -> Mapping[str, Parameter]:
     """Declarations of a stage class by field name, in the order of its fields."""
-    return {found.name: found.metadata["parameter"] for found in fields(owner) if "parameter" in found.metadata}
+    if owner not in _DECLARED:
+        _DECLARED[owner] = {found.name: found.metadata["parameter"] for found in fields(owner) if "parameter" in found.metadata}
+    return _DECLARED[owner]
 
 
 def undeclared(owner: type) -> Iterator[Field[Any]]:

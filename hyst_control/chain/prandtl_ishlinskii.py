@@ -38,7 +38,21 @@ if TYPE_CHECKING:
 
 
 @njit(cache=True, error_model="numpy")
-def dynamic_prandtl_ishlinskii(command, previous, rate_factor, thresholds, release, weights, w0, m1, m2, k, b, state, output):
+def dynamic_prandtl_ishlinskii(
+    command: Array,
+    previous: Array,
+    rate_factor: float,
+    thresholds: Array,
+    release: Array,
+    weights: Array,
+    w0: Array,
+    m1: Array,
+    m2: Array,
+    k: Array,
+    b: Array,
+    state: Array,
+    output: Array,
+) -> None:
     """Weighted play operators with dynamic weights, all axes (HAMPI paper Eq. 2-6).
 
     y = w0 u + sum_i (w_i + w_r(du/dt) + k u + b) H_i, with w_r = -m1 du/dt while rising and +m2 du/dt while falling.
@@ -90,7 +104,8 @@ class PlayFilter(Filter):
     def settle(self, value: Array) -> Array:
         self.state[:] = 0.0
         self.previous[:] = value
-        return self.process(np.array(value, dtype=float).reshape(1, -1))[0]
+        first: Array = self.process(np.array(value, dtype=float).reshape(1, -1))[0]
+        return first
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)

@@ -21,7 +21,17 @@ from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis, per_axis
 
 
 @njit(cache=True, error_model="numpy")
-def rate_dependent_prandtl_ishlinskii(command, previous, rate_factor, thresholds, weights, w0, beta, state, output):
+def rate_dependent_prandtl_ishlinskii(
+    command: Array,
+    previous: Array,
+    rate_factor: float,
+    thresholds: Array,
+    weights: Array,
+    w0: Array,
+    beta: Array,
+    state: Array,
+    output: Array,
+) -> None:
     """All axes of the model: command, output (N, A); previous, w0, beta (A,); thresholds, weights, state (A, n)."""
     for row in range(command.shape[0]):
         for axis in range(command.shape[1]):
@@ -56,7 +66,8 @@ class RateDependentFilter(Filter):
     def settle(self, value: Array) -> Array:
         self.state[:] = 0.0
         self.previous[:] = value
-        return self.process(np.array(value, dtype=float).reshape(1, -1))[0]
+        first: Array = self.process(np.array(value, dtype=float).reshape(1, -1))[0]
+        return first
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)

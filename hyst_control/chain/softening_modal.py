@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from hyst_control.chain.linear import StateSpace
@@ -104,7 +105,9 @@ class SofteningModal(Stage):
     def mean(self) -> StateSpace:
         """The structure as it responds on the average at `amplitude`: a linear stage."""
         parts = self.arrays(self.axes)
-        blocks, rows, columns = [], [], []
+        blocks: list[Any] = []
+        rows: list[Array] = []
+        columns: list[Array] = []
         for i, (decay, frequency) in enumerate(zip(parts["decay"], parts["frequency"], strict=True)):
             b, c, rate = parts["inputs"][i], parts["outputs"][i], -np.exp(decay)
             if frequency == 0.0:
@@ -122,29 +125,29 @@ class SofteningModal(Stage):
 
 @njit(cache=True)
 def advance_softening_modal(
-    block,
-    smooth,
-    step,
-    exponent,
-    amplitude,
-    last,
-    state,
-    mean_square,
-    decay,
-    frequency,
-    decay_change,
-    frequency_change,
-    c,
-    b,
-    b_change,
-    d,
-    k,
-    h,
-    h_d,
-    force_mean,
-    force,
-    output,
-):
+    block: Array,
+    smooth: float,
+    step: float,
+    exponent: Array,
+    amplitude: float,
+    last: Array,
+    state: NDArray[np.complex128],
+    mean_square: Array,
+    decay: Array,
+    frequency: Array,
+    decay_change: Array,
+    frequency_change: Array,
+    c: NDArray[np.complex128],
+    b: NDArray[np.complex128],
+    b_change: NDArray[np.complex128],
+    d: Array,
+    k: Array,
+    h: NDArray[np.complex128],
+    h_d: Array,
+    force_mean: Array,
+    force: Array,
+    output: Array,
+) -> None:
     """Run the equations of `SofteningModal` over a block (N, A); `smooth` = 1 - e^(-step/memory), step in s.
 
     state (2, M) complex: x and w; mean_square (1,): a²; last (A,): the command before, with which it is averaged for a
@@ -206,7 +209,7 @@ class SofteningModalFilter(Filter):
 
     def __init__(self, stage: SofteningModal, sampling: Sampling) -> None:
         arrays = stage.arrays(sampling.axes)
-        self.arguments = tuple(
+        self.arguments: tuple[Any, ...] = tuple(
             np.ascontiguousarray(arrays[field])
             for field in (
                 "decay",
@@ -224,7 +227,12 @@ class SofteningModalFilter(Filter):
             )
         )
         exponent = np.atleast_1d(np.asarray(stage.exponent, dtype=float))
-        self.scalars = (1.0 - np.exp(-sampling.sample_time / stage.memory), sampling.sample_time, exponent, stage.amplitude)
+        self.scalars: tuple[Any, ...] = (
+            1.0 - np.exp(-sampling.sample_time / stage.memory),
+            sampling.sample_time,
+            exponent,
+            stage.amplitude,
+        )
         self.held = sampling.hold == "zoh"
         modes = len(arrays["decay"])
         self.state = np.zeros((2, modes), dtype=complex)
@@ -247,9 +255,11 @@ class SofteningModalFilter(Filter):
         self.force[:] = q * (np.abs(q) ** power - force_mean * a**power)
         self.state[1] = -(h @ self.force) / poles
         self.last[:] = np.nan if self.held else value
-        return linear + ((twice * self.state[1]) @ c).real + h_d @ self.force
+        settled: Array = linear + ((twice * self.state[1]) @ c).real + h_d @ self.force
+        return settled
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
-        advance_softening_modal(block, *self.scalars, self.last, self.state, self.mean_square, *self.arguments, self.force, output)
+        state: tuple[Any, ...] = (self.last, self.state, self.mean_square)
+        advance_softening_modal(block, *self.scalars, *state, *self.arguments, self.force, output)  # type: ignore[call-arg]
         return output

@@ -16,12 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 
+from hyst_control.chain.parameter import AllAxes, Parameter, ScalarPerAxis, VectorPerAxis, declared, undeclared
 from hyst_control.chain.parameter import Array as Array
-from hyst_control.chain.parameter import Parameter, ScalarPerAxis, VectorPerAxis, declared, undeclared
 from hyst_control.errors import InputError
 
 HOLDS = ("zoh", "foh")
@@ -52,6 +52,12 @@ class Sampling:
             raise InputError(f"hold: {self.hold!r} is not one of {', '.join(HOLDS)}")
         if self.ahead is None:
             object.__setattr__(self, "ahead", int(self.hold == "zoh"))
+
+    @property
+    def first_tick(self) -> int:
+        """`ahead`, which is known once the clock is made."""
+        assert self.ahead is not None
+        return self.ahead
 
     def with_hold(self, hold: str) -> Sampling:
         """The same clock for a signal of another hold."""
@@ -160,7 +166,7 @@ class Stage:
 
     def with_inner_chains(self, chains: Sequence[Sequence[Stage]]) -> Stage:
         """The stage with other chains inside, as many as it has."""
-        assert not chains
+        assert not chains, f"{self.name} has no chains inside"
         return self
 
     def for_axis(self, axis: int) -> Stage:
@@ -289,7 +295,7 @@ def depth(value: Any) -> int:
     return 1 + (depth(value[0]) if value else 0) if isinstance(value, tuple) else 0
 
 
-def per_axis(value: VectorPerAxis | ScalarPerAxis, axes: int, due: int, field: str) -> list[Array]:
+def per_axis(value: VectorPerAxis | ScalarPerAxis | AllAxes, axes: int, due: int, field: str) -> list[Array]:
     """Spread a parameter over the axes: one array of `due` dimensions per axis.
 
     Raises `InputError` when a per-axis list has another length than there are axes.
@@ -298,7 +304,7 @@ def per_axis(value: VectorPerAxis | ScalarPerAxis, axes: int, due: int, field: s
     if found == due:
         return [_array(value, due, field)] * axes
     if found == due + 1:
-        items: Sequence[Any] = value  # type: ignore[assignment]
+        items = cast(Sequence[Any], value)
         if len(items) != axes:
             raise InputError(f"{field}: {len(items)} values for {axes} axes: give one for all or one per axis")
         return [_array(item, due, field) for item in items]

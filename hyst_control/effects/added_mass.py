@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 
-from hyst_control.chain.linear import LinearSystem, stacked, transfer_function_system
+from hyst_control.chain.linear import LinearStage, LinearSystem, stacked, transfer_function_system
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
 from hyst_control.chain.stage import Modifier, Stage, per_axis_scalar, register
 from hyst_control.effects.effect import Effect, Parameter
@@ -39,7 +39,7 @@ class AddedMass(Modifier):
             raise InputError("added_mass: no mechanics before it (transfer function or continuous state space): put it behind them")
         if not np.any(per_axis_scalar(self.mass_ratio, axes, "mass_ratio")):
             return before
-        return (*before[:index], Changed(before[index], self._heavier, self.name), *before[index + 1 :])
+        return (*before[:index], Changed(cast(LinearStage, before[index]), self._heavier, self.name), *before[index + 1 :])
 
     def _heavier(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
         ratio = per_axis_scalar(self.mass_ratio, axes, "mass_ratio")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from hyst_control.chain.linear import LinearSystem, stacked
+from hyst_control.chain.linear import LinearStage, LinearSystem, stacked
 from hyst_control.chain.parameter import AllAxes, all_axes
 from hyst_control.chain.stage import Modifier, Stage, register
 from hyst_control.effects.modifiers import Changed
@@ -41,7 +41,11 @@ class CoupledResonance(Modifier):
             if np.shape(getattr(self, field)) != (axes, axes):
                 raise InputError(f"{field}: shape {np.shape(getattr(self, field))} does not fit {axes} axes, give [output][input]")
         before, index = with_mechanics(before)
-        return (*before[:index], ChangedTogether(before[index], self._with_mode, self.name), *before[index + 1 :])
+        return (
+            *before[:index],
+            ChangedTogether(cast(LinearStage, before[index]), self._with_mode, self.name),
+            *before[index + 1 :],
+        )
 
     def _with_mode(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
         whole = stacked(systems)

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalar, register
@@ -60,7 +61,7 @@ class DacHoldFilter(Filter):
 
 
 @njit(cache=True, error_model="numpy")
-def take_and_hold(block, count, samples, step, held, output):
+def take_and_hold(block: Array, count: int, samples: NDArray[np.int64], step: Array, held: Array, output: Array) -> None:
     """block, output (N, A); count of samples before the block; samples, step, held (A,), of which the last is updated."""
     for row in range(block.shape[0]):
         for axis in range(block.shape[1]):

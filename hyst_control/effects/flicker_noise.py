@@ -49,11 +49,12 @@ class FlickerFilter(NoiseFilter):
         output = np.empty((count, len(self.rms)))
         draws = self.generator.standard_normal((count, *self.state.shape))
         sum_of_lowpassed(draws, self.keep, np.sqrt(1.0 - self.keep**2), self.state, output)
-        return output / np.sqrt(len(self.keep))
+        noise: Array = output / np.sqrt(len(self.keep))
+        return noise
 
 
 @njit(cache=True, error_model="numpy")
-def sum_of_lowpassed(draws, keep, fresh, state, output):
+def sum_of_lowpassed(draws: Array, keep: Array, fresh: Array, state: Array, output: Array) -> None:
     """draws (N, A, n); keep, fresh (n,); state (A, n) is updated; output (N, A)."""
     for row in range(draws.shape[0]):
         for axis in range(draws.shape[1]):

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from hyst_control.chain.memoryless import Gain
+from hyst_control.chain.parameter import ScalarPerAxis
 from hyst_control.chain.stage import frozen, thawed
 from hyst_control.effects.effect import Effect, Parameter
 
 
-def factor(gain: object) -> object:
+def factor(gain: ScalarPerAxis) -> ScalarPerAxis:
     """1 + gain, axis by axis."""
     value = frozen(gain)
-    return [1.0 + item for item in thawed(value)] if isinstance(value, tuple) else 1.0 + value
+    return [1.0 + item for item in thawed(value)] if isinstance(value, tuple) else float(1.0 + value)
 
 
 EFFECT = Effect(

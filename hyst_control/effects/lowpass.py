@@ -71,7 +71,8 @@ class RebuiltFilter(Filter):
         before = np.concatenate([self.last[None], block])[: len(block)]
         self.last = block[-1].copy() if len(block) else self.last
         # In this order a signal at rest stays what it is to the last bit.
-        return block + self.keep / (1.0 - self.keep) * (block - before)
+        rebuilt: Array = block + self.keep / (1.0 - self.keep) * (block - before)
+        return rebuilt
 
 
 def lowpass_system(cutoff: float, order: int) -> LinearSystem:

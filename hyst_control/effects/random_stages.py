@@ -55,7 +55,8 @@ class NoiseFilter(Filter):
 
     def settle(self, value: Array) -> Array:
         self.begin()
-        return np.asarray(value, dtype=float) + self.rms * self.draw(1)[0]
+        noisy: Array = np.asarray(value, dtype=float) + self.rms * self.draw(1)[0]
+        return noisy
 
     def process(self, block: Array) -> Array:
         return block + self.rms * self.draw(len(block))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from hyst_control.chain.linear import LinearSystem
+from hyst_control.chain.linear import LinearStage, LinearSystem
 from hyst_control.chain.parameter import ScalarPerAxis, declared, scalar
 from hyst_control.chain.stage import Modifier, Stage, per_axis_scalars, register
 from hyst_control.effects.coupled_resonance import CoupledResonance
@@ -33,7 +33,7 @@ class Resonance(Modifier):
 
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
         before, index = with_mechanics(before)
-        return (*before[:index], Changed(before[index], self._with_mode, self.name), *before[index + 1 :])
+        return (*before[:index], Changed(cast(LinearStage, before[index]), self._with_mode, self.name), *before[index + 1 :])
 
     def _with_mode(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
         frequency, damping, gain = per_axis_scalars(self, axes, "frequency", "damping", "gain")

@@ -48,7 +48,7 @@ class SlewFilter(Filter):
 
 
 @njit(cache=True, error_model="numpy")
-def follow(block, most, mean, state, output):
+def follow(block: Array, most: Array, mean: bool, state: Array, output: Array) -> None:
     """block, output (N, A); most (A,) a sample; state (A,), the value at the end of an interval, is updated.
 
     mean: the output is the mean over the interval, in which the value runs up to a held input, else the value at its end.

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from hyst_control.chain.chain import Parallel
@@ -51,7 +52,7 @@ class SofteningModes(Modifier):
         softening, damping, amplitude = per_axis_scalars(self, axes, "softening", "damping", "amplitude")
         if not softening.any() and not damping.any():
             return before
-        moved = ModesMoved(before[index], tuple(softening), tuple(damping), tuple(amplitude))
+        moved = ModesMoved(cast(LinearStage, before[index]), tuple(softening), tuple(damping), tuple(amplitude))
         # Beside all that leads to the mechanics, not beside them alone: a chain merges them with what stands before.
         return (Parallel((before[: index + 1], (*before[:index], moved))), *before[index + 1 :])
 
@@ -130,7 +131,22 @@ class ModesMovedFilter(Filter):
 
 
 @njit(cache=True)
-def advance_modes_moved(block, step, smooth, poles, change, inputs, outputs, static, last, mean, square, whose, state, output):
+def advance_modes_moved(
+    block: Array,
+    step: float,
+    smooth: float,
+    poles: NDArray[np.complex128],
+    change: Array,
+    inputs: NDArray[np.complex128],
+    outputs: NDArray[np.complex128],
+    static: Array,
+    last: Array,
+    mean: Array,
+    square: Array,
+    whose: NDArray[np.int64],
+    state: NDArray[np.complex128],
+    output: Array,
+) -> None:
     """The equations of `SofteningModes` over a block (N, A), mean (A,) and square in units of the amplitude.
 
     square (A,), or (1,) where the axes are coupled; whose (M,): which of them a mode goes by;

@@ -32,14 +32,16 @@ class TimedFilter(Filter):
 
     def __init__(self, function: Callable[[Array, Array], Array], sampling: Sampling) -> None:
         self.hold = sampling.hold
-        self.function, self.sample_time, self.ahead = function, sampling.sample_time, sampling.ahead
+        self.function, self.sample_time, self.ahead = function, sampling.sample_time, sampling.first_tick
         self.count = 0
 
     def settle(self, value: Array) -> Array:
         self.count = 0
-        return self.function(np.array(value, dtype=float).reshape(1, -1), np.zeros((1, 1)))[0]
+        first: Array = self.function(np.array(value, dtype=float).reshape(1, -1), np.zeros((1, 1)))[0]
+        return first
 
     def process(self, block: Array) -> Array:
-        times = (self.count + self.ahead + np.arange(len(block))) * self.sample_time
+        ticks = self.count + self.ahead + np.arange(len(block))
+        times = (ticks * self.sample_time).astype(np.float64)
         self.count += len(block)
         return self.function(block, times[:, None])
