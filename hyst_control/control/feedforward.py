@@ -230,7 +230,7 @@ def core_inverse(
     ]
 
 
-def invertible_range(core: Stage, drive: Array, needed: Array) -> Array:
+def invertible_range(core: PrandtlIshlinskii | ModifiedPrandtlIshlinskii, drive: Array, needed: Array) -> Array:
     """The part of the drive (2, A) in V over which the output rises with the command, 0 < dY/du.
 
     Raises `InputError` when that does not reach up to `needed` (A,) V.
