@@ -30,9 +30,26 @@ KEYS = ("format", "version", "name", "axes", "units", "sample_time", "hold", "va
 class Model:
     """A simulator: the chain from command to measurement, and what is known about it.
 
-    units: {"command": "V", "measurement": "um" | "mrad"}; sample_time s, of the data it was fitted on; hold: the command
-    between samples, "zoh" or "foh"; valid: {"command": [V, V], "frequency": [Hz, Hz]}; noise: {"sigma": rms in the
-    measurement unit}; tolerance: relative standard deviation by parameter name or "stage.parameter".
+    Parameters
+    ----------
+    name
+        For people.
+    axes
+        Names of the axes.
+    units
+        {"command": "V", "measurement": "um" | "mrad"}.
+    sample_time
+        s, of the data it was fitted on.
+    chain
+        From command to measurement, in signal order.
+    hold
+        The command between samples, "zoh" or "foh".
+    valid
+        {"command": [V, V], "frequency": [Hz, Hz]}: the range it was fitted over.
+    noise
+        {"sigma": rms in the measurement unit}, a number or one per axis.
+    tolerance
+        Relative standard deviation by parameter name or "stage.parameter".
     """
 
     name: str
@@ -74,9 +91,27 @@ class Simulator:
 
 
 def simulate(model: Model, commands: Array, sample_time: float | None = None, hold: str | None = None) -> Array:
-    """Measurements (N, A) of a record that starts settled at its first command; commands (N, A) in V.
+    """Simulate a record that starts settled at its first command.
 
-    Under `zoh` measurement[k] is the sample at t_k before command[k] acts, under `foh` the one at the same instant.
+    Parameters
+    ----------
+    model
+        Of the plant.
+    commands
+        (N, A) in V.
+    sample_time, hold
+        Of the record; by default the model's.
+
+    Returns
+    -------
+    ndarray
+        Measurements (N, A). Under `zoh` measurement[k] is the sample at t_k before command[k] acts, under `foh` the one at the
+        same instant.
+
+    Raises
+    ------
+    InputError
+        Where the chain does not run at this clock.
     """
     commands = np.ascontiguousarray(commands, dtype=float)
     hold = hold or model.hold
@@ -87,7 +122,18 @@ def simulate(model: Model, commands: Array, sample_time: float | None = None, ho
 
 
 def load_model(path: str | Path) -> Model:
-    """Read and check a model file. Raises `InputError` naming file, field and remedy."""
+    """Read and check a model file.
+
+    Parameters
+    ----------
+    path
+        Of a YAML file.
+
+    Raises
+    ------
+    InputError
+        Naming file, field and remedy, where it cannot be read or makes no sense.
+    """
     path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")

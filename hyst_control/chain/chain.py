@@ -72,11 +72,11 @@ class Averaged(ABC):
 
     @abstractmethod
     def at_samples(self) -> Stage:
-        """What the samples go through."""
+        """Stage that the samples go through."""
 
     @abstractmethod
     def between_samples(self) -> tuple[Stage, ...]:
-        """What bends the way from one sample to the next."""
+        """Stages that bend the way from one sample to the next."""
 
 
 class ParallelFilter(Filter):
@@ -220,7 +220,7 @@ def _in_linear_run(stage: Stage) -> bool:
 
 
 def _averaged(run: Sequence[Stage]) -> bool:
-    """Whether what follows a run of a held signal shall see it held at its means (see `effects.amplifier_lowpass`)."""
+    """True where what follows a run of a held signal shall see it held at its means (see `effects.amplifier_lowpass`)."""
     systems = [stage for stage in run if not isinstance(stage, Delay)]
     return bool(systems) and all(isinstance(stage, Averaged) for stage in systems)
 
@@ -260,7 +260,7 @@ def _place_delays(stages: Sequence[Stage]) -> list[Stage]:
 
 
 def _commutes(stage: Stage, delays: Sequence[Stage]) -> bool:
-    """Whether the delays may change places with a stage: not one that mixes the axes, where they differ between the axes."""
+    """True where the delays may change places with a stage: not one that mixes the axes, where they differ between the axes."""
     return stage.commutes_with_delay and (_even(delays) or not stage.mixes_axes)
 
 

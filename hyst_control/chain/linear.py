@@ -262,7 +262,7 @@ class StateSpace(LinearStage):
 
     @property
     def discrete(self) -> bool:
-        """Whether the matrices advance by one sample instead of giving the derivative."""
+        """True where the matrices advance by one sample instead of giving the derivative."""
         return self.sample_time is not None
 
     def gain_at_rest(self, axes: int) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""What a stage is: a frozen description with the model file's parameters, and the streaming filter it starts.
+"""Stages: a frozen description with the model file's parameters, and the streaming filter it starts.
 
 Every signal between stages is known by one value per sample interval and axis, and by its *hold*:
 
@@ -32,10 +32,24 @@ SLOW = 1e9
 
 @dataclass(frozen=True)
 class Sampling:
-    """How a filter is clocked: sample time (s), number of axes, and the hold of the signal entering it.
+    """Clock of a filter.
 
-    ahead: ticks from `Filter.settle` to the first value of `Filter.process`, by the command's hold: 1 under `zoh`, where that
-    value is the one at the end of the first interval, 0 under `foh`. The same for every stage of a chain.
+    Parameters
+    ----------
+    sample_time
+        s.
+    axes
+        Their number.
+    hold
+        Of the signal that enters, `zoh` or `foh`.
+    ahead
+        Ticks from `Filter.settle` to the first value of `Filter.process`, by the command's hold: 1 under `zoh`, where that
+        value is the one at the end of the first interval, 0 under `foh`. The same for every stage of a chain.
+
+    Raises
+    ------
+    InputError
+        When a value makes no sense.
     """
 
     sample_time: float
@@ -95,11 +109,11 @@ class Stage:
     """Place of `effects.effect.PLACES` that the stage belongs to: what is inserted there goes behind it, what belongs to an
     earlier place before it. "" where it may be anywhere."""
     last_at_place: ClassVar[bool] = False
-    """Whether the stage stands behind the others of its place."""
+    """True for a stage that stands behind the others of its place."""
     unit_gain: ClassVar[bool] = False
-    """Whether a constant passes unchanged, whatever the parameters."""
+    """True for a stage that a constant passes unchanged, whatever the parameters."""
     adds_hysteresis: ClassVar[bool] = False
-    """Whether the stage is a chain's hysteresis where it has no other."""
+    """True for a stage that is a chain's hysteresis where it has no other."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -129,32 +143,32 @@ class Stage:
 
     @property
     def linear(self) -> bool:
-        """Whether the stage is a linear continuous-time system (see `chain.linear`), which may be merged with its neighbours."""
+        """True for a linear continuous-time system (see `chain.linear`), which may be merged with its neighbours."""
         return False
 
     @property
     def commutes_with_delay(self) -> bool:
-        """Whether delaying the input is the same as delaying the output, as it is for every time-invariant stage."""
+        """True where delaying the input is the same as delaying the output, as it is for every time-invariant stage."""
         return True
 
     @property
     def mixes_axes(self) -> bool:
-        """Whether an axis' output depends on other axes' inputs: delays that differ between the axes then stay on their side."""
+        """True where an axis' output depends on other axes' inputs: delays that differ between the axes then stay on their side."""
         return False
 
     @property
     def is_hysteresis(self) -> bool:
-        """Whether the stage is, or contains, a plant's hysteresis."""
+        """True for a stage that is, or contains, a plant's hysteresis."""
         return False
 
     @property
     def has_compensator(self) -> bool:
-        """Whether the stage is, or contains, a hysteresis that a feedforward compensator inverts by itself."""
+        """True for a stage that is, or contains, a hysteresis that a feedforward compensator inverts by itself."""
         return False
 
     @property
     def is_mechanics(self) -> bool:
-        """Whether the stage may be a plant's mechanics."""
+        """True for a stage that may be a plant's mechanics."""
         return False
 
     # The stage for other axes or other values.
@@ -170,7 +184,23 @@ class Stage:
         return self
 
     def for_axis(self, axis: int) -> Stage:
-        """The stage of one axis. Raises `InputError` where the axes mix."""
+        """The stage of one axis.
+
+        Parameters
+        ----------
+        axis
+            Index of the axis.
+
+        Returns
+        -------
+        Stage
+            A stage for a chain of one axis.
+
+        Raises
+        ------
+        InputError
+            Where the stage mixes the axes.
+        """
         if self.inner_chains:
             return self.with_inner_chains([[member.for_axis(axis) for member in chain] for chain in self.inner_chains])
         if self.mixes_axes:
@@ -178,23 +208,62 @@ class Stage:
         return replace(self, **{key: known.of_axis(getattr(self, key), axis) for key, known in self.declarations().items()})
 
     def spread(self, names: Sequence[str], axes: int) -> Stage:
-        """The stage with the named parameters as one value per axis where they were one for all."""
+        """The stage with some parameters as one value per axis where they were one for all.
+
+        Parameters
+        ----------
+        names
+            Of the parameters.
+        axes
+            Number of axes.
+        """
         known = self.declarations()
         changed = {key: known[key].spread(getattr(self, key), axes) for key in names}
         return replace(self, **changed) if changed else self
 
     def with_values(self, values: Mapping[str, Array]) -> Stage:
-        """The stage with scattered values of some parameters; a stage whose parameters depend on each other closes them here."""
+        """The stage with scattered values of some parameters.
+
+        A stage whose parameters depend on each other brings them together again here. `tolerance` scatters every number by itself;
+        an uncertainty stated in other coordinates (`Parameter.scatter`) comes back to the stage's own parameters here too.
+
+        Parameters
+        ----------
+        values
+            By name, in the form that the stage has them.
+        """
         return replace(self, **values)
 
     # Answers to effects and control.
 
     def with_loop_width(self, width: Array) -> Stage | None:
-        """The stage with its memory part scaled by 1 + width (A,), its mean curve kept; None where it has no loop."""
+        """The stage with wider or narrower loops.
+
+        Parameters
+        ----------
+        width
+            (A,): the memory part is scaled by 1 + width, the mean curve kept.
+
+        Returns
+        -------
+        Stage or None
+            None where the stage has no loop.
+        """
         return None
 
     def with_rate_part(self, factor: Array) -> Stage | None:
-        """The stage with its rate-dependent part scaled by a factor (A,); None where it has none."""
+        """The stage with another dependence on the command's rate.
+
+        Parameters
+        ----------
+        factor
+            (A,), of the rate-dependent part.
+
+        Returns
+        -------
+        Stage or None
+            None where the stage has no such part.
+        """
         return None
 
     def mean_slope(self, axes: int) -> Array | None:
@@ -202,7 +271,18 @@ class Stage:
         return None
 
     def at_rest(self, signal: Array) -> Array:
-        """Output (N, A) when every value of a signal (N, A) is held until all has settled, from rest at 0."""
+        """Output of the stage without rates, delays and dynamics.
+
+        Parameters
+        ----------
+        signal
+            (N, A), every value of which is held until all has settled, from rest at 0.
+
+        Returns
+        -------
+        ndarray
+            (N, A).
+        """
         running = self.filter(Sampling(SLOW, signal.shape[1], "foh"))
         running.settle(signal[0])
         return running.process(np.ascontiguousarray(signal))
@@ -296,9 +376,28 @@ def depth(value: Any) -> int:
 
 
 def per_axis(value: VectorPerAxis | ScalarPerAxis | AllAxes, axes: int, due: int, field: str) -> list[Array]:
-    """Spread a parameter over the axes: one array of `due` dimensions per axis.
+    """Spread a parameter over the axes.
 
-    Raises `InputError` when a per-axis list has another length than there are axes.
+    Parameters
+    ----------
+    value
+        Of a stage, for all axes alike or per axis.
+    axes
+        Number of axes.
+    due
+        Dimensions of one axis' value: 0 for a number, 1 for a list.
+    field
+        Name of the parameter, for messages.
+
+    Returns
+    -------
+    list of ndarray
+        One array of `due` dimensions per axis.
+
+    Raises
+    ------
+    InputError
+        When a per-axis list has another length than there are axes.
     """
     found = depth(value)
     if found == due:

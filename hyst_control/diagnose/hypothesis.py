@@ -44,22 +44,22 @@ class Member:
 
     @property
     def line(self) -> Line:
-        """What it is in the spectrum, of a line."""
+        """Form in the spectrum, of a line."""
         assert self.effect.line is not None, f"{self.name} is no line"
         return self.effect.line
 
     @property
     def is_extra(self) -> bool:
-        """Whether it is added to the output instead of standing in the chain."""
+        """True where it is added to the output instead of standing in the chain."""
         return self.is_line or (self.effect.couples and len(self.problem.model.axes) == 1)
 
     @property
     def variant(self) -> tuple[Any, ...]:
-        """What tells it from other members of a candidate."""
+        """Key that tells it from other members of a candidate."""
         return self.name, self.axis, round(self.frequency)
 
     def excludes(self, other: Member) -> bool:
-        """Whether they make no combination: two of one kind, or an effect on all axes alike and once more on one of them."""
+        """True where they make no combination: two of one kind, or an effect on all axes alike and once more on one of them."""
         everywhere = len(self.problem.model.axes) > 1 and None in (self.axis, other.axis)
         return self.variant == other.variant or self.name == other.name and everywhere
 
@@ -68,7 +68,7 @@ class Member:
         return 2 * len(self.line.harmonics) * self.line.swells + 1 if self.is_line else len(self.parameters)
 
     def starts(self) -> list[Array]:
-        """Where fits begin: every parameter's starts in turn, those of several parameters side by side."""
+        """Values at which fits begin: every parameter's starts in turn, those of several parameters side by side."""
         if self.is_line:
             return [np.zeros(self.size)]
         longest = max((len(p.starts) for p in self.parameters), default=1)
@@ -117,7 +117,7 @@ class Member:
         return self.effect.stage(values, self.problem.surroundings)
 
     def extra(self, x: Array) -> Array:
-        """What is added to the output, flat, in units of the noise."""
+        """Part that is added to the output, flat, in units of the noise."""
         return self._lines(x) if self.is_line else self._coupled(x)
 
     def extra_columns(self, x: Array) -> Array:

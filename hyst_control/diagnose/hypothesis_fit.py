@@ -48,7 +48,7 @@ class Unknowns:
 
 @dataclass(frozen=True)
 class Solution:
-    """Where a fit ended: misfit Φ, z (K,), x (P,), residual (M,) in units of the noise, and the covariance of (z, x)."""
+    """End of a fit: misfit Φ, z (K,), x (P,), residual (M,) in units of the noise, and the covariance of (z, x)."""
 
     misfit: float
     z: Array

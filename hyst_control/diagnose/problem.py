@@ -1,4 +1,4 @@
-"""What a diagnosis works on: records of one model, simulated from the recorded command, one axis at a time where axes do not mix."""
+"""Records of one model that a diagnosis works on, simulated from the recorded command, one axis at a time where axes do not mix."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Problem:
 
     @cached_property
     def surroundings(self) -> Surroundings:
-        """What the size of an effect is judged by."""
+        """Record that the size of an effect is judged by."""
         command = np.concatenate([piece.command for piece in self.pieces])
         measurement = np.concatenate([piece.measurement for piece in self.pieces])
         slew = max(float(np.max(np.abs(np.diff(piece.command, axis=0)), initial=0.0)) for piece in self.pieces) / self.sample_time

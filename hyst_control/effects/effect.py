@@ -1,4 +1,4 @@
-"""What an effect is to a simulator: a stage, the place in the chain where it goes, and what its parameters usually are.
+"""Effects as a simulator knows them: a stage, the place in the chain where it goes, and what its parameters usually are.
 
 One file in this package is one effect. It defines the effect's stage where the chain has none yet, and `EFFECT`.
 """
@@ -20,10 +20,22 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What the size of an effect is judged by.
+    """Record that the size of an effect is judged by.
 
-    sample_time s; duration s of the record; command (lower, upper) V of the record; slew V/s, the largest of the command;
-    stroke, peak to peak of the measurement; measurement (lower, upper) of the record; axes, their number.
+    Parameters
+    ----------
+    sample_time
+        s.
+    duration
+        s.
+    command
+        (lower, upper) V of the record.
+    slew
+        V/s, the largest of the command.
+    measurement
+        (lower, upper) of the record, in its unit.
+    axes
+        Their number.
     """
 
     sample_time: float
@@ -41,13 +53,29 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of an effect.
+    """A parameter of an effect: where fits begin, its bounds and its prior.
 
-    unit: "" (a share), "s", "Hz", "V", "V/s", or "unit" for that of the measurement. absent: the value at which the effect is
-    not there. starts: where fits begin. lower, upper: its bounds. scale: a usual deviation from `absent` (of its natural
-    logarithm where `logarithmic`): the standard deviation of a broad prior. told: whether the gap report has it; otherwise it only
-    stands in the augmented model. counted: a number of things, whose starts are tried one by one instead of fitted, each with the
-    effect's other parameters absent.
+    Parameters
+    ----------
+    name
+        By which the gap report has it.
+    unit
+        "" (a share), "s", "Hz", "V", "V/s", or "unit" for that of the measurement.
+    absent
+        Value at which the effect is not there.
+    starts
+        Where fits begin.
+    lower, upper
+        Bounds.
+    scale
+        A usual deviation from `absent` (of its natural logarithm where `logarithmic`): the standard deviation of a broad prior.
+    logarithmic
+        Whether its logarithm is what is fitted.
+    told
+        Whether the gap report has it; otherwise it only stands in the augmented model.
+    counted
+        Whether it is a number of things, whose starts are tried one by one instead of fitted, each with the effect's other
+        parameters absent.
     """
 
     name: str
@@ -66,8 +94,14 @@ class Parameter:
 class Line:
     """An effect that is lines in the residual's spectrum, whose amplitudes and phases are fitted at frequencies seen there.
 
-    harmonics: those that are fitted, each with its own amplitude and phase. swells: Legendre polynomials over the record by which
-    they may change. skirt: share of the frequency on either side that is the effect's own.
+    Parameters
+    ----------
+    harmonics
+        Those that are fitted, each with its own amplitude and phase.
+    swells
+        Number of Legendre polynomials over the record by which amplitude and phase may change.
+    skirt
+        Share of the frequency on either side that is the effect's own.
     """
 
     harmonics: tuple[int, ...] = (1,)
@@ -79,13 +113,33 @@ class Line:
 class Effect:
     """An effect by its name in the gap report.
 
-    place: one of `PLACES`; an effect that may be at several has its usual one. meaning: one sentence for people.
-    parameters: of a record's surroundings. stage: the stage for parameter values (and surroundings). exercised: whether a
-    record could show the effect at all. waveform: whether it has one that a simulation can be compared with; noise, lattices
-    and repeated samples have none and are found by looking at the record. couples: whether it needs a second axis. shared: whether
-    coupled axes have it in common, as they have their modes.
-    coupled_parameters: on all axes of a plant that mixes them, where these are others; summary: what the gap report has of parameters
-    that are not told. line: of an effect that is one in the spectrum.
+    Parameters
+    ----------
+    name
+        In the gap report's vocabulary.
+    place
+        One of `PLACES`; an effect that may be at several has its usual one.
+    meaning
+        One sentence for people.
+    parameters
+        Of a record's surroundings.
+    stage
+        The stage for parameter values and surroundings.
+    exercised
+        Whether a record could show the effect at all.
+    waveform
+        Whether it has one that a simulation can be compared with; noise, lattices and repeated samples have none and are found by
+        looking at the record.
+    couples
+        Whether it needs a second axis.
+    shared
+        Whether coupled axes have it in common, as they have their modes.
+    coupled_parameters
+        On all axes of a plant that mixes them, where these are others.
+    summary
+        What the gap report has of parameters that are not told.
+    line
+        Of an effect that is one in the spectrum.
     """
 
     name: str

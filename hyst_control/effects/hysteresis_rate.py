@@ -16,7 +16,7 @@ from hyst_control.errors import InputError
 
 ADDED_SHARE = 0.1
 ADDED_TIME = 1e-3
-"""What `factor` 2 adds to a model without a rate part: a tenth of its output comes late, with 1 ms; 0 takes as much off."""
+"""Share and lag that `factor` 2 adds to a model without a rate part: a tenth of its output comes late, with 1 ms; 0 takes as much off."""
 
 
 @register

@@ -51,7 +51,7 @@ class HysteresisWidth(Modifier):
 
 
 def _memory(width: Array, span: Array, centre: Array) -> tuple[Stage, ...]:
-    """What a chain without hysteresis gets: u + c (mean of H_r[u] - u + 2 mean of r (u - centre)), r in units of the span."""
+    """Stages for a chain without hysteresis: u + c (mean of H_r[u] - u + 2 mean of r (u - centre)), r in units of the span."""
     threshold = 0.5 * ((np.arange(OPERATORS) + 0.5) / OPERATORS) ** DENSER
     opening = np.mean(np.minimum(2.0 * threshold, 1.0 - 2.0 * threshold))  # of the operators' mean, at the middle of a span of 1
     share, lost = width / opening, 2.0 * np.mean(threshold)  # of the span, where it is driven from end to end

@@ -26,7 +26,7 @@ class Changed(LinearStage):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """What it is in a message."""
+        """Name in a message."""
         return f"{self.modifier} of {self.base.name}"
 
     @property

@@ -1,4 +1,4 @@
-"""Where things are in a chain: its hysteresis, its mechanics, and the index at which an effect goes."""
+"""Places in a chain: its hysteresis, its mechanics, and the index at which an effect goes."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _over(stages: Sequence[Stage], index: int, *places: str) -> int:
 
 
 def _first_linear(stages: Sequence[Stage]) -> int:
-    """Where the hysteresis of a chain without one would be: before its first linear stage that is not the drive's own."""
+    """Index at which the hysteresis of a chain without one would be: before its first linear stage that is not the drive's own."""
     for i, stage in enumerate(stages):
         if isinstance(stage, (LinearStage, Parallel)) and stage.place not in DRIVE:
             return i

@@ -1,4 +1,4 @@
-"""What stages with random numbers share."""
+"""Parts that stages with random numbers share."""
 
 from __future__ import annotations
 

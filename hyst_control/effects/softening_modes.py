@@ -59,7 +59,7 @@ class SofteningModes(Modifier):
 
 @dataclass(frozen=True)
 class ModesMoved(Stage):
-    """What moving modes add to the response of a linear stage; values per axis. Part of a started chain only."""
+    """Part that moving modes add to the response of a linear stage; values per axis. Part of a started chain only."""
 
     base: LinearStage
     softening: tuple[float, ...]
