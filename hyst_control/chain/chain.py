@@ -265,7 +265,10 @@ def _commutes(stage: Stage, delays: Sequence[Stage]) -> bool:
 
 
 def _even(delays: Sequence[Stage]) -> bool:
-    return all(not isinstance(delay, Delay) or len(np.unique(delay.tau)) == 1 for delay in delays)
+    return all(
+        not isinstance(delay, Delay) or np.ndim(delay.tau) == 0 or len(set(cast(Sequence[float], delay.tau))) == 1
+        for delay in delays
+    )
 
 
 def _cut_before_uneven_delays(run: Sequence[Stage]) -> list[list[Stage]]:

@@ -147,15 +147,11 @@ class Parameter:
             return
         if isinstance(value, bool) or not isinstance(value, (int, float)) or value != value:
             raise InputError(f"{name}: {_short(value)} is not a finite number")
-        for fits, bound in (
-            (value >= self.lower, f">= {self.lower:g}"),
-            (value > self.above or self.above == -np.inf, f"> {self.above:g}"),
-            (value <= self.upper, f"<= {self.upper:g}"),
-            (value < self.below or self.below == np.inf, f"< {self.below:g}"),
-        ):
-            if not fits:
-                raise InputError(f"{name}: must be {' '.join(filter(None, (bound, self.unit)))}, got {value:g}")
-        if value in (np.inf, -np.inf):
+        if not self.lower <= value <= self.upper or value <= self.above != -np.inf or value >= self.below != np.inf:
+            bounds = (">=", self.lower), (">", self.above), ("<=", self.upper), ("<", self.below)
+            told = " and ".join(f"{sign} {bound:g}" for sign, bound in bounds if np.isfinite(bound))
+            raise InputError(f"{name}: must be {f'{told} {self.unit}'.strip()}, got {value:g}")
+        if value - value != 0.0:  # infinite
             if not self.infinite:
                 raise InputError(f"{name}: {value!r} is not a finite number")
         elif self.whole and value % 1.0:
