@@ -8,3 +8,7 @@ class InputError(ValueError):
 
     def __init__(self, text: str) -> None:
         super().__init__(" ".join(part for part in str(text).splitlines() if part))  # a name out of a file may hold a line break
+
+
+class WorkerLost(InputError):
+    """A process that computed was killed from outside; told to the user as an unusable input is, since nothing here can mend it."""

@@ -1,4 +1,8 @@
-"""Independent pieces of one computation on all cores, by forking: nothing needs to be copied or pickled on the way in."""
+"""Processes to compute with: the one place that hands out an executor.
+
+Nothing else in the package starts processes for computing. Workers compute serially inside, end with their parent, also when that
+is killed, and end at once when the work is given up (an error, Ctrl-C). A worker that is killed ends the work in a `WorkerLost`.
+"""
 
 from __future__ import annotations
 
@@ -8,39 +12,133 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import Literal, TypeVar, cast
+
+from hyst_control.errors import WorkerLost
 
 PARENT_DEATH_SIGNAL = 1  # of prctl(2)
+JOBS_PER_WORKER = 100
+"""After as many jobs a worker of `mapped` is replaced, so that what a library leaks never adds up."""
 
-_work: Callable[[int], Any] | None = None
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+_serial = False
+_work: Callable[[int], object] | None = None
 
 
-def forked(work: Callable[[int], Any], count: int) -> Iterator[Any]:
-    """work(0), work(1), … in order; in this process where there is one core, or threads that a fork would leave behind."""
+def cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bool = True) -> Iterator[Executor]:
+    """Hand out worker processes for independent pieces of a computation.
+
+    Parameters
+    ----------
+    workers
+        Number of processes.
+    start
+        "spawn" for fresh interpreters, or "fork" for copies of this process, which begin at once and know all that it knows.
+    serial
+        Whether `forked` and `mapped` compute serially within a worker.
+
+    Raises
+    ------
+    WorkerLost
+        When a worker is killed before its work is done.
+    """
+    others = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context(start), _begin_worker, (serial,))
+    try:
+        yield pool
+    except BrokenProcessPool:
+        raise WorkerLost("a worker process was killed, by want of memory perhaps: free some and run the command again") from None
+    except BaseException:
+        for worker in set(multiprocessing.active_children()) - others:
+            worker.kill()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def forked(work: Callable[[int], Result], count: int) -> Iterator[Result]:
+    """Results of work(0), work(1), … in order, on all cores by forking: nothing is copied or pickled on the way in.
+
+    In this process where there is one core, in a worker, or beside threads that a fork would leave behind.
+
+    Parameters
+    ----------
+    work
+        Any function, a closure over large arrays too; its results are pickled.
+    count
+        Number of pieces.
+
+    Raises
+    ------
+    WorkerLost
+        When a worker is killed before its work is done.
+    """
     global _work
-    workers = min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1, count)
-    alone = workers < 2 or threading.active_count() > 1 or multiprocessing.current_process().daemon
+    workers = min(cores(), count)
+    alone = _serial or workers < 2 or threading.active_count() > 1 or multiprocessing.current_process().daemon
     if alone or "fork" not in multiprocessing.get_all_start_methods():
         yield from map(work, range(count))
         return
     _work = work
-    with multiprocessing.get_context("fork").Pool(workers, _quietly) as pool:
-        yield from pool.imap(_call, range(count))
-        pool.close()  # its workers end by themselves, also one that has only begun
-        pool.join()
+    with executor(workers, "fork") as pool:
+        waiting = deque(pool.submit(_call, index) for index in range(count))
+        while waiting:
+            yield cast(Result, waiting.popleft().result())
 
 
-def _quietly() -> None:
-    """A worker ends when it is told to, without the word that the command line has for the user; Ctrl-C is its parent's to answer.
+def mapped(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
+    """Results of work(job) in order, on all cores, in fresh processes: for jobs of seconds to minutes.
+
+    Parameters
+    ----------
+    work
+        A function of a module, which can be pickled.
+    jobs
+        Its arguments, pickled one by one.
+
+    Raises
+    ------
+    WorkerLost
+        When a worker is killed before its work is done; the results up to there have been given.
+    """
+    workers = min(cores(), len(jobs))
+    if _serial or workers < 2:
+        yield from map(work, jobs)
+        return
+    batch = workers * JOBS_PER_WORKER
+    for begin in range(0, len(jobs), batch):
+        with executor(workers) as pool:
+            waiting = deque(pool.submit(work, job) for job in jobs[begin : begin + batch])
+            while waiting:
+                yield waiting.popleft().result()
+
+
+def _begin_worker(serial: bool) -> None:
+    """A worker ends when it is told to, without the message that the command line has for the user; Ctrl-C is its parent's to answer.
 
     It ends with its parent, also when that is killed: nobody else would tell it that there is nothing more to do.
     """
+    global _serial
+    _serial = serial
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PARENT_DEATH_SIGNAL, signal.SIGKILL)
 
 
-def _call(index: int) -> Any:
-    return _work(index)  # type: ignore[misc]
+def _call(index: int) -> object:
+    assert _work is not None
+    return _work(index)

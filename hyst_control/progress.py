@@ -1,19 +1,42 @@
-"""What a long command is doing, on one line of the terminal: silent unless a command asked for it, and where there is no terminal."""
+"""Progress of a long command, on one line of the terminal: silent unless a command asked for it, and where there is no terminal."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Protocol
 
-_bar: Any = None
+
+class Bar(Protocol):
+    """The part of a tqdm bar that is used here."""
+
+    def set_description_str(self, desc: str | None = None, refresh: bool | None = True) -> None:
+        """Set the text behind the elapsed time."""
+
+    def update(self) -> bool | None:
+        """Count one step."""
+
+    def refresh(self) -> object:
+        """Draw the line anew."""
+
+    def close(self) -> None:
+        """Take the line away."""
+
+
+_bar: Bar | None = None
 _within = ""
 
 
 @contextmanager
 def shown(wanted: bool = True) -> Iterator[None]:
-    """Show the steps on the standard error while the context lasts, when that is a terminal."""
+    """Show the steps on the standard error while the context lasts, when that is a terminal.
+
+    Parameters
+    ----------
+    wanted
+        False to show nothing.
+    """
     global _bar
     if not wanted or not sys.stderr.isatty():
         yield
@@ -21,16 +44,22 @@ def shown(wanted: bool = True) -> Iterator[None]:
     from tqdm import tqdm
 
     tqdm.monitor_interval = 0  # no thread of its own: what is shown may be forked
-    _bar = tqdm(bar_format="{elapsed} {desc}", leave=False, file=sys.stderr)
+    _bar = bar = tqdm(bar_format="{elapsed} {desc}", leave=False, file=sys.stderr)
     try:
         yield
     finally:
-        _bar.close()
+        bar.close()
         _bar = None
 
 
 def step(text: str) -> None:
-    """Say what comes next."""
+    """Show the next step.
+
+    Parameters
+    ----------
+    text
+        A few words in the imperative, such as "read bag".
+    """
     if _bar is not None:
         _bar.set_description_str(": ".join(filter(None, [_within, text])), refresh=False)
         _bar.update()
@@ -39,7 +68,15 @@ def step(text: str) -> None:
 
 @contextmanager
 def steps(total: int) -> Iterator[Callable[[str], None]]:
-    """A `step` for work of so many parts, which are counted; the steps within a part are shown behind it: "3/8 identify HAMPI: read"."""
+    """Hand out a `step` for work of several parts, which are counted.
+
+    The steps within a part are shown behind it: "3/8 identify HAMPI: read".
+
+    Parameters
+    ----------
+    total
+        Number of parts.
+    """
     global _within
     count = 0
 

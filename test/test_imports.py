@@ -33,6 +33,11 @@ ROOMS = (  # from the top of the house down: a room imports from itself and from
     "progress",
     "errors",
 )
+ONE_PLACE = {  # what only one module may use, so that there is one way of doing it
+    "concurrent": "hyst_control.parallel",
+    "multiprocessing": "hyst_control.parallel",
+    "tqdm": "hyst_control.progress",
+}
 
 
 def imported(path: Path) -> set[str]:
@@ -85,3 +90,9 @@ def test_imports_run_downward(path):
     if own is not None:
         upward = {name for name in imported(path) if (other := room(name)) in ROOMS and ROOMS.index(other) < ROOMS.index(own)}
         assert not upward
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=module_name)
+def test_what_has_one_place_is_used_there_only(path):
+    used = {name.split(".")[0] for name in imported(path)}
+    assert not {name for name, place in ONE_PLACE.items() if name in used and module_name(path) != place}

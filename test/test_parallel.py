@@ -1,19 +1,130 @@
 """Pieces of a computation on all cores, as the command line runs them."""
 
+from __future__ import annotations
+
+import os
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
 
-PROGRAM = """
-import os, signal
-from hyst_control.parallel import forked
+import pytest
+
+BEGIN = """
+import os, signal, sys, time
+from hyst_control.errors import WorkerLost
+from hyst_control.parallel import executor, forked, mapped
 os.sched_getaffinity = lambda process: {0, 1}
+
+def killed_at_three(i):
+    if i == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return i * i
+
+def inside(i):
+    return [list(each(os.getpid)) for each in (lambda f: forked(lambda _: f(), 3), lambda f: mapped(pid, range(3)))], os.getpid()
+
+def pid(_):
+    return os.getpid()
+
+def slow(i):
+    os.write(1, f"{os.getpid()}\\n".encode())
+    time.sleep(1000)
+"""
+
+WORDLESS = """
 signal.signal(signal.SIGTERM, signal.default_int_handler)
 for _ in range(5):
     assert list(forked(lambda i: i * i, 7)) == [i * i for i in range(7)]
 """
 
+KILLED = """
+if __name__ == "__main__":
+    found = []
+    try:
+        for value in {each}(killed_at_three, range(8) if {each} is mapped else 8):
+            found.append(value)
+    except WorkerLost as error:
+        assert "killed" in str(error)
+        print(found == [0, 1, 4][:len(found)])
+"""
 
-def test_workers_end_without_a_word_where_the_command_line_catches_the_signal():
+SERIAL = """
+if __name__ == "__main__":
+    for each in (forked(inside, 2), mapped(inside, range(2))):
+        for lists, worker in each:
+            assert lists == [[worker] * 3] * 2 and worker != os.getpid()
+    print(list(mapped(pid, range(1))) == [os.getpid()])
+"""
+
+ENDLESS = """
+if __name__ == "__main__":
+    list({each}(slow, range(2) if {each} is mapped else 2))
+"""
+
+
+def run(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    (folder / "program.py").write_text(BEGIN + program)
+    return subprocess.run([sys.executable, folder / "program.py"], capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_workers_end_without_a_word_where_the_command_line_catches_the_signal(tmp_path):
     """The command line turns the signal that ends a process into an interrupt: workers that end by it would print tracebacks."""
-    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, timeout=120, check=False)
+    done = run(WORDLESS, tmp_path)
     assert done.returncode == 0 and done.stderr == ""
+
+
+@pytest.mark.parametrize("each", ["forked", "mapped"])
+def test_a_killed_worker_ends_the_work_in_one_error(tmp_path, each):
+    """A pool that starts another worker in its place would wait for the lost result without end."""
+    done = run(KILLED.format(each=each), tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "True\n", "")
+
+
+def test_workers_are_serial_inside(tmp_path):
+    done = run(SERIAL, tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "True\n", "")
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("each", ["forked", "mapped"])
+def test_workers_end_with_their_parent(tmp_path, each, ending):
+    """Ctrl-C, or its death: both workers are busy for as long as the test would wait."""
+    (tmp_path / "program.py").write_text(BEGIN + ENDLESS.format(each=each))
+    begun = subprocess.Popen(
+        [sys.executable, tmp_path / "program.py"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    assert begun.stdout is not None
+    assert len({int(begun.stdout.readline()) for _ in range(2)}) == 2
+    begun.send_signal(ending)
+    _, told = begun.communicate(timeout=120)  # the pipes close when the last worker has ended
+    assert begun.returncode == -ending and told.count("Traceback") == (ending == signal.SIGINT)
+
+
+def workers_of(process: int) -> Iterator[int]:
+    """Processes that compute for a process, without those that only clean up after it."""
+    try:
+        children = Path(f"/proc/{process}/task/{process}/children").read_text().split()
+        for child in map(int, children):
+            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+                yield child
+    except OSError:
+        return
+
+
+def test_a_command_whose_worker_is_killed_ends_with_one_line(tmp_path):
+    """As the kernel kills where memory runs out: with SIGKILL, from outside."""
+    if len(os.sched_getaffinity(0)) < 2:
+        pytest.skip("one core: the command starts no workers")
+    main = "import sys; from hyst_control.cli import main; sys.exit(main())"
+    command = [sys.executable, "-c", main, "cases", "make", "--seed", "7", "--count", "40"]
+    chosen = ["--plants", "pea_published", "--output", str(tmp_path / "out")]
+    begun = subprocess.Popen([*command, *chosen], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    until = time.monotonic() + 120.0
+    while not (found := list(workers_of(begun.pid))):
+        assert begun.poll() is None and time.monotonic() < until
+    os.kill(found[0], signal.SIGKILL)
+    _, told = begun.communicate(timeout=120)
+    assert begun.returncode == 2 and told.startswith("hyst cases: a worker process was killed") and told.count("\n") == 1

@@ -5,9 +5,7 @@ from __future__ import annotations
 import resource
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -17,6 +15,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
+from hyst_control.parallel import executor
 from hyst_control.records import excitation
 from hyst_control.records.record import Record
 from hyst_control.reporting.tables import Table
@@ -101,5 +100,5 @@ def diagnosis(plant: str) -> tuple[float, float, int, float]:
 
 def _alone(task: Callable[..., Any], *arguments: Any) -> Any:
     """A task's result from a process of its own, whose memory is its own."""
-    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+    with executor(1, serial=False) as pool:
         return pool.submit(task, *arguments).result()

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
-import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -20,6 +18,7 @@ from typing import Any
 
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
+from hyst_control.parallel import mapped
 from hyst_control.reporting.tables import Table
 
 NEAR = {
@@ -132,7 +131,7 @@ def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = prin
     stated = {key: drawn.stated_noise(*key) for key in sorted({(case.plant, case.noise) for case in cases})}
     documents = []
     jobs = [(case, str(folder / "cases"), stated[case.plant, case.noise]) for case in cases]
-    for case, document in zip(cases, _mapped(_make_one, jobs), strict=True):
+    for case, document in zip(cases, mapped(_make_one, jobs), strict=True):
         documents.append(document)
         if len(documents) % 50 == 0:
             note(f"{len(documents)} of {count} cases recorded ({case.name})")
@@ -159,7 +158,7 @@ def diagnose_all(
     ]
     begin = time.monotonic()
     jobs = [(str(case), str(folder / reports / f"{case.name}.json"), tuple((without or {}).get(case.name, ()))) for case in waiting]
-    for done, name in enumerate(_mapped(_diagnose_one, jobs), 1):
+    for done, name in enumerate(mapped(_diagnose_one, jobs), 1):
         if done % 20 == 0 or done == len(jobs):
             spent = time.monotonic() - begin
             note(f"{done} of {len(jobs)} diagnosed ({name}), {spent:.0f} s, {spent / done * (len(jobs) - done):.0f} s to go")
@@ -191,7 +190,7 @@ def realise(folder: Path, note: Callable[[str], None] = print) -> None:
         and report["verdict"] == "effect"
         and any(effect["shrink"] is not None for effect in report["effects"])
     ]
-    for _ in _mapped(_realise_one, jobs):
+    for _ in mapped(_realise_one, jobs):
         pass
     note(f"{len(jobs)} predicted shrinks held against fresh records")
 
@@ -272,16 +271,6 @@ def _realise_one(job: tuple[dict[str, Any], str, str]) -> None:
     predicted = max(effect["shrink"] for effect in report["effects"] if effect["shrink"] is not None)
     report["shrink_realised"] = [predicted, float(np.clip(realised, -10.0, 1.0)), case.excitation]
     write_json(path, report)
-
-
-def _mapped(work: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
-    """In order, over all cores, in processes of their own."""
-    workers = min(os.cpu_count() or 1, len(jobs))
-    if workers < 2:
-        yield from map(work, jobs)
-        return
-    with multiprocessing.get_context("spawn").Pool(workers, maxtasksperchild=100) as pool:
-        yield from pool.imap(work, jobs)
 
 
 def _digest(path: Path) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from hyst_control.effects import EFFECTS
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
 from hyst_control.model_file import Model, load_model, save_model
+from hyst_control.progress import step
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.record import Record
 
@@ -83,16 +83,13 @@ def diagnosed(
 
     augmented: the path that the report names for it.
     """
-    meter = _Progress(progress and sys.stderr.isatty())
-    try:
-        diagnosis = diagnose(records, model, seed, without, cache, progress=meter, warm_up=warm_up)
-        meter("shrink on held-out blocks")
-        explanation = explain(diagnosis)
-        better = augmented_model(diagnosis) if explanation.effects else None
-        blocks = [block for record in records for block in replay(record)]
-        document = gap_report(diagnosis, explanation, blocks, str(augmented) if augmented and better is not None else None)
-    finally:
-        meter.close()
+    tell = step if progress else (lambda text: None)
+    diagnosis = diagnose(records, model, seed, without, cache, progress=tell, warm_up=warm_up)
+    tell("shrink on held-out blocks")
+    explanation = explain(diagnosis)
+    better = augmented_model(diagnosis) if explanation.effects else None
+    blocks = [block for record in records for block in replay(record)]
+    document = gap_report(diagnosis, explanation, blocks, str(augmented) if augmented and better is not None else None)
     return document, diagnosis, better
 
 
@@ -104,19 +101,3 @@ def _command(path: str, namespace: str | None, unit: str) -> NDArray[np.float64]
     except (OSError, ValueError) as error:
         raise InputError(f"--on {path}: cannot be read ({error}): give a bag, or rows by axes in a .npy file") from None
     return rows[:, None] if rows.ndim == 1 else rows
-
-
-class _Progress:
-    """What is being done, on one line of the terminal."""
-
-    def __init__(self, shown: bool) -> None:
-        from tqdm import tqdm
-
-        self._bar = tqdm(disable=not shown, bar_format="{elapsed} {n} {desc}", leave=False)
-
-    def __call__(self, what: str) -> None:
-        self._bar.set_description_str(what, refresh=False)
-        self._bar.update()
-
-    def close(self) -> None:
-        self._bar.close()

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from math import factorial
 from pathlib import Path
@@ -33,6 +32,7 @@ from hyst_control.identify.frequency_response import excited_lines, local_polyno
 from hyst_control.identify.linear import Candidate, error_of, refined, stages_of
 from hyst_control.identify.modal_fit import ModalModel, Spectra, subspace
 from hyst_control.model_file import Model, save_model, simulate
+from hyst_control.parallel import executor
 from hyst_control.reporting.tables import Table
 from hyst_control.reproduction.fsm_cubespec_laws import LAWS as FORCE_LAWS
 from hyst_control.reproduction.fsm_cubespec_laws import left_over, motion_of
@@ -164,7 +164,7 @@ def run(json_path: str | Path | None = None, figures_dir: str | Path | None = No
     table = Table("reproduce fsm-cubespec")
     began = time.perf_counter()
     progress.step("fit every level by itself and all together, in two processes")
-    with ProcessPoolExecutor(2) as pool:
+    with executor(2, "fork") as pool:
         jobs = [(level, order) for order in sorted(ORDERS, reverse=True) for level in levels]
         candidates = list(pool.map(fit_level, *zip(*jobs, strict=True)))
         fits = [smallest_first(candidates[i :: len(levels)]) for i in range(len(levels))]
