@@ -30,6 +30,7 @@ ROOMS = (  # from the top of the house down: a room imports from itself and from
     "config_files",
     "files",
     "parallel",
+    "plugins",
     "progress",
     "errors",
 )

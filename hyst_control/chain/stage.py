@@ -23,6 +23,7 @@ import numpy as np
 from hyst_control.chain.parameter import AllAxes, Parameter, ScalarPerAxis, VectorPerAxis, declared, undeclared
 from hyst_control.chain.parameter import Array as Array
 from hyst_control.errors import InputError
+from hyst_control.plugins import Registry
 
 HOLDS = ("zoh", "foh")
 
@@ -320,7 +321,11 @@ class Modifier(Stage):
         return ThroughFilter(sampling.hold)
 
 
-STAGES: dict[str, type[Stage]] = {}
+STAGES: Registry[type[Stage]] = Registry(
+    "stages",
+    "a Stage of this name",
+    lambda name, value: isinstance(value, type) and issubclass(value, Stage) and value.name == name,
+)
 """Every stage by its name in the model file."""
 
 Registered = TypeVar("Registered", bound=type[Stage])

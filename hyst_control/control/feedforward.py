@@ -16,8 +16,8 @@ caller shifts its output by as many rows. Without preview it is the same filter,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import fields
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,8 +42,8 @@ from hyst_control.control.mhl_inverse import (
 from hyst_control.control.quasi_static import hysteretic, mean_line, quasi_static_stages
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
+from hyst_control.plugins import Registry
 
-KINDS = ("none", "hapi", "hampi", "mhl", "mhl_static", "mhl_inverse")
 RATE_FILTER = (3.23e-7, 9.1e-4, 1.0)
 """Denominator of N(s) = 1 / (3.23e-7 s² + 9.1e-4 s + 1), descending powers of s (MHL paper §4.4)."""
 
@@ -75,6 +75,34 @@ class Compensator:
         return self._filter.process(np.ascontiguousarray(block, dtype=float))
 
 
+@dataclass(frozen=True)
+class Design:
+    """Options of `build_compensator`, checked, as a kind's function gets them beside the model.
+
+    kind: under which it was called; sample_time: s; limits (2, A): V, lower and upper. The others as `build_compensator` has them.
+    """
+
+    kind: str
+    sample_time: float
+    limits: Array
+    inverse: str = "zpetc"
+    discretisation: str = "zoh"
+    preview: bool = True
+    iterations: int | None = None
+    inverse_model: Model | None = None
+    rate_filter: Sequence[float] | None = RATE_FILTER
+    smoothing: int = 0
+
+    @property
+    def rating(self) -> Saturation:
+        """The stage that ends every compensator: it never leaves the drive's limits."""
+        return Saturation(self.limits[0].tolist(), self.limits[1].tolist())
+
+
+Builder = Callable[[Model, Design], Compensator]
+"""Builds one kind of compensator; a plugin's, under `hyst_control.controllers`, is one too."""
+
+
 def build_compensator(
     model: Model,
     kind: str,
@@ -104,37 +132,80 @@ def build_compensator(
     """
     if kind not in KINDS:
         raise InputError(f"kind: {kind!r} is not one of {', '.join(KINDS)}")
-    sample_time = float(sample_time or model.sample_time)
+    if smoothing < 0:
+        raise InputError(f"smoothing: must be >= 0, got {smoothing}")
     bounds = drive_limits(model, limits)
-    rating = Saturation(bounds[0].tolist(), bounds[1].tolist())
-    if smoothing < 0 or smoothing and kind in ("none", "mhl", "mhl_static"):
-        raise InputError(f"smoothing: {smoothing} for kind {kind}: 0 or more is due, and 0 for kinds that do not look ahead")
-    if kind == "none":
-        slope, offset = mean_line(model, *bounds)
-        stages: list[Stage] = [Offset((-offset).tolist()), Gain((1.0 / slope).tolist())]
-        return Compensator([*stages, rating], model, sample_time, 0, 0, bounds)
-    if kind in ("mhl", "mhl_static"):
-        stages = mhl_stages(model, kind, inverse_model, rate_filter)
-        return Compensator([*stages, rating], model, sample_time, 0, 0, bounds)
+    design = Design(
+        kind,
+        float(sample_time or model.sample_time),
+        bounds,
+        inverse,
+        discretisation,
+        preview,
+        iterations,
+        inverse_model,
+        rate_filter,
+        smoothing,
+    )
+    return KINDS[kind](model, design)
 
+
+def _proportional(model: Model, design: Design) -> Compensator:
+    """The model's mean static gain alone."""
+    slope, offset = mean_line(model, *design.limits)
+    return _without_preview([Offset((-offset).tolist()), Gain((1.0 / slope).tolist())], model, design)
+
+
+def _mhl(model: Model, design: Design) -> Compensator:
+    """The MHL paper's compensators."""
+    return _without_preview(mhl_stages(model, design.kind, design.inverse_model, design.rate_filter), model, design)
+
+
+def _without_preview(stages: Sequence[Stage], model: Model, design: Design) -> Compensator:
+    """A compensator that does not look ahead."""
+    if design.smoothing:
+        raise InputError(f"smoothing: {design.smoothing} for kind {design.kind}, which does not look ahead: leave it out")
+    return Compensator([*stages, design.rating], model, design.sample_time, 0, 0, design.limits)
+
+
+def _inverse_chain(model: Model, design: Design) -> Compensator:
+    """Inverse dynamics, then the inverse of the hysteresis."""
     before, core, after = split(model)
     # A DAC holds the command; behind dynamics the signal is smooth.
-    held = Sampling(sample_time, len(model.axes), "zoh")
+    held = Sampling(design.sample_time, len(model.axes), "zoh")
     entering = held.with_hold("foh" if any(isinstance(stage, LinearStage) for stage in before) else "zoh")
-    behind, ahead = dynamics_inverse(after, entering, inverse, discretisation)
-    front, further = dynamics_inverse(before, held, inverse, discretisation)
+    behind, ahead = dynamics_inverse(after, entering, design.inverse, design.discretisation)
+    front, further = dynamics_inverse(before, held, design.inverse, design.discretisation)
     # The hysteresis sees the drive through the static gain of what stands before it.
-    drive = np.sort(quasi_static_stages(before, bounds, held.axes), axis=0)
+    drive = np.sort(quasi_static_stages(before, design.limits, held.axes), axis=0)
     valid = model.valid.get("command")
     needed = drive if valid is None else np.sort(quasi_static_stages(before, drive_limits(model, None), held.axes), axis=0)
-    stages = [*behind, *core_inverse(core, after, kind, entering, drive, needed[1], iterations), *front, rating]
+    inverted_core = core_inverse(core, after, design.kind, entering, drive, needed[1], design.iterations)
+    stages = [*behind, *inverted_core, *front, design.rating]
     ahead += further
-    if inverse != "none" and not any(isinstance(stage, (LinearStage, Delay)) for stage in (*before, *after)):
+    if design.inverse != "none" and not any(isinstance(stage, (LinearStage, Delay)) for stage in (*before, *after)):
         ahead = 1  # Without dynamics the sample still comes one tick after its command.
-    if smoothing:
-        stages.insert(0, zero_phase_low_pass(smoothing, held.axes, sample_time))
-        ahead += smoothing
-    return Compensator(stages, model, sample_time, ahead if preview else 0, 0 if preview else ahead, bounds)
+    if design.smoothing:
+        stages.insert(0, zero_phase_low_pass(design.smoothing, held.axes, design.sample_time))
+        ahead += design.smoothing
+    late = 0 if design.preview else ahead
+    return Compensator(stages, model, design.sample_time, ahead - late, late, design.limits)
+
+
+KINDS: Registry[Builder] = Registry(
+    "controllers",
+    "a function of a model and a Design",
+    lambda name, value: callable(value),
+    {
+        "none": _proportional,
+        "hapi": _inverse_chain,
+        "hampi": _inverse_chain,
+        "mhl": _mhl,
+        "mhl_static": _mhl,
+        "mhl_inverse": _inverse_chain,
+    },
+)
+"""Every kind of compensator by name."""
 
 
 def drive_limits(model: Model, limits: tuple[ArrayLike, ArrayLike] | None) -> Array:

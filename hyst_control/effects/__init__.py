@@ -5,17 +5,18 @@ from pkgutil import iter_modules
 
 from hyst_control.effects.effect import PLACES, Effect, Surroundings
 from hyst_control.effects.placement import insert
+from hyst_control.plugins import Registry
 
 _modules = [import_module(f"{__name__}.{module.name}") for module in iter_modules(__path__)]
 _usual = Surroundings(1e-4, 1.0, (0.0, 100.0), 1e5, (0.0, 1.0), 2)
 
-EFFECTS: dict[str, Effect] = {
-    effect.name: effect
-    for effect in sorted(
-        (module.EFFECT for module in _modules if hasattr(module, "EFFECT")),
-        key=lambda effect: (PLACES.index(effect.place), len(effect.parameters(_usual)), effect.name),
-    )
-}
+EFFECTS: Registry[Effect] = Registry(
+    "effects",
+    "an Effect of this name",
+    lambda name, value: isinstance(value, Effect) and value.name == name,
+    {module.EFFECT.name: module.EFFECT for module in _modules if hasattr(module, "EFFECT")},
+    order=lambda effect: (PLACES.index(effect.place), len(effect.parameters(_usual)), effect.name),
+)
 """Every effect by name: in signal order, and at one place the simplest first."""
 
 __all__ = ["EFFECTS", "insert"]

@@ -1,0 +1,168 @@
+"""A distribution that adds a stage, an effect and a controller, and one that is broken, installed beside this package."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SETUP = """
+from setuptools import setup
+setup(name="{name}", version="1.2", py_modules=["{module}"], entry_points={points})
+"""
+
+RIPPLE = '''
+"""Interpolation error of an encoder: periodic in the position."""
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hyst_control.chain.memoryless import Gain, StaticFilter
+from hyst_control.chain.stage import Stage, per_axis_scalar, register, require_finite
+from hyst_control.control.feedforward import Compensator
+from hyst_control.effects.effect import Effect, Parameter
+
+
+@register
+@dataclass(frozen=True)
+class Ripple(Stage):
+    """y = u + amplitude sin(2 pi u / pitch), measurement unit."""
+
+    name: ClassVar[str] = "ripple"
+    amplitude: Any
+    pitch: Any
+
+    def check(self) -> None:
+        require_finite(self.amplitude, "amplitude")
+        require_finite(self.pitch, "pitch")
+
+    def filter(self, sampling):
+        amplitude, pitch = (per_axis_scalar(getattr(self, name), sampling.axes, name) for name in ("amplitude", "pitch"))
+        return StaticFilter(lambda u: u + amplitude * np.sin(2.0 * np.pi * u / pitch), sampling.hold)
+
+
+EFFECT = Effect(
+    "ripple",
+    "sensor",
+    "The encoder's interpolation errs within its pitch.",
+    lambda around: (Parameter("amplitude", "unit", 0.0, (0.002 * around.stroke,), -0.05 * around.stroke, 0.05 * around.stroke,
+                              0.01 * around.stroke),),
+    lambda values, around: Ripple(values["amplitude"], 2.0),
+)
+
+
+def halved(model, design):
+    """Half a volt per unit."""
+    return Compensator([Gain(0.5), design.rating], model, design.sample_time, 0, 0, design.limits)
+'''
+
+POINTS = {
+    "hyst_control.stages": ["ripple = acme_ripple:Ripple"],
+    "hyst_control.effects": ["ripple = acme_ripple:EFFECT"],
+    "hyst_control.controllers": ["halved = acme_ripple:halved"],
+}
+
+BROKEN = {
+    "hyst_control.stages": ["amiss = broken_stage:Amiss"],
+    "hyst_control.effects": ["gain = acme_ripple:EFFECT", "number = broken_numbers:NUMBER"],
+    "hyst_control.controllers": ["number = broken_numbers:NUMBER"],
+}
+
+MODEL = """
+format: hyst_control/model
+version: 1
+name: stage
+axes: [x]
+units: {command: V, measurement: um}
+sample_time: 1.0e-3
+hold: zoh
+valid: {command: [0.0, 10.0]}
+chain:
+  - {stage: transfer_function, num: [400.0], den: [1.0, 400.0]}
+noise: {sigma: 0.001}
+tolerance: {num: 0.01, den: 0.01}
+"""
+
+
+def write_sources(folder: Path, name: str, module: str, source: str, points: dict[str, list[str]]) -> str:
+    """Sources of a distribution of one module; returns their folder."""
+    folder = folder / name
+    folder.mkdir()
+    (folder / "setup.py").write_text(SETUP.format(name=name, module=module, points=points))
+    (folder / f"{module}.py").write_text(source)
+    return str(folder)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory) -> Path:
+    """A folder with both distributions in site/, a model, and the same with a ripple."""
+    folder = tmp_path_factory.mktemp("plugins")
+    sources = [
+        write_sources(folder, "acme-ripple", "acme_ripple", RIPPLE, POINTS),
+        write_sources(folder, "broken-numbers", "broken_numbers", "NUMBER = 3\n", BROKEN),
+    ]
+    offline = ["--quiet", "--disable-pip-version-check", "--no-deps", "--no-index", "--no-build-isolation"]
+    subprocess.run([sys.executable, "-m", "pip", "install", *offline, "--target", str(folder / "site"), *sources], check=True)
+    (folder / "model.yaml").write_text(MODEL)
+    (folder / "rippled.yaml").write_text(MODEL.replace("noise:", "  - {stage: ripple, amplitude: 0.05, pitch: 2.0}\nnoise:"))
+    return folder
+
+
+def run(place: Path, program: str, *words: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(place / "site"), "XDG_CACHE_HOME": str(place / "cache")}
+    command = [sys.executable, "-c", program, *words]
+    return subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, timeout=250, check=False)
+
+
+def hyst(place: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    done = run(place, "import sys; from hyst_control.cli import main; sys.exit(main())", *words)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def test_a_record_is_simulated_and_diagnosed_with_the_stage_and_the_effect_of_a_plugin(place):
+    """The gap is the plugin's effect: nothing in this package's catalogue is periodic in the position."""
+    excitation = ["--excitation", "diagnostic", "lowest=0", "highest=10", "duration=1"]
+    hyst(place, "simulate", "rippled.yaml", *excitation, "--seed", "1", "--output", "record")
+    hyst(place, "diagnose", "record", "--model", "model.yaml", "--json", "gap.json", "--augmented", "better.yaml")
+    found = json.loads((place / "gap.json").read_text())
+    assert (found["verdict"], [effect["name"] for effect in found["effects"]]) == ("effect", ["ripple"])
+    assert found["effects"][0]["parameters"]["amplitude"]["value"] == pytest.approx(0.05, rel=0.02)
+    assert "stage: ripple" in (place / "better.yaml").read_text()
+    hyst(place, "simulate", "better.yaml", "record", "--output", "again")  # the file with the plugin's stage is read back
+
+
+def test_a_controller_of_a_plugin_is_built_by_its_name(place):
+    program = """
+from hyst_control.control.feedforward import KINDS, build_compensator
+from hyst_control.model_file import load_model
+import numpy as np
+print("halved" in KINDS, build_compensator(load_model("model.yaml"), "halved").process(np.array([[4.0], [60.0]])).ravel().tolist())
+"""
+    done = run(place, program)
+    assert done.stdout == "True [2.0, 10.0]\n", done.stderr  # held within the model's valid range
+
+
+def test_a_plugin_may_be_imported_before_this_package(place):
+    done = run(place, "import acme_ripple; from hyst_control.effects import EFFECTS; print('ripple' in EFFECTS)")
+    assert done.stdout == "True\n" and "acme" not in done.stderr
+
+
+def test_a_broken_plugin_is_one_line_that_names_its_distribution(place):
+    program = """
+from hyst_control.chain import STAGES
+from hyst_control.control.feedforward import KINDS
+from hyst_control.effects import EFFECTS
+print(len(STAGES) > 30, "ripple" in EFFECTS, "hampi" in KINDS, "number" in {**EFFECTS, **KINDS}, EFFECTS["gain"].name)
+"""
+    done = run(place, program)
+    assert done.stdout == "True True True False gain\n"
+    lines = done.stderr.splitlines()
+    assert len(lines) == 4 and all("of broken-numbers 1.2: cannot be used" in line for line in lines)
+    assert [line.split()[1] for line in lines] == ["amiss", "gain", "number", "number"]
+    assert "No module named 'broken_stage'" in lines[0]
