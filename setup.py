@@ -20,7 +20,21 @@ NODES = {
 root = Path(__file__).parent
 folders = [Path("config"), *(path.relative_to(root) for path in sorted((root / "config").rglob("*")) if path.is_dir())]
 # Without versions: a ROS 2 machine has its distribution's. What `make` and the checks install is pinned in requirements.txt.
-REQUIRED = ["numpy", "scipy", "numba", "PyYAML", "matplotlib", "pillow", "plotly", "tqdm", "rosbags", "mcap", "argcomplete"]
+REQUIRED = [
+    "numpy",
+    "scipy",
+    "numba",
+    "PyYAML",
+    "matplotlib",
+    "pillow",
+    "plotly",
+    "tqdm",
+    "jinja2",
+    "platformdirs",
+    "rosbags",
+    "mcap",
+    "argcomplete",
+]
 present = {name: module for name, module in NODES.items() if (root / (module.replace(".", "/") + ".py")).exists()}
 
 setup(
@@ -31,7 +45,10 @@ setup(
     python_requires=">=3.10",
     install_requires=REQUIRED,
     packages=find_packages(include=["hyst_control*", "hyst_plant_sim*"]),
-    package_data={"hyst_control": ["benchmarks/*.c", "diagnose/*.yaml", "py.typed"], "hyst_plant_sim": ["py.typed"]},
+    package_data={
+        "hyst_control": ["benchmarks/*.c", "diagnose/*.yaml", "*/templates/*", "py.typed"],
+        "hyst_plant_sim": ["py.typed"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

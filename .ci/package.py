@@ -17,9 +17,11 @@ from sources import ROOT
 KEYS = {
     "PIL": "python3-pil",
     "argcomplete": "python3-argcomplete",
+    "jinja2": "python3-jinja2",
     "matplotlib": "python3-matplotlib",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
+    "platformdirs": "python3-platformdirs",
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
     "tqdm": "python3-tqdm",

@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.blind_test import cases
+from hyst_control.blind_test.case_drawing import draw
+from hyst_control.blind_test.case_records import record_of, run_case
+from hyst_control.blind_test.nominal_models import nominal
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.identify import identify
@@ -85,9 +87,9 @@ def identification(family: str, seconds: float) -> tuple[float, float, int]:
 
 def diagnosis(plant: str) -> tuple[float, float, int, float]:
     """Seconds without and with the threshold in the cache, rows, and seconds of the record: one effect, diagnostic excitation."""
-    case = cases.draw(0, 1, [plant], {"single": 1.0}, ["rich"])[0]
-    record: Record = cases.record_of(case, cases.run(case))
-    model = cases.nominal(plant, case.noise)
+    case = draw(0, 1, [plant], {"single": 1.0}, ["rich"])[0]
+    record: Record = record_of(case, run_case(case))
+    model = nominal(plant, case.noise)
     diagnosed([record], model, seed=1)  # compiles the kernels
     begin = time.perf_counter()
     diagnosed([record], model, seed=2, cache=False)

@@ -82,13 +82,14 @@ def make_cases(
     switched: float = 0.0,
     note: Callable[[str], None] = print,
 ) -> Path:
-    """Cases and labels only; see `make`, and `hyst_control.blind_test.cases.draw` for the options."""
-    from hyst_control.blind_test import cases as drawn
+    """Cases and labels only; see `make`, and `hyst_control.blind_test.case_drawing.draw` for the options."""
+    from hyst_control.blind_test.case import EXCITATIONS, KINDS
+    from hyst_control.blind_test.plant_setups import SETUPS
 
     for option, asked, known in (
-        ("plants", plants, drawn.SETUPS),
-        ("kinds", kinds, drawn.KINDS),
-        ("excitations", excitations, drawn.EXCITATIONS),
+        ("plants", plants, SETUPS),
+        ("kinds", kinds, KINDS),
+        ("excitations", excitations, EXCITATIONS),
     ):
         for name in asked or ():
             if name not in known:
@@ -114,7 +115,8 @@ def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = prin
 
     Labels that are there already are kept: a run goes on where it stopped.
     """
-    from hyst_control.blind_test import cases as drawn
+    from hyst_control.blind_test.case_drawing import draw
+    from hyst_control.blind_test.nominal_models import nominal, stated_noise
     from hyst_control.model_file import save_model
 
     labels = folder / "labels.json"
@@ -127,8 +129,8 @@ def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = prin
         note(f"labels: SHA-256 {_digest(labels)}")
         return labels
     (folder / "cases").mkdir(parents=True, exist_ok=True)
-    cases = drawn.draw(seed, count, **options)
-    stated = {key: drawn.stated_noise(*key) for key in sorted({(case.plant, case.noise) for case in cases})}
+    cases = draw(seed, count, **options)
+    stated = {key: stated_noise(*key) for key in sorted({(case.plant, case.noise) for case in cases})}
     documents = []
     jobs = [(case, str(folder / "cases"), stated[case.plant, case.noise]) for case in cases]
     for case, document in zip(cases, mapped(_make_one, jobs), strict=True):
@@ -138,7 +140,7 @@ def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = prin
     for plant, noise in stated:
         path = folder / "models" / f"{plant}_{noise:g}.yaml"
         path.parent.mkdir(exist_ok=True)
-        save_model(drawn.nominal(plant, noise), path)
+        save_model(nominal(plant, noise), path)
     for case in cases:
         shutil.copy(folder / "models" / f"{case.plant}_{case.noise:g}.yaml", folder / "cases" / case.name / "model.yaml")
     write_json(labels, {"seed": seed, "count": count, **({"options": options} if options else {}), "cases": documents})
@@ -211,16 +213,18 @@ def _fresh(case: Any) -> Any:
 def _make_one(job: tuple[Any, str, float]) -> dict[str, Any]:
     import numpy as np
 
-    from hyst_control.blind_test import cases as drawn
+    from hyst_control.blind_test.case import as_document
+    from hyst_control.blind_test.case_labels import labelled
+    from hyst_control.blind_test.case_records import commands, record_of, run_case
     from hyst_control.records.importing import write_bag
 
     case, folder, stated = job
     bag = Path(folder) / case.name / "bag"
     shutil.rmtree(bag.parent, ignore_errors=True)
     bag.parent.mkdir(parents=True)
-    write_bag(bag, drawn.record_of(case, drawn.run(case)))
-    np.save(bag.parent / "next.npy", drawn.commands(_fresh(case)))
-    return drawn.as_document(drawn.labelled(case, stated))
+    write_bag(bag, record_of(case, run_case(case)))
+    np.save(bag.parent / "next.npy", commands(_fresh(case)))
+    return as_document(labelled(case, stated))
 
 
 def _diagnose_one(job: tuple[str, str, tuple[str, ...]]) -> str:
@@ -245,13 +249,15 @@ def _diagnose_one(job: tuple[str, str, tuple[str, ...]]) -> str:
 def _realise_one(job: tuple[dict[str, Any], str, str]) -> None:
     import numpy as np
 
-    from hyst_control.blind_test import cases as drawn
+    from hyst_control.blind_test.case import Case
+    from hyst_control.blind_test.case_records import run_case
+    from hyst_control.blind_test.plant_setups import SETUPS
     from hyst_control.model_file import load_model, simulate
 
     document, path, nominal = job
     report = json.loads(Path(path).read_text(encoding="utf-8"))
     case = _fresh(
-        drawn.Case(
+        Case(
             document["name"],
             document["plant"],
             document["kind"],
@@ -262,11 +268,11 @@ def _realise_one(job: tuple[dict[str, Any], str, str]) -> None:
             document["off"],
         )
     )
-    signals = drawn.run(case)
+    signals = run_case(case)
     command, measured = signals["command"], signals["measurement"]
     model, better = load_model(nominal), load_model(Path(path).with_suffix(".yaml"))
     before, after = (float(np.mean((measured - simulate(m, command)) ** 2)) for m in (model, better))
-    floor = (case.noise * drawn.SETUPS[case.plant].stroke) ** 2
+    floor = (case.noise * SETUPS[case.plant].stroke) ** 2
     realised = 1.0 - (after - floor) / max(before - floor, 1e-300)
     predicted = max(effect["shrink"] for effect in report["effects"] if effect["shrink"] is not None)
     report["shrink_realised"] = [predicted, float(np.clip(realised, -10.0, 1.0)), case.excitation]

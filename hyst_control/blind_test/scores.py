@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest, mannwhitneyu
 
 from hyst_control.effects import EFFECTS
 from hyst_control.reporting.tables import Table
@@ -47,12 +48,11 @@ class Metric:
 
 
 def wilson(k: int, n: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share."""
+    """Wilson's 95 % interval of a share k of n; 0 to 1 where there are no cases."""
     if not n:
         return 0.0, 1.0
-    z, share = 1.96, k / n
-    centre, half = share + z * z / (2 * n), z * np.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
-    return max(float((centre - half) / (1 + z * z / n)), 0.0), min(float((centre + half) / (1 + z * z / n)), 1.0)
+    interval = binomtest(k, n).proportion_ci(0.95, "wilson")
+    return float(interval.low), float(interval.high)
 
 
 def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric]:
@@ -259,8 +259,8 @@ def _macro_f1(pairs: Sequence[Pair]) -> float:
 
 
 def _auroc(positive: Sequence[float], negative: Sequence[float]) -> float:
-    wins = sum((a > b) + 0.5 * (a == b) for a in positive for b in negative)
-    return float(wins / (len(positive) * len(negative)))
+    """Share of pairs in which the positive one is the greater, ties counting half: the statistic U of Mann and Whitney, of 1."""
+    return float(mannwhitneyu(positive, negative, method="asymptotic").statistic / (len(positive) * len(negative)))
 
 
 def _ece(pairs: Sequence[Pair], bins: int = 5) -> float:

@@ -1,41 +1,63 @@
-"""Results that are kept: a fit builds hundreds of chains that differ in one number, and most of their parts are the same."""
+"""Cache of results: a fit builds hundreds of chains that differ in one number, and most of their parts are the same."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
-from functools import wraps
-from typing import Any, TypeVar
+from collections.abc import Callable
+from functools import lru_cache, wraps
+from typing import TypeVar
 
 import numpy as np
 
 KEPT = 512
-"""Results per function; when there are more, all are forgotten."""
+"""Results per function; when there are more, the one that was not asked for longest is dropped."""
 
 Result = TypeVar("Result")
 
 
-def remembered(work: Callable[..., Result]) -> Callable[..., Result]:
-    """The function, whose result for the same values is the same object: it must not be changed.
+class _Call:
+    """Arguments of a call, compared and hashed by their values."""
 
-    Arguments, by position: arrays, dataclasses of arrays, lists, and what can be a dictionary's key.
+    __slots__ = ("arguments", "key")
+
+    def __init__(self, arguments: tuple[object, ...]) -> None:
+        self.arguments = arguments
+        self.key = tuple(map(_key, arguments))
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Call) and self.key == other.key
+
+
+def remembered(work: Callable[..., Result]) -> Callable[..., Result]:
+    """Keep the results of a function: for the same values it returns the same object, which must not be changed.
+
+    Parameters
+    ----------
+    work
+        A function of positional arguments: arrays, dataclasses of arrays, lists, and what can be a dictionary's key.
+
+    Returns
+    -------
+    Callable
+        The function with its cache of `KEPT` results.
     """
-    known: dict[Hashable, Result] = {}
+
+    @lru_cache(KEPT)
+    def result_of(call: _Call) -> Result:
+        result = work(*call.arguments)
+        call.arguments = ()  # the key is kept, and holds all that is compared
+        return result
 
     @wraps(work)
-    def recalled(*arguments: Any) -> Result:
-        key = tuple(map(_key, arguments))
-        found = known.get(key)
-        if found is None:
-            found = work(*arguments)
-            if len(known) >= KEPT:
-                known.clear()
-            known[key] = found
-        return found
+    def recalled(*arguments: object) -> Result:
+        return result_of(_Call(arguments))
 
     return recalled
 
 
-def _key(value: Any) -> Hashable:
+def _key(value: object) -> object:
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, value.tobytes()
     if isinstance(value, (list, tuple)):

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+from platformdirs import user_cache_path
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.hypothesis import Candidate, Member
@@ -105,7 +106,7 @@ def tangents(linearised: Linearised, members: Sequence[Member]) -> list[Array]:
 
 
 def _cache_file(linearised: Linearised, members: Sequence[Member], seed: int, count: int) -> Path | None:
-    folder = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hyst_control" / "null"
+    folder = user_cache_path("hyst_control") / "null"
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:

@@ -9,7 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hyst_control.blind_test.cases import BEGIN, EXCITATIONS, KINDS, LEAST, SETUPS, SEVERITIES, Case, commands, draw, labelled, run
+from hyst_control.blind_test.case import EXCITATIONS, KINDS, Case
+from hyst_control.blind_test.case_drawing import BEGIN, draw
+from hyst_control.blind_test.case_labels import LEAST, labelled
+from hyst_control.blind_test.case_records import commands, run_case
+from hyst_control.blind_test.effect_sizes import SEVERITIES
+from hyst_control.blind_test.plant_setups import SETUPS
 from hyst_control.blind_test.scores import metrics, wilson
 from hyst_control.cli import main
 from hyst_plant_sim.physics import PLANTS as TRUTH_PLANTS
@@ -34,7 +39,7 @@ def test_labels_state_the_true_gap_and_hide_what_nobody_could_see():
         if case.kind == "single" and case.excitation == "rich" and case.names[0] not in ("sensor_noise", "held_samples")
     )
     label = labelled(case).label
-    difference = run(case, noisy=False)["measurement"] - run(case, effects=False, noisy=False)["measurement"]
+    difference = run_case(case, noisy=False)["measurement"] - run_case(case, effects=False, noisy=False)["measurement"]
     assert label["gap_rms"] == pytest.approx(np.sqrt(np.mean(difference**2)))
     assert label["kind"] == ("single" if label["distance"] >= LEAST else "none")
 
@@ -52,7 +57,7 @@ def test_effects_begin_within_the_record_where_asked_for():
     assert 0.3 < np.mean(["from" in case.effects[0] for case in draw(5, 100, kinds=("single",), switched=0.5)]) < 0.7
     case = next(case for case in switched if case.plant == "fsm" and case.kind == "pair" and case.excitation == "rich")
     begin = round(min(effect["from"] for effect in case.effects) / SETUPS["fsm"].sample_time)
-    found, without = run(case)["measurement"], run(case, effects=False)["measurement"]
+    found, without = run_case(case)["measurement"], run_case(case, effects=False)["measurement"]
     np.testing.assert_array_equal(found[:begin], without[:begin])
     assert np.any(found[begin:] != without[begin:])
 
@@ -61,7 +66,7 @@ def test_effects_begin_within_the_record_where_asked_for():
 @pytest.mark.parametrize("excitation", EXCITATIONS)
 def test_plants_stay_within_their_range_and_stroke(plant, excitation):
     """Also those that the blind test does not take, in closed loop as well."""
-    signals = run(Case("", plant, "none", excitation, 5e-4, 7))
+    signals = run_case(Case("", plant, "none", excitation, 5e-4, 7))
     setup = SETUPS[plant]
     assert np.all((signals["command"] >= setup.command[0]) & (signals["command"] <= setup.command[1]))
     assert np.all(np.abs(signals["measurement"]) < 1.3 * setup.stroke) and np.ptp(signals["measurement"]) > 0.3 * setup.stroke
@@ -96,7 +101,7 @@ def test_of_a_pair_it_is_told_which_could_be_seen_beside_the_other(excitation):
 def test_coefficients_that_are_off_count_by_their_gap(off, kind):
     case = Case("", "pea_published", "parameters", "multisine", 3e-3, 3, off=off)
     label = labelled(case).label
-    difference = run(case, noisy=False)["measurement"] - run(case, noisy=False, scattered=False)["measurement"]
+    difference = run_case(case, noisy=False)["measurement"] - run_case(case, noisy=False, scattered=False)["measurement"]
     assert label["gap_rms"] == pytest.approx(np.sqrt(np.mean(difference**2)))
     assert label["kind"] == kind and label.get("hidden") == (["parameters"] if kind == "none" else None)
 

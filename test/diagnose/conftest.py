@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hyst_control.blind_test.cases import scatter
+from hyst_control.blind_test.plant_setups import scatter
 from hyst_control.config_files import config_path
 from hyst_control.diagnose.diagnosis import Diagnosis
 from hyst_control.diagnose.workflow import diagnosed

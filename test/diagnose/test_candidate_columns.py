@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control.blind_test import cases
+from hyst_control.blind_test.case import Case
+from hyst_control.blind_test.case_records import record_of, run_case
+from hyst_control.blind_test.nominal_models import nominal
 from hyst_control.diagnose.diagnosis import problem_of
 from hyst_control.diagnose.hypothesis import Candidate, catalogue
 from hyst_control.diagnose.problem import split
@@ -13,8 +15,8 @@ from hyst_control.diagnose.problem import split
 
 @pytest.mark.parametrize("names", [("vibration",), ("mains_hum",), ("vibration", "gain"), ("cross_coupling", "vibration")])
 def test_columns_of_what_is_added_are_its_derivatives(names):
-    case = cases.Case("case", "fsm_published", "none", "rich", 5e-4, 3, ())
-    problem, _ = problem_of([cases.record_of(case, cases.run(case))], cases.nominal("fsm_published", 5e-4))
+    case = Case("case", "fsm_published", "none", "rich", 5e-4, 3, ())
+    problem, _ = problem_of([record_of(case, run_case(case))], nominal("fsm_published", 5e-4))
     problem = split(problem)[0]
     members = catalogue(problem, {"vibration": [123.4], "mains_hum": [50.0]})
     candidate = Candidate(tuple(next(member for member in members if member.name == name) for name in names))

@@ -8,7 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hyst_control.blind_test import cases
+from hyst_control.blind_test.case import Case
+from hyst_control.blind_test.case_records import record_of, run_case
+from hyst_control.blind_test.nominal_models import nominal
+from hyst_control.blind_test.plant_setups import SETUPS
 from hyst_control.cli import main
 from hyst_control.diagnose.foreseen_reduction import foresee
 from hyst_control.diagnose.workflow import diagnosed
@@ -22,12 +25,12 @@ DRAWN = {"pea_published": {"name": "dac_hold", "samples": 4.0}, "fsm_published":
 
 @pytest.mark.parametrize("plant", DRAWN)
 def test_the_shrink_foreseen_is_the_one_then_measured(plant, tmp_path, capsys):
-    case = cases.Case("case", plant, "single", "rich", NOISE, 21, (DRAWN[plant],))
-    model, record = cases.nominal(plant, NOISE), cases.record_of(case, cases.run(case))
+    case = Case("case", plant, "single", "rich", NOISE, 21, (DRAWN[plant],))
+    model, record = nominal(plant, NOISE), record_of(case, run_case(case))
     document, diagnosis, better = diagnosed([record], model)
-    fresh = cases.run(replace(case, excitation="multisine"))
+    fresh = run_case(replace(case, excitation="multisine"))
     foreseen = foresee(diagnosis, fresh["command"])
-    floor = (NOISE * cases.SETUPS[plant].stroke) ** 2
+    floor = (NOISE * SETUPS[plant].stroke) ** 2
     before, after = (np.sqrt(np.mean((fresh["measurement"] - simulate(m, fresh["command"])) ** 2) - floor) for m in (model, better))
     assert foreseen.rms_before == pytest.approx(before, rel=0.03) and foreseen.rms_after == pytest.approx(after, rel=0.1)
     assert foreseen.shrink == pytest.approx(1 - (after / before) ** 2, abs=0.02)
@@ -57,8 +60,8 @@ def test_the_shrink_foreseen_is_the_one_then_measured(plant, tmp_path, capsys):
 
 
 def test_a_command_of_another_form_is_refused():
-    case = cases.Case("case", "fsm_published", "none", "rich", NOISE, 21, ())
-    _, diagnosis, _ = diagnosed([cases.record_of(case, cases.run(case))], cases.nominal("fsm_published", NOISE))
+    case = Case("case", "fsm_published", "none", "rich", NOISE, 21, ())
+    _, diagnosis, _ = diagnosed([record_of(case, run_case(case))], nominal("fsm_published", NOISE))
     for command in (np.zeros((100, 1)), np.zeros(100), np.full((100, 2), np.nan)):
         with pytest.raises(InputError, match="2 axes are due"):
             foresee(diagnosis, command)

@@ -1,0 +1,39 @@
+"""One case of the blind test: what is done, and what is in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+EXCITATIONS = ("rich", "multisine", "sine", "closed_loop")
+
+KINDS = ("single", "pair", "parameters", "none", "open_set")
+
+NOISES = (5e-4, 3e-3)
+"""Share of the stroke, rms."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case: what is done, and (label) what is in it. effects: mappings that `load_plant` takes."""
+
+    name: str
+    plant: str
+    kind: str
+    excitation: str
+    noise: float
+    seed: int
+    effects: tuple[Mapping[str, Any], ...] = ()
+    off: float = 1.0
+    label: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Effects that are in it."""
+        return tuple(effect["name"] for effect in self.effects)
+
+
+def as_document(case: Case) -> dict[str, Any]:
+    """The label of a case as JSON types."""
+    return {**asdict(case), "effects": [dict(effect) for effect in case.effects], "label": dict(case.label)}

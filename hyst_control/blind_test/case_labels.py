@@ -1,0 +1,80 @@
+"""Labels of the blind test's cases: the true gap of each, and whether anybody could see it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hyst_control.blind_test.case import Case
+from hyst_control.blind_test.case_records import plant_of, run_case
+from hyst_control.blind_test.nominal_models import stated_noise
+from hyst_control.blind_test.plant_setups import SETUPS
+
+LEAST = 10.0
+"""Distance (standard deviations, coefficients marginalised) below which nobody could see a gap: such a case counts as none."""
+
+
+def labelled(case: Case, stated: float | None = None) -> Case:
+    """The case with its label: what to score, the true gap, from when each effect is there, and whether anybody could see it.
+
+    Of a pair also which of the two are `shown`: could be seen beside the other.
+    stated: what `stated_noise` says, where it is known already (a plant without a published model is identified first).
+    """
+    setup = SETUPS[case.plant]
+    noise = case.noise * setup.stroke
+    stated = stated_noise(case.plant, case.noise) if stated is None else stated
+    label: dict[str, Any] = {
+        "kind": case.kind,
+        "names": list(case.names),
+        "effects": [dict(effect) for effect in case.effects],
+        "plant": case.plant,
+        "excitation": case.excitation,
+        "noise": case.noise,
+    }
+    gap, distance = 0.0, 0.0
+    least = 0.2 * noise if setup.model is not None else 1.5 * stated  # under a model's own error nothing can be told
+    within = case.kind != "parameters"  # those off by more than their tolerance are themselves the gap
+    wrong = bool(case.effects) or not within
+    if wrong:
+        difference = _difference(case, replace(case, effects=()), within)
+        gap = float(np.sqrt(np.mean(difference**2)))
+        distance = visible(case, difference, stated)
+    label |= {"gap_rms": gap, "noise_rms": noise, "distance": distance}
+    if wrong and (distance < LEAST or gap < least):
+        label["kind"] = "none"
+        label["hidden"] = list(case.names) or [case.kind]
+        label["names"] = []
+    elif case.kind == "pair":
+        label["shown"] = []
+        for effect in case.effects:
+            part = _difference(case, replace(case, effects=tuple(other for other in case.effects if other is not effect)))
+            size = visible(replace(case, effects=(effect,)), part, stated)
+            if size >= LEAST and float(np.sqrt(np.mean(part**2))) >= least:
+                label["shown"].append(effect["name"])
+    return replace(case, label=label)
+
+
+def _difference(case: Case, other: Case, scattered: bool = True) -> np.ndarray:
+    """What a case's plant measures more than that of another, (N, A) without noise; scattered: the other's coefficients."""
+    if case.excitation == "closed_loop":  # the loop hides a gap: what counts is the plant on one and the same command
+        command = run_case(case, noisy=False)["command"]
+        truth, bare = plant_of(case, noisy=False), plant_of(other, noisy=False, scattered=scattered)
+        return np.concatenate([truth.reset(command[0])[None], truth.step(command)[:-1]]) - np.concatenate(
+            [bare.reset(command[0])[None], bare.step(command)[:-1]]
+        )
+    return run_case(case, noisy=False)["measurement"] - run_case(other, noisy=False, scattered=scattered)["measurement"]
+
+
+def visible(case: Case, difference: np.ndarray, noise: float) -> float:
+    """Size of a difference in standard deviations (of the stated noise) once a change of gain and of offset on each axis is taken off."""
+    measured = run_case(case, effects=False, noisy=False)["measurement"]
+    left = 0.0
+    for axis in range(difference.shape[1]):
+        known = np.stack([np.ones(len(measured)), measured[:, axis]], axis=1)
+        if case.names and set(case.names) <= {"gain", "offset"}:
+            known = known[:, :0]
+        rest = difference[:, axis] - (known @ np.linalg.lstsq(known, difference[:, axis], rcond=None)[0] if known.shape[1] else 0.0)
+        left += float(rest @ rest)
+    return float(np.sqrt(left) / noise)

@@ -1,0 +1,97 @@
+"""Records of the blind test's cases: the truth plant of a case under its excitation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hyst_control.blind_test.case import Case
+from hyst_control.blind_test.plant_setups import SCATTER, SETUPS, scatter
+from hyst_control.control.loop import run_loop
+from hyst_control.control.pi import PI
+from hyst_control.records.excitation import build
+from hyst_control.records.record import Record, Signal
+from hyst_plant_sim.physics import Plant, load_plant
+
+
+def commands(case: Case) -> np.ndarray:
+    """The open loop's commands (N, A) in V; the reference (N, A) in the measurement unit for the closed loop."""
+    setup = SETUPS[case.plant]
+    axes = 2 if case.plant.startswith("fsm") else 1
+    low, high = setup.command
+    span, centre, random = high - low, 0.5 * (high + low), np.random.default_rng([case.seed, 1])
+    if case.excitation == "rich":
+        spec: dict[str, Any] = {"signal": "diagnostic", "lowest": low, "highest": high, "seed": int(random.integers(3))}
+    elif case.excitation == "multisine":
+        spec = {
+            "signal": "multisine",
+            "period": 0.25,
+            "lower_frequency": 4.0,
+            "upper_frequency": 600.0,
+            "rms": 0.13 * span,
+            "offset": centre,
+            "periods": 6,
+            "detection": 4,
+            "avoid_mains": True,
+            "seed": int(random.integers(3)),
+        }
+    elif case.excitation == "sine":
+        spec = {
+            "signal": "sine",
+            "frequency": float(random.choice([5.0, 12.0, 35.0, 90.0])),
+            "amplitude": 0.42 * span,
+            "offset": centre,
+            "duration": 1.5,
+        }
+    else:
+        spec = {
+            "signal": "multi_frequency",
+            "frequencies": [3.0, 17.0, 41.0],
+            "offset": 0.5 * setup.stroke,
+            "duration": 1.5,
+            "amplitudes": [0.2 * setup.stroke, 0.08 * setup.stroke, 0.08 * setup.stroke],
+        }
+    rows = build(spec, setup.sample_time, axes)
+    if case.excitation != "closed_loop":
+        return np.clip(rows, low, high)
+    # A record starts at rest: the loop closes at a reference of 0 and goes from there.
+    ramp = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, int(0.1 / setup.sample_time)))
+    return np.concatenate([np.zeros((20, axes)), ramp[:, None] * rows[0], rows])
+
+
+def run_case(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True) -> dict[str, np.ndarray]:
+    """Signals of a case by topic, (N, A) each, with or without its effects, the noise, and the scatter of its plant."""
+    truth = plant_of(case, effects, noisy, scattered)
+    rows, setup = commands(case), SETUPS[case.plant]
+    if case.excitation != "closed_loop":
+        first = truth.reset(rows[0])
+        return {"command": rows, "measurement": np.concatenate([first[None], truth.step(rows)[:-1]])}
+    controller = PI(setup.gains[0], setup.gains[1], setup.sample_time, setup.command[0], setup.command[1]).start(rows.shape[1])
+    signals = run_loop(rows, None, controller, truth)
+    return {name: signals[name] for name in ("reference", "feedforward", "feedback", "command", "measurement")}
+
+
+def plant_of(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True) -> Plant:
+    """The truth plant of a case, rated for the range in which it is driven."""
+    setup = SETUPS[case.plant]
+    changes = scatter(case.plant, case.seed, SCATTER * case.off if scattered else 0.0)
+    document = {
+        "plant": case.plant,
+        "rating": list(setup.command),
+        "stroke": [0.0, setup.stroke],
+        "effects": [dict(effect) for effect in case.effects] if effects else [],
+    }
+    noise = case.noise * setup.stroke if noisy else 0.0
+    return load_plant(document, seed=case.seed, sample_time=setup.sample_time, **{**changes, "noise": noise})
+
+
+def record_of(case: Case, signals: Mapping[str, np.ndarray]) -> Record:
+    """A case's signals as a record; nothing in it tells what is in the case."""
+    setup = SETUPS[case.plant]
+    time = np.arange(len(signals["command"])) * setup.sample_time
+    axes = ("x", "y") if case.plant.startswith("fsm") else ("x",)
+    unit = "mrad" if case.plant.startswith("fsm") else "um"
+    units = {"command": "V", "feedforward": "V", "feedback": "V"}
+    return Record({name: Signal(time, values, axes, units.get(name, unit)) for name, values in signals.items()}, case.name)

@@ -1,0 +1,69 @@
+"""Models that the cases of the blind test are diagnosed against."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from hyst_control.blind_test.plant_setups import IDENTIFICATION, SCATTER, SETUPS, TOLERANCE
+from hyst_control.config_files import config_path
+from hyst_control.identify import identify
+from hyst_control.identify.dataset import Dataset
+from hyst_control.model_file import Model, load_model, simulate
+from hyst_control.records.excitation import build
+from hyst_plant_sim.physics import load_plant
+
+
+@cache
+def nominal(plant: str, noise: float) -> Model:
+    """The model that a case is diagnosed against: the published one, or one identified from a clean record of the nominal plant.
+
+    Its tolerance is the scatter of the plants; its noise, that of the sensor and of what the identification left.
+    """
+    setup = SETUPS[plant]
+    sigma = noise * setup.stroke
+    if setup.model is not None:
+        model = load_model(config_path(setup.model))
+    else:
+        model, left = _identified(plant)
+        sigma = float(np.hypot(sigma, left))
+    return replace(
+        model,
+        sample_time=setup.sample_time,
+        noise={"sigma": sigma},
+        tolerance={name: SCATTER for name in TOLERANCE},
+        valid={**model.valid, "command": list(setup.command)},
+    )
+
+
+@cache
+def _identified(plant: str) -> tuple[Model, float]:
+    """A model of the nominal plant, and what (rms) its family leaves of this physics on a record that did not identify it."""
+    setup, (family, spec) = SETUPS[plant], IDENTIFICATION[plant]
+    low, high = setup.command
+    truth = load_plant({"plant": plant, "rating": [low, high]}, seed=1, sample_time=setup.sample_time, noise=1e-4 * setup.stroke)
+
+    def clean(spec: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+        rows = build(spec, setup.sample_time, len(truth.axes))
+        return rows, np.concatenate([truth.reset(rows[0])[None], truth.step(rows)[:-1]])
+
+    diagnostic = {"signal": "diagnostic", "lowest": low, "highest": high}
+    records = [clean({**spec, "peak": high}), clean({**diagnostic, "seed": 5000})]
+    model = identify(
+        [
+            Dataset(f"clean {index}", *record, setup.sample_time, truth.axes, truth.units["measurement"])
+            for index, record in enumerate(records)
+        ],
+        family,
+    ).model
+    rows, measured = clean({**diagnostic, "seed": 6000})
+    return model, float(np.sqrt(np.mean((measured - simulate(model, rows, setup.sample_time)) ** 2)))
+
+
+def stated_noise(plant: str, noise: float) -> float:
+    """What the nominal model of a plant says of the noise, rms."""
+    return float(np.max(nominal(plant, noise).noise["sigma"]))

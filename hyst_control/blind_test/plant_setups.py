@@ -1,0 +1,117 @@
+"""Setups of the blind test's plants: how each is driven, and how its coefficients scatter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import yaml
+
+from hyst_plant_sim.physics.plant_files import shipped
+
+PLANTS = ("pea_published", "fsm_published", "third")
+"""The blind test's; others that can be asked for are in `SETUPS`."""
+
+SCATTER = 0.01
+"""Relative standard deviation of every coefficient of a plant about the nominal one."""
+
+TOLERANCE = ("weights", "m1", "m2", "k", "b", "w0", "num", "den", "ascending", "descending", "tau", "k1", "k2", "b2")
+
+
+@dataclass(frozen=True)
+class Setup:
+    """How a plant is driven: model file (None: identified), sample time s, command range V, stroke (measurement unit)."""
+
+    model: str | None
+    sample_time: float
+    command: tuple[float, float]
+    stroke: float
+    scattered: tuple[str, ...]
+    gains: tuple[float, float]
+    """Proportional V per unit, and integral V per unit and s."""
+
+
+SETUPS = {
+    "pea_published": Setup(
+        "models/pea_hampi.yaml", 5e-5, (0.0, 50.0), 5.2, ("weights", "m1", "m2", "k", "b", "num", "den"), (1.0, 3000.0)
+    ),
+    "fsm_published": Setup(
+        "models/fsm_mhl.yaml",
+        1e-4,
+        (0.0, 100.0),
+        2.0,
+        ("ascending", "descending", "delay", "k1", "k2", "num", "den"),
+        (5.0, 9000.0),
+    ),
+    "third": Setup(
+        None,
+        5e-5,
+        (0.0, 100.0),
+        9.0,
+        ("slope", "alpha", "beta", "gamma", "ladder_shares", "mode_frequency", "mode_damping"),
+        (1.0, 2000.0),
+    ),
+    "pea": Setup(
+        None,
+        5e-5,
+        (0.0, 100.0),
+        10.8,
+        (
+            "elastic_slope",
+            "slip_slope",
+            "slip_decay",
+            "saturation",
+            "drag_rise",
+            "drag_fall",
+            "mode_frequency",
+            "mode_damping",
+            "slow_share",
+        ),
+        (1.0, 2000.0),
+    ),
+    "fsm": Setup(
+        None,
+        1e-4,
+        (0.0, 100.0),
+        2.0,
+        ("delay", "elastic_slope", "slip_slope", "slip_decay", "relaxation_share", "mode_frequency", "mode_damping"),
+        (5.0, 9000.0),
+    ),
+}
+
+IDENTIFICATION: dict[str, tuple[str, dict[str, Any]]] = {
+    # by plant without a published model: the family, and what identifies it beside the diagnostic record, over the command range
+    "third": ("hampi", {"signal": "hampi_identification"}),
+    "pea": ("hampi", {"signal": "hampi_identification"}),
+    "fsm": ("mhl", {"signal": "mhl_identification", "sweep_time": 1.0}),
+}
+
+
+def scatter(plant: str, seed: int, size: float) -> dict[str, Any]:
+    """Coefficients of a plant, each off by a normal share of `size`; both axes of a mirror about the first axis' values."""
+    parameters = _parameters(plant)
+    random = np.random.default_rng([seed, 2])
+    setup = SETUPS[plant]
+
+    def off(value: Any) -> Any:
+        return [off(item) for item in value] if isinstance(value, list) else value * (1.0 + size * random.standard_normal())
+
+    if plant != "fsm_published":
+        return {name: off(parameters[name]) for name in setup.scattered}
+    changes = {name: [off(parameters[name][0]) for _ in range(2)] for name in setup.scattered}
+    for name in ("span", "scale", "b2"):
+        changes[name] = [parameters[name][0]] * 2
+    for axis in range(2):  # the major branches meet at their end
+        ends = [sum(changes[name][axis]) for name in ("ascending", "descending")]
+        for name, end in zip(("ascending", "descending"), ends, strict=True):
+            changes[name][axis] = [value * 0.5 * sum(ends) / end for value in changes[name][axis]]
+    return changes
+
+
+@cache
+def _parameters(plant: str) -> dict[str, Any]:
+    path = shipped(plant)
+    assert path is not None
+    return yaml.safe_load(path.read_text(encoding="utf-8"))["parameters"]
