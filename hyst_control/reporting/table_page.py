@@ -4,33 +4,31 @@ from __future__ import annotations
 
 from hyst_control.reporting.html_page import Page
 from hyst_control.reporting.tables import Row, Table
+from hyst_control.reporting.templates import render
 
 HEADERS = ("case", "subject", "quantity", "measured", "published", "unit")
 
 
 def add_tables(page: Page, table: Table) -> None:
-    """One section for each table."""
+    """Add a section to a page for each table of a result."""
     for name, rows in by_name(table).items():
         page.section(name)
         page.table(HEADERS, [cells(row) for row in rows])
 
 
 def markdown(table: Table) -> str:
-    """The tables as Markdown."""
-    lines: list[str] = []
-    for name, rows in by_name(table).items():
-        lines += [f"### {name}", "", f"| {' | '.join(HEADERS)} |", "|---|---|---|---:|---:|---|"]
-        lines += [f"| {' | '.join(cells(row))} |" for row in rows] + [""]
-    return "\n".join(lines)
+    """Tables of a result as Markdown, each under its name."""
+    tables = {name: [cells(row) for row in rows] for name, rows in by_name(table).items()}
+    return render("reporting/templates/tables.md", headers=HEADERS, tables=tables)
 
 
 def by_name(table: Table) -> dict[str, list[Row]]:
-    """The rows under the names of their tables, in order."""
+    """Rows of a result under the names of their tables, in order."""
     return {name: [row for row in table.rows if row.table == name] for name in dict.fromkeys(row.table for row in table.rows)}
 
 
 def cells(row: Row) -> list[str]:
-    """A row's texts."""
+    """Texts of a row, in the order of `HEADERS`."""
     return [
         row.case,
         row.subject,

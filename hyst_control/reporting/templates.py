@@ -1,0 +1,47 @@
+"""Pages and drawings from templates: data goes in, and no markup stands in Python.
+
+A template lies in the folder `templates` of its room: `reporting/templates/page.html`. In `.html` and `.svg` every value is escaped,
+unless it is `markupsafe.Markup`; in `.md` none is.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from markupsafe import Markup
+
+
+def render(template: str, **values: object) -> str:
+    """Fill in a template.
+
+    Parameters
+    ----------
+    template
+        Path within the package, such as ``reporting/templates/page.html``.
+    **values
+        What the template names; one that is missing is an error.
+
+    Returns
+    -------
+    str
+        The text.
+    """
+    return _environment().get_template(template).render(values)
+
+
+def render_markup(template: str, **values: object) -> Markup:
+    """Fill in a template whose result goes into another one as it is; see `render`."""
+    return Markup(render(template, **values))
+
+
+@cache
+def _environment() -> Environment:
+    return Environment(
+        loader=PackageLoader("hyst_control", ""),
+        autoescape=select_autoescape(("html", "svg"), default=False),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
