@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hyst_control.effects import EFFECTS as CATALOGUE
 from hyst_control.files import write_text
+from hyst_control.reporting.templates import render
 from hyst_plant_sim.physics import EFFECTS, Plant, load_plant
 from hyst_plant_sim.physics.signal_path import PLACES
 
@@ -198,54 +199,39 @@ def write(folder: Path) -> list[Path]:
 
 
 def page() -> str:
-    """The page's text, places in signal order."""
-    known = [name for name in EFFECTS if name in CATALOGUE]
-    lines = [
-        "# Effects",
-        "",
-        f"Written by `{COMMAND}`.",
-        "",
-        f"What can be wrong with a truth plant, each at its physical place: {len(known)} effects that the diagnosis knows and "
-        f"{len(EFFECTS) - len(known)} that it does not (marked *outside the catalogue*), with which it is tested for saying so.",
-        "",
-        "A plant file or a case names them: `effects: [{name: delay, tau: 4.0e-4, axis: x, from: 0.5}]`; or the plant node's "
-        "parameter `effects`, a text of that form. Without `axis` an effect "
-        "acts on every axis, without `from` (s) at all times. `unit` is the plant's measurement unit, um or mrad.",
-        "",
-        "Each figure shows the truth PEA (for the cross coupling, the truth mirror) without its own noise, grey as it is and blue "
-        "with the effect; orange is the difference, the gap. From left to right: jumps and the gap below them, the spectrum of the "
-        f"answer to a multisine up to {UPPER_FREQUENCY:g} Hz, one loop over the voltage.",
-        "",
-    ]
+    """Text of the page, places in signal order."""
+    places = []
     for place in PLACES:
-        here = [name for name, effect in EFFECTS.items() if effect.place == place]
+        here = [_described(name) for name, effect in EFFECTS.items() if effect.place == place]
         if here:
-            lines += [f"## {TITLES[place]}", ""]
-        for name in here:
-            lines += _paragraphs(name)
-    return "\n".join(lines).rstrip() + "\n"
+            places.append({"title": TITLES[place], "effects": here})
+    known = sum(name in CATALOGUE for name in EFFECTS)
+    return render(
+        "blind_test/templates/effects.md",
+        command=COMMAND,
+        known=known,
+        unknown=len(EFFECTS) - known,
+        upper_frequency=UPPER_FREQUENCY,
+        places=places,
+    )
 
 
-def _paragraphs(name: str) -> list[str]:
+def _described(name: str) -> dict[str, object]:
+    """Values of an effect's paragraphs."""
     effect, example = EFFECTS[name], EXAMPLES[name]
-    outside = "" if name in CATALOGUE else " (*outside the catalogue*)"
-    shown = ", ".join(f"{key} {value:g}{_unit(effect.units.get(key, ''), example.plant)}" for key, value in example.values.items())
-    rows = [f"| `{key}` | {effect.units.get(key) or '-'} | not there at {absent:g} |" for key, absent in effect.absent.items()]
-    rows += [f"| `{key}` | {effect.units.get(key) or '-'} | {value:g} if not given |" for key, value in effect.others.items()]
-    return [
-        f"### {name}{outside}",
-        "",
-        f"{effect.meaning} {example.sign}",
-        "",
-        "| parameter | unit | |",
-        "|---|---|---|",
-        *rows,
-        "",
-        f"![{name}: with and without](figures/effects/{name}.png)",
-        "",
-        f"*{shown}; loop at {example.frequency:g} Hz.*",
-        "",
-    ]
+    units = {key: effect.units.get(key) or "-" for key in (*effect.absent, *effect.others)}
+    shown = [f"{key} {value:g}{_unit(effect.units.get(key, ''), example.plant)}" for key, value in example.values.items()]
+    texts = [(key, f"not there at {value:g}") for key, value in effect.absent.items()]
+    texts += [(key, f"{value:g} if not given") for key, value in effect.others.items()]
+    return {
+        "name": name,
+        "known": name in CATALOGUE,
+        "meaning": effect.meaning,
+        "sign": example.sign,
+        "parameters": [{"name": key, "unit": units[key], "text": text} for key, text in texts],
+        "shown": ", ".join(shown),
+        "frequency": example.frequency,
+    }
 
 
 def _unit(unit: str, plant: str) -> str:
