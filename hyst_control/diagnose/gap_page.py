@@ -18,13 +18,16 @@ from hyst_control.diagnose.diagnosis import AxisDiagnosis, Diagnosis
 from hyst_control.diagnose.gap_reduction import shares
 from hyst_control.diagnose.gap_report import sentence
 from hyst_control.model_file import Model
-from hyst_control.reporting.html_page import Page
+from hyst_control.reporting.html_page import figure_markup
+from hyst_control.reporting.html_page import write_page as write_template
 
 BINS = 3000
 """Stretches of a drawn signal of which the least and the greatest sample are kept."""
 
 LOOP_POINTS = 5000
 MOST_PIECES = 4
+MOST_CANDIDATES = 12
+MOST_COEFFICIENTS = 15
 INK, ORANGE, BLUE = "#1c2430", "#c2542d", "#2a6f97"
 WHERE = {
     "stage": "by place in the chain",
@@ -48,46 +51,53 @@ class Traces:
 
 
 def write_page(path: Path, document: Mapping[str, Any], diagnosis: Diagnosis, better: Model | None) -> None:
-    """Write the page of a diagnosis whose report is `document`; better: the augmented model. Raises `InputError`."""
-    page = Page("Where simulation and record part", sentence(dict(document)))
-    page.picture(chain_picture(document))
-    pieces = _traces(diagnosis, better)
-    _effects(page, document)
-    page.section(
-        "Measured, simulated, augmented",
-        "The residuals are beneath, on the same time axis: drag to zoom, double-click "
-        "to return. Long signals are drawn by their least and greatest values" + _augmented_note(better),
-    )
-    for index, piece in enumerate(pieces):
-        for axis, name in enumerate(diagnosis.model.axes):
-            page.figure(_signals(piece, axis, _title(index, name, len(pieces), diagnosis), document["gap"]["unit"]), 560)
-    if len(diagnosis.problem.pieces) > len(pieces):
-        page.note(f"The first {len(pieces)} of {len(diagnosis.problem.pieces)} stretches are drawn; the figures count them all.")
-    page.section(
-        "The gap shrinking",
-        "Rms of the residual as the most probable explanation is added effect by effect, then with "
-        "the model's coefficients fitted within their tolerance. On the samples of the fit; the held-out shrink is in the "
-        "table above.",
-    )
-    page.figure(_waterfall(diagnosis, document), 380)
-    page.section("Residual spectrum", "What is above the noise floor can be modelled; what is at the floor cannot.")
-    page.figure(_spectrum(pieces, diagnosis, document["gap"]["unit"]), 400)
-    page.section("Hysteresis loops", "Measurement over command.")
-    page.figure(_loops(pieces[0], diagnosis, document["gap"]["unit"]), 440)
-    page.section(
-        "Where the gap lies", "Shares of the nominal model's squared residual, with 90 % intervals; each group adds up to 100 %."
-    )
-    page.figure(_where(document), 620)
-    _candidates(page, document)
-    _next(page, document)
-    _rest(page, document)
-    page.write(path)
+    """Write the page of a diagnosis.
 
+    Parameters
+    ----------
+    path
+        HTML file to write.
+    document
+        The diagnosis' gap report.
+    diagnosis
+        The diagnosis itself, for the figures.
+    better
+        The augmented model; None where nothing was added.
 
-def _augmented_note(better: Model | None) -> str:
-    if better is None:
-        return ". No effect was found that could be added."
-    return ". The augmented model has its coefficients as given."
+    Raises
+    ------
+    InputError
+        When the file cannot be written.
+    """
+    pieces, unit = _traces(diagnosis, better), document["gap"]["unit"]
+    signals = [
+        figure_markup(_signals(piece, axis, _title(index, name, len(pieces), diagnosis), unit), 560)
+        for index, piece in enumerate(pieces)
+        for axis, name in enumerate(diagnosis.model.axes)
+    ]
+    weighed = document["candidates"][:MOST_CANDIDATES]
+    write_template(
+        path,
+        "diagnose/templates/gap.html",
+        "Where simulation and record part",
+        sentence(dict(document)),
+        chain=chain_picture(document),
+        effects=[_effect_row(effect) for effect in document["effects"]],
+        meanings=list(dict.fromkeys(f"{effect['name'].replace('_', ' ')}: {effect['meaning']}" for effect in document["effects"])),
+        augmented=better is not None,
+        signals=signals,
+        pieces_drawn=len(pieces),
+        pieces=len(diagnosis.problem.pieces),
+        waterfall=figure_markup(_waterfall(diagnosis, document), 380),
+        spectrum=figure_markup(_spectrum(pieces, diagnosis, unit), 400),
+        loops=figure_markup(_loops(pieces[0], diagnosis, unit), 440),
+        where=figure_markup(_where(document), 620),
+        candidates=figure_markup(_candidates(weighed), 150 + 28 * len(weighed)) if weighed else None,
+        next_experiment=document["next_experiment"],
+        coefficients=[(row["name"], f"{row['z']:+.1f}") for row in document["parameters"][:MOST_COEFFICIENTS]],
+        replay=[(block["name"], block["text"]) for block in document["replay"]],
+        notes=document["notes"],
+    )
 
 
 def _traces(diagnosis: Diagnosis, better: Model | None) -> list[Traces]:
@@ -289,47 +299,26 @@ def _where(document: Mapping[str, Any]) -> go.Figure:
     return figure
 
 
-def _effects(page: Page, document: Mapping[str, Any]) -> None:
-    if not document["effects"]:
-        return
-    page.section(
-        "Which effect, and how far the gap shrinks with it",
-        "Shrink counts toward the noise floor, on samples that did not "
-        "fit the effect: 100 % means that nothing but noise is left. Intervals are 90 %.",
+def _effect_row(effect: Mapping[str, Any]) -> tuple[str, ...]:
+    """Cells of an effect's row."""
+    values = "; ".join(
+        f"{name} {_number(row['value'])} {row['unit']} [{_number(row['ci90'][0])} … {_number(row['ci90'][1])}]"
+        for name, row in effect["parameters"].items()
     )
-    rows = []
-    for effect in document["effects"]:
-        values = "; ".join(
-            f"{name} {_number(row['value'])} {row['unit']} [{_number(row['ci90'][0])} … {_number(row['ci90'][1])}]"
-            for name, row in effect["parameters"].items()
-        )
-        spread = effect["shrink_ci90"]
-        rows.append(
-            (
-                effect["name"].replace("_", " "),
-                ", ".join(effect["axis"]),
-                f"{effect['probability']:.2f}",
-                values,
-                _share(effect["shrink"]) + (f" [{_share(spread[0])} … {_share(spread[1])}]" if spread else ""),
-                _share(effect["shrink_reidentified"]),
-                _share(effect["share"]),
-                ", ".join(effect["equivalent"]) or "–",
-            )
-        )
-    page.table(
-        ("effect", "axes", "probability", "parameters", "shrink as given", "re-identified", "share", "cannot be told from"), rows
+    spread = effect["shrink_ci90"]
+    return (
+        effect["name"].replace("_", " "),
+        ", ".join(effect["axis"]),
+        f"{effect['probability']:.2f}",
+        values,
+        _share(effect["shrink"]) + (f" [{_share(spread[0])} … {_share(spread[1])}]" if spread else ""),
+        _share(effect["shrink_reidentified"]),
+        _share(effect["share"]),
+        ", ".join(effect["equivalent"]) or "–",
     )
-    for meaning in dict.fromkeys(f"{effect['name'].replace('_', ' ')}: {effect['meaning']}" for effect in document["effects"]):
-        page.note(meaning)
 
 
-def _candidates(page: Page, document: Mapping[str, Any]) -> None:
-    rows = document["candidates"][:12]
-    if not rows:
-        return
-    page.section(
-        "Candidates weighed", "Probability that each effect is at work, among the explanations that beat the simulated null."
-    )
+def _candidates(rows: Sequence[Mapping[str, Any]]) -> go.Figure:
     figure = go.Figure(
         go.Bar(
             x=[row["probability"] for row in rows][::-1],
@@ -340,40 +329,7 @@ def _candidates(page: Page, document: Mapping[str, Any]) -> None:
         )
     )
     figure.update_xaxes(range=[0, 1.05], title_text="probability")
-    page.figure(figure, 150 + 28 * len(rows))
-
-
-def _next(page: Page, document: Mapping[str, Any]) -> None:
-    following = document["next_experiment"]
-    if not following:
-        return
-    page.section(
-        "What to measure next",
-        f"{following['excitation']} separates {' from '.join(following['separates'])} by "
-        f"{following['distance']:.1f} standard deviations" + (f"; {following['note']}." if following["note"] else "."),
-    )
-    page.table(
-        ("configuration of the reference generator", "value"),
-        [(name, str(value)) for name, value in following["configuration"].items()],
-    )
-
-
-def _rest(page: Page, document: Mapping[str, Any]) -> None:
-    if document["parameters"]:
-        page.section(
-            "Coefficients of the model",
-            "Those fitted more than two standard deviations of their tolerance away from the model file.",
-        )
-        page.table(
-            ("coefficient", "standard deviations"), [(row["name"], f"{row['z']:+.1f}") for row in document["parameters"][:15]]
-        )
-    if document["replay"]:
-        page.section("Software blocks, replayed", "What each block did, against what it should have done with its recorded inputs.")
-        page.table(("block", "finding"), [(block["name"], block["text"]) for block in document["replay"]])
-    if document["notes"]:
-        page.section("Notes")
-        for note in document["notes"]:
-            page.note(note)
+    return figure
 
 
 def _number(value: float | None) -> str:

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from hyst_control.files import write_text
-from hyst_control.reporting.templates import render, render_markup
+from hyst_control.reporting.templates import render
 
 COLOURS = ("#1c2430", "#c2542d", "#2a6f97", "#5b8e3e", "#8a5aa8", "#b08a1e")
 LAYOUT: Mapping[str, object] = {
@@ -22,8 +22,38 @@ LAYOUT: Mapping[str, object] = {
 }
 
 
+def figure_markup(figure: go.Figure, height: int = 420) -> Markup:
+    """A zoomable figure of a height in pixels, as markup for a template; the page must hold the plotting library."""
+    figure.update_layout(**LAYOUT, height=height)
+    return Markup(figure.to_html(full_html=False, include_plotlyjs=False, config={"displaylogo": False, "responsive": True}))
+
+
+def write_page(path: Path, template: str, title: str, summary: str, **values: object) -> None:
+    """Write a page from a template that extends ``reporting/templates/page.html``, with the plotting library inside it.
+
+    Parameters
+    ----------
+    path
+        File to write, in a folder that exists; a reader never meets half of it.
+    template
+        Path of the template within the package.
+    title
+        Heading of the page, and its name in the browser.
+    summary
+        First paragraph.
+    **values
+        What the template names besides.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be written.
+    """
+    write_text(path, render(template, title=title, summary=summary, plotly_script=Markup(get_plotlyjs()), **values))
+
+
 class Page:
-    """Sections of a page, collected in the order of the calls, then written.
+    """A page without a template of its own: sections, tables and figures in the order of the calls.
 
     Parameters
     ----------
@@ -36,43 +66,24 @@ class Page:
     def __init__(self, title: str, summary: str) -> None:
         self.title = title
         self.summary = summary
-        self._parts: list[Markup] = []
+        self._content: list[dict[str, object]] = []
 
     def section(self, heading: str, text: str = "") -> None:
         """Begin a section: a heading, and a paragraph under it."""
-        self._parts.append(render_markup("reporting/templates/section.html", heading=heading, text=text))
+        self._content.append({"kind": "section", "heading": heading, "text": text})
 
     def table(self, headers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Add a table of ready texts, one row as long as the headers."""
-        self._parts.append(render_markup("reporting/templates/table.html", headers=headers, rows=rows))
+        """Add a table of ready texts, each row as long as the headers."""
+        self._content.append({"kind": "table", "headers": headers, "rows": rows})
 
     def figure(self, figure: go.Figure, height: int = 420) -> None:
         """Add a zoomable figure of a height in pixels."""
-        figure.update_layout(**LAYOUT, height=height)
-        config = {"displaylogo": False, "responsive": True}
-        self._parts.append(Markup(figure.to_html(full_html=False, include_plotlyjs=False, config=config)))
+        self._content.append({"kind": "figure", "drawing": figure_markup(figure, height)})
 
     def note(self, text: str) -> None:
         """Add a small paragraph."""
-        self._parts.append(render_markup("reporting/templates/note.html", text=text))
-
-    def picture(self, drawing: Markup) -> None:
-        """Add a drawing, of `templates.render_markup`."""
-        self._parts.append(drawing)
+        self._content.append({"kind": "note", "text": text})
 
     def write(self, path: Path) -> None:
-        """Write the page with the plotting library inside it; a reader never meets half of it.
-
-        Parameters
-        ----------
-        path
-            File to write, in a folder that exists.
-
-        Raises
-        ------
-        InputError
-            When the file cannot be written.
-        """
-        script = Markup(get_plotlyjs())
-        values = {"title": self.title, "summary": self.summary, "plotly_script": script, "parts": self._parts}
-        write_text(path, render("reporting/templates/page.html", **values))
+        """Write the page; see `write_page`."""
+        write_page(path, "reporting/templates/page.html", self.title, self.summary, content=self._content)
