@@ -1,4 +1,4 @@
-"""Where the files of `config/` are: in the source tree, or in the share folder of an installed package."""
+"""Places of the files of `config/`: in the source tree, or in the share folder of an installed package."""
 
 from __future__ import annotations
 

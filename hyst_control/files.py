@@ -21,7 +21,7 @@ def check_writable(path: str | Path) -> None:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """To a temporary file beside it, then renamed. Raises `InputError` where the folder cannot be written."""
+    """Write to a temporary file beside it, then rename. Raises `InputError` where the folder cannot be written."""
     path = Path(path)
     try:
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")

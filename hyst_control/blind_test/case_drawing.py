@@ -58,7 +58,7 @@ def draw(
         off = float(random.uniform(*OFF)) if kind == "parameters" else 1.0
         case = Case("", plant, kind, excitation, noise, int(random.integers(1 << 31)), off=off)
         cases.append(replace(case, effects=tuple(draw_effect(name, plant, noise, random) for name in names)))
-    random.shuffle(cases)  # type: ignore[arg-type]
+    random.shuffle(cases)
     times = np.random.default_rng([seed, 3])  # apart, so that the cases are the same with and without
     return [replace(case, name=f"case_{index:04d}", effects=_begun(case, switched, times)) for index, case in enumerate(cases)]
 

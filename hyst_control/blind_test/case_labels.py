@@ -11,6 +11,7 @@ from hyst_control.blind_test.case import Case
 from hyst_control.blind_test.case_records import plant_of, run_case
 from hyst_control.blind_test.nominal_models import stated_noise
 from hyst_control.blind_test.plant_setups import SETUPS
+from hyst_control.chain.stage import Array
 
 LEAST = 10.0
 """Distance (standard deviations, coefficients marginalised) below which nobody could see a gap: such a case counts as none."""
@@ -56,18 +57,21 @@ def labelled(case: Case, stated: float | None = None) -> Case:
     return replace(case, label=label)
 
 
-def _difference(case: Case, other: Case, scattered: bool = True) -> np.ndarray:
-    """What a case's plant measures more than that of another, (N, A) without noise; scattered: the other's coefficients."""
+def _difference(case: Case, other: Case, scattered: bool = True) -> Array:
+    """Measurement (N, A) of a case's plant less that of another, without noise; scattered: whether the other's coefficients are."""
     if case.excitation == "closed_loop":  # the loop hides a gap: what counts is the plant on one and the same command
         command = run_case(case, noisy=False)["command"]
         truth, bare = plant_of(case, noisy=False), plant_of(other, noisy=False, scattered=scattered)
         return np.concatenate([truth.reset(command[0])[None], truth.step(command)[:-1]]) - np.concatenate(
             [bare.reset(command[0])[None], bare.step(command)[:-1]]
         )
-    return run_case(case, noisy=False)["measurement"] - run_case(other, noisy=False, scattered=scattered)["measurement"]
+    difference: Array = (
+        run_case(case, noisy=False)["measurement"] - run_case(other, noisy=False, scattered=scattered)["measurement"]
+    )
+    return difference
 
 
-def visible(case: Case, difference: np.ndarray, noise: float) -> float:
+def visible(case: Case, difference: Array, noise: float) -> float:
     """Size of a difference in standard deviations (of the stated noise) once a change of gain and of offset on each axis is taken off."""
     measured = run_case(case, effects=False, noisy=False)["measurement"]
     left = 0.0

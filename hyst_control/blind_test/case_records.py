@@ -9,6 +9,7 @@ import numpy as np
 
 from hyst_control.blind_test.case import Case
 from hyst_control.blind_test.plant_setups import SCATTER, SETUPS, scatter
+from hyst_control.chain.stage import Array
 from hyst_control.control.loop import run_loop
 from hyst_control.control.pi import PI
 from hyst_control.records.excitation import build
@@ -16,7 +17,7 @@ from hyst_control.records.record import Record, Signal
 from hyst_plant_sim.physics import Plant, load_plant
 
 
-def commands(case: Case) -> np.ndarray:
+def commands(case: Case) -> Array:
     """The open loop's commands (N, A) in V; the reference (N, A) in the measurement unit for the closed loop."""
     setup = SETUPS[case.plant]
     axes = 2 if case.plant.startswith("fsm") else 1
@@ -61,7 +62,7 @@ def commands(case: Case) -> np.ndarray:
     return np.concatenate([np.zeros((20, axes)), ramp[:, None] * rows[0], rows])
 
 
-def run_case(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True) -> dict[str, np.ndarray]:
+def run_case(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True) -> dict[str, Array]:
     """Signals of a case by topic, (N, A) each, with or without its effects, the noise, and the scatter of its plant."""
     truth = plant_of(case, effects, noisy, scattered)
     rows, setup = commands(case), SETUPS[case.plant]
@@ -87,10 +88,10 @@ def plant_of(case: Case, effects: bool = True, noisy: bool = True, scattered: bo
     return load_plant(document, seed=case.seed, sample_time=setup.sample_time, **{**changes, "noise": noise})
 
 
-def record_of(case: Case, signals: Mapping[str, np.ndarray]) -> Record:
+def record_of(case: Case, signals: Mapping[str, Array]) -> Record:
     """A case's signals as a record; nothing in it tells what is in the case."""
     setup = SETUPS[case.plant]
-    time = np.arange(len(signals["command"])) * setup.sample_time
+    time = np.arange(len(signals["command"]), dtype=np.float64) * setup.sample_time
     axes = ("x", "y") if case.plant.startswith("fsm") else ("x",)
     unit = "mrad" if case.plant.startswith("fsm") else "um"
     units = {"command": "V", "feedforward": "V", "feedback": "V"}

@@ -251,7 +251,9 @@ def draw(name: str, path: Path) -> None:
     grey, blue, orange = "0.55", "tab:blue", "tab:orange"
     figure = Figure(figsize=(9.6, 2.7), layout="constrained")
     FigureCanvasAgg(figure)
-    left, middle, right = figure.subfigures(1, 3)
+    parts = figure.subfigures(1, 3)
+    assert isinstance(parts, np.ndarray)
+    left, middle, right = parts
 
     time, rows = jumps(example, plants[0])
     without, found = (_answer(plant, rows) for plant in plants)
@@ -282,7 +284,7 @@ def draw(name: str, path: Path) -> None:
 
 
 def _save(figure: Any, path: Path) -> None:
-    """As a picture of few colours, which is a quarter of the size."""
+    """Save a picture of few colors, which is a quarter of the size."""
     from PIL import Image
 
     figure.set_dpi(80)
@@ -305,7 +307,7 @@ def _on_axes(first: Array, second: Array, plant: Plant) -> Array:
 
 def jumps(example: Example, plant: Plant) -> tuple[Array, Array]:
     """A rest, a jump up, a smaller one down; the second axis jumps meanwhile."""
-    time = np.arange(int(example.span / SAMPLE_TIME)) * SAMPLE_TIME
+    time = np.arange(int(example.span / SAMPLE_TIME), dtype=np.float64) * SAMPLE_TIME
     share, top = time / example.span, plant.rating[1]
     first = np.select([share < 0.1, share < 0.55], [0.1 * top, 0.8 * top], 0.45 * top)
     return time, _on_axes(first, np.select([share < 0.3, share < 0.75], [0.2 * top, 0.9 * top], 0.4 * top), plant)
@@ -320,7 +322,8 @@ def multisine(plant: Plant, duration: float = 2.0) -> Array:
     spectrum[:, places] = np.exp(2j * np.pi * np.random.default_rng(0).random((2, lines)))
     waves = np.fft.irfft(spectrum, len(time), axis=1)
     waves *= 0.13 / waves.std(axis=1, keepdims=True)
-    return _on_axes(*(plant.rating[1] * np.clip(0.5 + waves, 0.0, 1.0)), plant)
+    first, second = plant.rating[1] * np.clip(0.5 + waves, 0.0, 1.0)
+    return _on_axes(first, second, plant)
 
 
 def loop(example: Example, plant: Plant) -> tuple[Array, Array]:

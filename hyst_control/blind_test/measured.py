@@ -40,7 +40,7 @@ from hyst_control.reproduction import pea_p885 as stack
 ORDER = 46
 """States of the mirror's linear models."""
 DELAYS = (0.0, 0.25, 0.5, 0.75)
-"""In samples: among these the fifth realisation chooses."""
+"""Candidates in samples; the fifth realisation chooses among them."""
 MODES = {"none": (), "middle": mirror.LEVELS[1:2], "all": mirror.LEVELS}
 """Levels (mV) whose model loses each of its modes."""
 LOST_GAIN = 0.05
@@ -118,7 +118,7 @@ def add(table: Table, case: Withheld, report: dict[str, Any]) -> None:
 
 
 def named_right(case: Withheld, report: dict[str, Any]) -> bool:
-    """Whether the withheld element, or what the data cannot tell from it, is the first name given."""
+    """True when the withheld element, or what the data cannot tell from it, is the first name given."""
     return bool(report["effects"]) and report["effects"][0]["name"] in case.right
 
 
@@ -128,7 +128,7 @@ def best_shrink(report: dict[str, Any]) -> float:
 
 
 def summarise(table: Table, rows: Sequence[tuple[Withheld, dict[str, Any]]]) -> None:
-    """How often the withheld element was the first name, with its number of cases."""
+    """Share of cases in which the withheld element was the first name, with their number."""
     from hyst_control.blind_test.scores import wilson
 
     scored = [(case, report) for case, report in rows if case.right]
@@ -186,7 +186,8 @@ def fit(level: mirror.Level, delay: float) -> Candidate:
 def errors(model: Model, level: mirror.Level, realisation: int) -> Array:
     """Rms error (3,) of a model on a realisation, both periods."""
     simulated = mirror.steady_state(model, level.command[:, :, [realisation]].mean(axis=3))[:, :, 0]
-    return np.sqrt(np.mean((level.measurement[:, :, realisation] - simulated[..., None]) ** 2, axis=(0, 2)))
+    error: Array = np.sqrt(np.mean((level.measurement[:, :, realisation] - simulated[..., None]) ** 2, axis=(0, 2)))
+    return error
 
 
 def record_of(level: mirror.Level, realisation: int) -> Record:
@@ -194,7 +195,7 @@ def record_of(level: mirror.Level, realisation: int) -> Record:
     command, measurement = (
         part[:, :, realisation].transpose(2, 0, 1).reshape(-1, 3) for part in (level.command, level.measurement)
     )
-    time = mirror.SAMPLE_TIME * np.arange(len(command))
+    time = mirror.SAMPLE_TIME * np.arange(len(command), dtype=np.float64)
     return Record(
         {"command": Signal(time, command, mirror.AXES, "V"), "measurement": Signal(time, measurement, mirror.AXES, "um")},
         f"{level.name}, realisation {realisation + 1}",
@@ -273,7 +274,7 @@ def stack_cases() -> Iterator[Withheld]:
     for element, model in (("hysteresis", without_memory(few, cycle)), (f"all but {FEW} of {stack.OPERATORS} operators", few)):
         # The sensor's zero differs between the files.
         zero = float(np.mean((part.measurement - simulate(model, part.command))[rows]))
-        time = stack.SAMPLE_TIME * np.arange(len(part.command))
+        time = stack.SAMPLE_TIME * np.arange(len(part.command), dtype=np.float64)
         record = Record(
             {
                 "command": Signal(time, part.command, ("x",), "V"),

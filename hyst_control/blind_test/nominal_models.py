@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from hyst_control.blind_test.plant_setups import IDENTIFICATION, SCATTER, SETUPS, TOLERANCE
+from hyst_control.chain.stage import Array
 from hyst_control.config_files import config_path
 from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
@@ -47,7 +48,7 @@ def _identified(plant: str) -> tuple[Model, float]:
     low, high = setup.command
     truth = load_plant({"plant": plant, "rating": [low, high]}, seed=1, sample_time=setup.sample_time, noise=1e-4 * setup.stroke)
 
-    def clean(spec: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    def clean(spec: Mapping[str, Any]) -> tuple[Array, Array]:
         rows = build(spec, setup.sample_time, len(truth.axes))
         return rows, np.concatenate([truth.reset(rows[0])[None], truth.step(rows)[:-1]])
 
@@ -65,5 +66,5 @@ def _identified(plant: str) -> tuple[Model, float]:
 
 
 def stated_noise(plant: str, noise: float) -> float:
-    """What the nominal model of a plant says of the noise, rms."""
+    """Noise (rms, measurement unit) that the nominal model of a plant states for a noise level."""
     return float(np.max(nominal(plant, noise).noise["sigma"]))

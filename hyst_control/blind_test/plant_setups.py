@@ -22,7 +22,7 @@ TOLERANCE = ("weights", "m1", "m2", "k", "b", "w0", "num", "den", "ascending", "
 
 @dataclass(frozen=True)
 class Setup:
-    """How a plant is driven: model file (None: identified), sample time s, command range V, stroke (measurement unit)."""
+    """Drive of a plant: model file (None: identified), sample time s, command range V, stroke (measurement unit)."""
 
     model: str | None
     sample_time: float
@@ -114,4 +114,5 @@ def scatter(plant: str, seed: int, size: float) -> dict[str, Any]:
 def _parameters(plant: str) -> dict[str, Any]:
     path = shipped(plant)
     assert path is not None
-    return yaml.safe_load(path.read_text(encoding="utf-8"))["parameters"]
+    parameters: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))["parameters"]
+    return parameters

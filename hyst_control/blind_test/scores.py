@@ -43,7 +43,7 @@ class Metric:
 
     @property
     def met(self) -> bool:
-        """Whether the figure itself reaches its target."""
+        """True when the figure itself reaches its target."""
         return self.value >= self.target if self.at_least else self.value <= self.target
 
 
@@ -200,13 +200,13 @@ def _right(pair: Pair) -> bool:
         return set(_named(pair)) == set(_truth(pair))
     if kind == "none" and set(_named(pair)) & set(_label(pair).get("hidden", ())):
         return True  # seen all the same
-    return {"none": verdict in ("no_gap", "parameters"), "parameters": verdict == "parameters", "open_set": verdict == "unknown"}[
-        kind
-    ]
+    due = {"none": ("no_gap", "parameters"), "parameters": ("parameters",), "open_set": ("unknown",)}
+    return verdict in due[kind]
 
 
 def _label(pair: Pair) -> dict[str, Any]:
-    return pair[0]["label"]
+    label: dict[str, Any] = pair[0]["label"]
+    return label
 
 
 def _truth(pair: Pair) -> list[str]:
@@ -275,7 +275,7 @@ def _ece(pairs: Sequence[Pair], bins: int = 5) -> float:
 
 
 def _covered(pair: Pair) -> bool | None:
-    """Whether the true value of the named effect's main parameter lies in its interval; None where it was not named."""
+    """Coverage: True when the true value of the named effect's main parameter lies in its interval; None where it was not named."""
     effect = _label(pair)["effects"][0]
     named = next((row for row in pair[1]["effects"] if row["name"] == effect["name"]), None)
     if named is None or effect["name"] in OTHERWISE:

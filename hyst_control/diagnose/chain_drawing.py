@@ -29,7 +29,7 @@ BOX_OF = {
 
 WIDTH, HEIGHT, TOP, GAP = 104, 62, 22, 14
 LETTERS = 13
-"""As many fit on a line in a box."""
+"""Most letters that fit on a line in a box."""
 
 
 LEAST_SHARE = 0.005

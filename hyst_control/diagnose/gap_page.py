@@ -110,7 +110,7 @@ def _traces(diagnosis: Diagnosis, better: Model | None) -> list[Traces]:
         augmented = None if better is None else whole.rows(whole.simulate(better.chain.stages))
         found.append(
             Traces(
-                np.arange(len(piece.command)) * problem.sample_time,
+                np.arange(len(piece.command), dtype=np.float64) * problem.sample_time,
                 piece.command,
                 piece.measurement,
                 whole.rows(whole.simulate(diagnosis.model.chain.stages)),

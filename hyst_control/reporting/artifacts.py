@@ -1,4 +1,4 @@
-"""What a command made: its files with their sizes and hashes, and what is in them, as JSON and as lines."""
+"""Artifacts of a command: its files with their sizes and hashes, and what is in them, as JSON and as lines."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Made:
         self.facts.append(Fact(case, quantity, unit, value if isinstance(value, int) else float(value)))
 
     def document(self) -> dict[str, Any]:
-        """As plain JSON types; the hashes are computed now."""
+        """Content as plain JSON types; the hashes are computed now."""
         return {
             "schema": SCHEMA,
             "version": VERSION,

@@ -32,7 +32,7 @@ class Target:
 
     @property
     def met(self) -> bool:
-        """Whether the figure keeps the bound; a figure that is none does not."""
+        """True when the figure keeps the bound; a figure that is none does not."""
         return self.value >= self.bound if self.at_least else self.value <= self.bound
 
 
