@@ -18,6 +18,7 @@ KEYS = {
     "PIL": "python3-pil",
     "argcomplete": "python3-argcomplete",
     "jinja2": "python3-jinja2",
+    "markupsafe": "python3-jinja2",  # which brings it
     "matplotlib": "python3-matplotlib",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
