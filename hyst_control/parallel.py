@@ -59,11 +59,14 @@ def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bo
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context(start), _begin_worker, (serial,))
     try:
         yield pool
-    except BrokenProcessPool:
-        raise WorkerLost("a worker process was killed, by want of memory perhaps: free some and run the command again") from None
-    except BaseException:
+    except BaseException as error:
+        # A broken pool ends its workers itself, but not one that is being started meanwhile, for which it would then wait.
         for worker in set(multiprocessing.active_children()) - others:
             worker.kill()
+        if isinstance(error, BrokenProcessPool):
+            raise WorkerLost(
+                "a worker process was killed, by want of memory perhaps: free some and run the command again"
+            ) from None
         raise
     finally:
         pool.shutdown(cancel_futures=True)

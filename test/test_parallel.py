@@ -17,6 +17,7 @@ import os, signal, sys, time
 from hyst_control.errors import WorkerLost
 from hyst_control.parallel import executor, forked, mapped
 os.sched_getaffinity = lambda process: {0, 1}
+signal.signal(signal.SIGINT, signal.default_int_handler)  # also where the tests run in the background
 
 def killed_at_three(i):
     if i == 3:
@@ -59,6 +60,29 @@ if __name__ == "__main__":
     print(list(mapped(pid, range(1))) == [os.getpid()])
 """
 
+KILLED_AT_START = """
+from concurrent.futures import wait
+from multiprocessing.context import SpawnProcess
+begun, futures, start = [], [], SpawnProcess.start
+
+def start_and_kill_the_first(process):
+    start(process)
+    begun.append(process)
+    if len(begun) == 2:
+        begun[0].kill()
+        wait(futures, timeout=5.0)  # until the pool knows
+
+if __name__ == "__main__":
+    SpawnProcess.start = start_and_kill_the_first
+    try:
+        with executor(2) as pool:
+            futures.append(pool.submit(slow, 0))
+            futures.append(pool.submit(slow, 1))
+            futures[1].result()
+    except WorkerLost as error:
+        print("killed" in str(error))
+"""
+
 ENDLESS = """
 if __name__ == "__main__":
     list({each}(slow, range(2) if {each} is mapped else 2))
@@ -81,6 +105,12 @@ def test_a_killed_worker_ends_the_work_in_one_error(tmp_path, each):
     """A pool that starts another worker in its place would wait for the lost result without end."""
     done = run(KILLED.format(each=each), tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (0, "True\n", "")
+
+
+def test_a_worker_killed_while_another_one_starts_ends_the_work_too(tmp_path):
+    """The pool has ended its workers by then, and would wait for the one that it did not know."""
+    done = run(KILLED_AT_START, tmp_path)
+    assert (done.returncode, done.stdout.splitlines()[-1], done.stderr) == (0, "True", "")
 
 
 def test_workers_are_serial_inside(tmp_path):
