@@ -18,12 +18,13 @@ setup(name="{name}", version="1.2", py_modules=["{module}"], entry_points={point
 RIPPLE = '''
 """Interpolation error of an encoder: periodic in the position."""
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from hyst_control.chain.memoryless import Gain, StaticFilter
-from hyst_control.chain.stage import Stage, per_axis_scalar, register, require_finite
+from hyst_control.chain.parameter import ScalarPerAxis, scalar
+from hyst_control.chain.stage import Stage, per_axis_scalars, register
 from hyst_control.control.feedforward import Compensator
 from hyst_control.effects.effect import Effect, Parameter
 
@@ -34,15 +35,11 @@ class Ripple(Stage):
     """y = u + amplitude sin(2 pi u / pitch), measurement unit."""
 
     name: ClassVar[str] = "ripple"
-    amplitude: Any
-    pitch: Any
-
-    def check(self) -> None:
-        require_finite(self.amplitude, "amplitude")
-        require_finite(self.pitch, "pitch")
+    amplitude: ScalarPerAxis = scalar("measurement unit", "greatest error")
+    pitch: ScalarPerAxis = scalar("measurement unit", "period of the error")
 
     def filter(self, sampling):
-        amplitude, pitch = (per_axis_scalar(getattr(self, name), sampling.axes, name) for name in ("amplitude", "pitch"))
+        amplitude, pitch = per_axis_scalars(self, sampling.axes, "amplitude", "pitch")
         return StaticFilter(lambda u: u + amplitude * np.sin(2.0 * np.pi * u / pitch), sampling.hold)
 
 

@@ -65,5 +65,4 @@ def _key(value: object) -> object:
     parts = getattr(value, "__dict__", None)
     if parts is not None and any(isinstance(part, np.ndarray) for part in parts.values()):
         return type(value), *(_key(part) for part in parts.values())
-    key: Hashable = value
-    return key
+    return value
