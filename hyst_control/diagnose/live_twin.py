@@ -22,7 +22,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from hyst_control.chain.stage import Array
-from hyst_control.diagnose.decision import thresholds
+from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.noise_floor import noise_of
 from hyst_control.diagnose.parameter_uncertainty import scatter_of
 from hyst_control.errors import InputError
@@ -30,11 +30,6 @@ from hyst_control.model_file import Model, Simulator
 
 STEP = 0.1
 """Standard deviations by which a coefficient is moved for its slope."""
-LEAST_NOISE = 2e-5
-"""Share of the range below which noise is not believed: numbers are rounded, and models discretised."""
-
-NOISE_ERROR = 1.1
-"""How far the noise, learned from few rows, may by chance lie below the stated one."""
 
 
 class LiveTwin:
@@ -101,6 +96,7 @@ class GapAlarm:
     stated: Array
     false_alarm_rate: float
     consecutive: int
+    configuration: Configuration = CONFIGURATION
 
     def __post_init__(self) -> None:
         self.reset()
@@ -162,15 +158,16 @@ class GapAlarm:
             return
         residuals, every = zip(*self._learned, strict=True)
         self._learned = []
-        grams = sum(_gram(part) for part in every)
+        grams: Array = sum((_gram(part) for part in every), np.zeros(()))
         sides = sum(np.einsum("nak,na->ak", part, values) for part, values in zip(every, residuals, strict=True))
-        left, limits, span = residuals, thresholds(), self._upper - self._lower
+        left, span = list(residuals), self._upper - self._lower
+        policy, floor, error = self.configuration.policy, self.configuration.noise, self.configuration.live_twin.noise_error
         for _ in range(2):
-            measured = np.array([noise_of([part[:, axis] for part in left]) for axis in range(len(span))])
-            noise = np.maximum(measured, np.maximum(LEAST_NOISE * span, 1e-12))
+            measured = np.array([noise_of([part[:, axis] for part in left], settings=floor) for axis in range(len(span))])
+            noise = np.maximum(measured, np.maximum(floor.least * span, 1e-12))
             # What the model states beyond the noise, and what is too small to matter, is imperfection: slow, not white.
-            beyond = np.sqrt(np.maximum(self.stated**2 - (NOISE_ERROR * noise) ** 2, 0.0))
-            self._imperfection = np.hypot(limits.practical_floor * span, beyond)
+            beyond = np.sqrt(np.maximum(self.stated**2 - (error * noise) ** 2, 0.0))
+            self._imperfection = np.hypot(policy.practical_size * span, beyond)
             precision = np.eye(grams.shape[1]) + np.einsum("aij,a->ij", grams, noise**-2)
             self._covariance = np.linalg.inv(precision)
             self._mean = self._covariance @ np.einsum("ak,a->k", sides, noise**-2)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.diagnose.attribution import explain
+from hyst_control.diagnose.attribution import attribute
 from hyst_control.diagnose.augmented_model import augmented as augmented_model
 from hyst_control.diagnose.block_replay import replay
 from hyst_control.diagnose.diagnosis import Diagnosis, diagnose
@@ -87,10 +87,10 @@ def diagnosed(
     try:
         diagnosis = diagnose(records, model, seed, without, cache, progress=meter, warm_up=warm_up)
         meter("shrink on held-out blocks")
-        explanation = explain(diagnosis)
-        better = augmented_model(diagnosis) if explanation.effects else None
-        blocks = [block for record in records for block in replay(record)]
-        document = gap_report(diagnosis, explanation, blocks, str(augmented) if augmented and better is not None else None)
+        attribution = attribute(diagnosis)
+        better = augmented_model(diagnosis) if attribution.effects else None
+        blocks = [block for record in records for block in replay(record, diagnosis.configuration.replay)]
+        document = gap_report(diagnosis, attribution, blocks, str(augmented) if augmented and better is not None else None)
     finally:
         meter.close()
     return document, diagnosis, better
