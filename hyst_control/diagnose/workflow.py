@@ -39,9 +39,43 @@ def diagnose_bags(
     warm_up: float = 0.0,
     on: str | None = None,
 ) -> str:
-    """Diagnose bags, write what is asked for, and return the report in words. Raises `InputError`.
+    """Diagnose bags and write what is asked for.
 
-    on: a bag or a .npy file with the command (N, A) of a run to come, for which the report then says how far the gap will shrink.
+    Parameters
+    ----------
+    bags : sequence of path
+        Of the plant that the model claims to describe.
+    model : path
+        Nominal model file.
+    json, report, augmented : str, optional
+        Files to write: the report, its page, the model with the effects added.
+    without : sequence of str
+        Effects left out of the catalogue.
+    seed : int
+        Of everything drawn at random.
+    cache : bool
+        Whether the null's threshold is kept between runs.
+    namespace : str, optional
+        Of the topics in the bags.
+    unit : str
+        Of the measurement in bags that do not say it.
+    progress : bool
+        Whether to show on the terminal what is being done.
+    warm_up : float
+        s at the beginning of each record that do not count.
+    on : str, optional
+        A bag or a .npy file with the command (N, A) of a run to come, for which the report then says how far the gap will shrink.
+
+    Returns
+    -------
+    str
+        The report in words.
+
+    Raises
+    ------
+    InputError
+        Where the input cannot be used.
+
     """
     for name in without:
         if name not in EFFECTS:
@@ -79,9 +113,33 @@ def diagnosed(
     progress: bool = False,
     warm_up: float = 0.0,
 ) -> tuple[dict[str, Any], Diagnosis, Model | None]:
-    """The report document, the diagnosis behind it, and the augmented model (None where there is nothing to add).
+    """Diagnose records, with the report.
 
-    augmented: the path that the report names for it.
+    Parameters
+    ----------
+    records : sequence of Record
+        With command and measurement.
+    model : Model
+        Nominal model.
+    seed, without, cache, progress, warm_up
+        As in `diagnose_bags`.
+    augmented : str, optional
+        Path that the report names for the augmented model.
+
+    Returns
+    -------
+    report : dict of str
+        The JSON document.
+    diagnosis : Diagnosis
+        What it is made from.
+    augmented : Model or None
+        None where there is nothing to add.
+
+    Raises
+    ------
+    InputError
+        Where the records cannot be used.
+
     """
     meter = _Progress(progress and sys.stderr.isatty())
     try:
