@@ -294,7 +294,7 @@ def _axis(
     floor = _floor(problem, stated, configuration)
     leaves = stated_energy(stated, problem.sigma)
     found = search(linearised, members, null + thresholds.margin, floor, leaves, progress, configuration)
-    collected = collect(found, null, floor, stated, record, checks)
+    collected = collect(found, null, floor, stated, record, checks, configuration)
     evidence = collected.evidence.with_residuals(
         {
             index: residual_evidence(problem, collected.hypotheses[index], findings, checks, configuration)

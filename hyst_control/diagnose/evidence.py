@@ -154,6 +154,8 @@ class Evidence:
         Noise (rms, measurement unit) that the model states, by axis; 0 where it states none.
     rows : int
         Rows that count, after those that only repeat the one before were left out.
+    noise_bins : float
+        Bins of the spectrum that the noise was read from.
     record : tuple of RecordEvidence
         By axis.
     checks : frozenset of RecordCheck
@@ -170,6 +172,7 @@ class Evidence:
     noise: tuple[float, ...]
     stated_noise: tuple[float, ...]
     rows: int
+    noise_bins: float
     record: tuple[RecordEvidence, ...] = ()
     checks: frozenset[RecordCheck] = frozenset()
 

@@ -44,6 +44,7 @@ def collect(
     stated: Array,
     record: Sequence[RecordEvidence],
     checks: frozenset[RecordCheck],
+    configuration: Configuration = CONFIGURATION,
 ) -> Collected:
     """Collect the evidence of a search.
 
@@ -61,6 +62,8 @@ def collect(
         By axis.
     checks : frozenset of RecordCheck
         Checks whose effect is in the catalogue.
+    configuration : Configuration
+        All values.
 
     Returns
     -------
@@ -70,6 +73,8 @@ def collect(
     problem = found.linearised.problem
     hypotheses = (found.none, *found.singles, *found.combinations, found.parameters)
     size = len(found.linearised.measured)
+    rows = size // len(problem.model.axes)
+    lower, upper = configuration.noise.band
     evidence = Evidence(
         tuple(_hypothesis(scored, size) for scored in hypotheses),
         found.temper,
@@ -79,7 +84,8 @@ def collect(
         stated_energy(stated, problem.sigma),
         tuple(float(value) for value in problem.sigma),
         tuple(float(value) for value in stated),
-        size // len(problem.model.axes),
+        rows,
+        0.5 * (upper - lower) * rows,
         tuple(record),
         checks,
     )

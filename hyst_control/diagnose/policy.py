@@ -464,7 +464,7 @@ def _findings(
             if any(finding.check is RecordCheck.REPEATED_VALUES for finding in others):
                 continue
             white = measured if noise is None else noise.white * evidence.noise[0] / thresholds.flicker_white
-            more = excess_noise(white, evidence.stated_noise[axis], others, axis, evidence.rows, thresholds.excess_ratio)
+            more = excess_noise(white, evidence.stated_noise[axis], others, axis, evidence.noise_bins, thresholds.excess_ratio)
             if more is None:
                 continue
             count, rms = residual.outliers[axis], residual.outliers_rms[axis]

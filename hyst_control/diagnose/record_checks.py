@@ -203,7 +203,7 @@ def rounding(seen: RecordEvidence, axis: int) -> Finding:
     return Finding(RecordCheck.VALUE_LATTICE, axis, step, interval, float(step / np.sqrt(12.0)), float(seen.samples))
 
 
-def excess_noise(noise: float, stated: float, others: Sequence[Finding], axis: int, count: int, ratio: float) -> Finding | None:
+def excess_noise(noise: float, stated: float, others: Sequence[Finding], axis: int, bins: float, ratio: float) -> Finding | None:
     """White noise beyond what the model states.
 
     Parameters
@@ -216,8 +216,8 @@ def excess_noise(noise: float, stated: float, others: Sequence[Finding], axis: i
         Findings on the same axis, whose errors are in the measured noise.
     axis : int
         Index in the problem.
-    count : int
-        Samples.
+    bins : float
+        Bins of the spectrum that the noise was read from.
     ratio : float
         Of the noise to the stated one from which it is in excess.
 
@@ -233,7 +233,6 @@ def excess_noise(noise: float, stated: float, others: Sequence[Finding], axis: i
     if not bare > ratio * stated:
         return None
     rms = float(np.sqrt(bare**2 - stated**2))
-    bins = 0.19 * count  # of the upper part of the spectrum, which the noise is read from
     error = float(NORMAL_95 * bare**2 / rms / np.sqrt(bins))
     gain = bins * (np.log(stated / bare) + 0.5 * (bare / stated) ** 2 - 0.5)
     return Finding(RecordCheck.WHITE_SPECTRUM, axis, rms, (max(rms - error, 0.0), rms + error), rms, float(gain))

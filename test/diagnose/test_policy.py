@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyst_control.diagnose.configuration import CONFIGURATION
@@ -54,7 +55,9 @@ def coefficients(score: float = 1000.0, left: float = 1.0, **changes) -> Hypothe
 
 def evidence(*others: HypothesisEvidence, base: HypothesisEvidence | None = None, **changes) -> Evidence:
     """One axis with white noise of the stated size, and these hypotheses beside "no effect"."""
-    found = Evidence((none() if base is None else base, *others), 1.0, 10, NULL, 0.5, 1.0, (1.0,), (1.0,), SAMPLES, (PLAIN,), ALL)
+    found = Evidence(
+        (none() if base is None else base, *others), 1.0, 10, NULL, 0.5, 1.0, (1.0,), (1.0,), SAMPLES, 0.2 * SAMPLES, (PLAIN,), ALL
+    )
     return replace(found, **changes)
 
 
@@ -331,6 +334,11 @@ def test_rule(row):
         assert decision.remainder == pytest.approx(row.remainder, rel=1e-9)
 
 
+def test_every_reason_is_in_the_manual():
+    text = (Path(__file__).resolve().parents[2] / "docs" / "diagnosis.md").read_text(encoding="utf-8")
+    assert not [reason.value for reason in Reason if f"`{reason.value}`" not in text]
+
+
 def test_every_reason_has_a_row():
     assert {reason for row in TABLE for reason in row.reasons} == set(Reason)
     assert {row.verdict for row in TABLE} == set(Verdict)
@@ -393,6 +401,7 @@ def test_the_practical_size_adds_up_in_energy():
     )
 
 
+@settings(max_examples=60, deadline=None)
 @given(st.integers(1, 200))
 def test_coefficients_are_strained_beyond_what_their_chi_square_allows(count):
     """The chi-square has mean n and standard deviation sqrt(2 n)."""
@@ -448,6 +457,7 @@ def any_evidence(draw) -> Evidence:
     )
 
 
+@settings(max_examples=60, deadline=None)
 @given(any_evidence())
 def test_a_decision_is_consistent(found):
     decision = decide(found, LIMITS)
@@ -461,6 +471,7 @@ def test_a_decision_is_consistent(found):
     assert not named or decision.verdict in (Verdict.EFFECT, Verdict.AMBIGUOUS, Verdict.UNKNOWN)
 
 
+@settings(max_examples=60, deadline=None)
 @given(any_evidence(), st.floats(1e-6, 1e6))
 def test_the_unit_of_the_measurement_does_not_matter(found, scale):
     """All that is in the measurement's unit times a factor: the same decision, and findings by that factor."""
@@ -486,6 +497,7 @@ def test_the_unit_of_the_measurement_does_not_matter(found, scale):
         assert two.value == pytest.approx(factor * one.value)
 
 
+@settings(max_examples=60, deadline=None)
 @given(any_evidence(), st.data())
 def test_the_order_of_hypotheses_does_not_matter(found, data):
     order = [0, *data.draw(st.permutations(range(1, len(found.hypotheses))))]
@@ -495,6 +507,7 @@ def test_the_order_of_hypotheses_does_not_matter(found, data):
     assert here.probability == pytest.approx(there.probability)
 
 
+@settings(max_examples=60, deadline=None)
 @given(any_evidence())
 def test_the_order_of_axes_does_not_matter(found):
     """Two axes of which one has the other's record, stated noise and residuals, and the same the other way round."""
@@ -528,6 +541,7 @@ def test_the_order_of_axes_does_not_matter(found):
     assert {(one.check, one.axis) for one in here.findings} == {(one.check, 1 - one.axis) for one in there.findings}
 
 
+@settings(max_examples=60, deadline=None)
 @given(any_evidence(), st.floats(1.0, 50.0))
 def test_more_energy_left_never_turns_unknown_into_something_known(found, more):
     """What every hypothesis leaves beyond what its effects leave by nature grows, all else as it is."""
@@ -539,6 +553,7 @@ def test_more_energy_left_never_turns_unknown_into_something_known(found, more):
     assert here.verdict is not Verdict.UNKNOWN or there.verdict is Verdict.UNKNOWN
 
 
+@settings(max_examples=60, deadline=None)
 @given(any_evidence(), st.floats(0.0, 500.0))
 def test_a_higher_null_makes_no_new_claim(found, more):
     """Without a second effect that is better than the first by what a claim needs, which depends on the null the other way round."""
