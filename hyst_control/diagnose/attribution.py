@@ -2,29 +2,57 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from hyst_control.chain.stage import Array
-from hyst_control.diagnose.decision import key, thresholds
+from hyst_control.diagnose.configuration import AttributionSettings
 from hyst_control.diagnose.diagnosis import AxisDiagnosis, Diagnosis
 from hyst_control.diagnose.gap_reduction import HeldOut, held_out, shares, shrink
-from hyst_control.diagnose.hypothesis import Member
-from hyst_control.diagnose.hypothesis_search import INFLATION, Scored
+from hyst_control.diagnose.hypothesis_search import Scored
+from hyst_control.diagnose.record_checks import effect_found_by
 
-DRAWS = 400
+Value = tuple[float, tuple[float, float], str]
+"""Value of a parameter, its 90 % interval and its unit."""
+
+Axes = tuple[int, ...]
 
 
 @dataclass(frozen=True)
 class Named:
-    """An effect of the report. values: {parameter: (value, (low, high), unit)}; axes: names; shrink None without a waveform."""
+    """Effect of the report.
+
+    Parameters
+    ----------
+    name : str
+        Of the effect.
+    axes : tuple of str
+        Names of the axes that it is on.
+    probability : float
+        That it is at work.
+    values : dict of str to tuple
+        By parameter: value, 90 % interval, unit.
+    equivalent : tuple of str
+        Effects that the data cannot tell it from.
+    rms_before, rms_after : float or None
+        Gap without and with it, measurement unit; None without a waveform, like all that follows but the share.
+    shrink : float or None
+        With the coefficients as given.
+    shrink_ci90 : tuple of float or None
+        90 % interval of the shrink.
+    shrink_fitted : float or None
+        With the coefficients fitted on both sides.
+    share : float
+        In what is named together; of noise in the gap's energy.
+
+    """
 
     name: str
     axes: tuple[str, ...]
     probability: float
-    values: dict[str, tuple[float, tuple[float, float], str]]
+    values: dict[str, Value] = field(default_factory=dict)
     equivalent: tuple[str, ...] = ()
     rms_before: float | None = None
     rms_after: float | None = None
@@ -32,41 +60,47 @@ class Named:
     shrink_ci90: tuple[float, float] | None = None
     shrink_fitted: float | None = None
     share: float = 1.0
-    by_axis: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class Explanation:
-    """The verdict over all axes, the effects named, the candidates weighed, and the held-out errors by axis."""
+class Attribution:
+    """Shares of the gap by effect.
 
-    verdict: str
+    Parameters
+    ----------
+    effects : tuple of Named
+        The most probable first.
+    candidates : tuple of (str, float)
+        Every effect that was weighed, with its probability.
+    parameters : tuple of (str, float)
+        Coefficients that are off, in tolerances from the nominal ones.
+
+    """
+
     effects: tuple[Named, ...]
     candidates: tuple[tuple[str, float], ...]
     parameters: tuple[tuple[str, float], ...]
-    unknown: float
 
 
-def explain(diagnosis: Diagnosis) -> Explanation:
-    """All that is concluded, put together over the axes."""
-    parts = diagnosis.parts
-    verdicts = [part.decision.verdict for part in parts]
-    named = _waveforms(diagnosis) + _without_waveform(diagnosis)
-    if "unknown" in verdicts:
-        verdict = "unknown"
-    elif "ambiguous" in verdicts:
-        verdict = "ambiguous"
-    elif named:
-        verdict = "effect"
-    elif "parameters" in verdicts:
-        verdict = "parameters"
-    else:
-        verdict = "no_gap"
-    return Explanation(
-        verdict,
+def attribute(diagnosis: Diagnosis) -> Attribution:
+    """Attribute the gap to the effects that the decisions list.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        All axes.
+
+    Returns
+    -------
+    Attribution
+
+    """
+    found_by_checks = _without_waveform(diagnosis)
+    named = _waveforms(diagnosis) + found_by_checks
+    return Attribution(
         tuple(sorted(named, key=lambda effect: (-round(effect.probability, 3), -effect.share))),
-        _candidates(diagnosis),
+        _candidates(diagnosis, found_by_checks),
         _parameters(diagnosis),
-        max(part.decision.remainder for part in parts),
     )
 
 
@@ -74,41 +108,36 @@ def _waveforms(diagnosis: Diagnosis) -> list[Named]:
     found: dict[str, list[tuple[AxisDiagnosis, Scored, int, float]]] = {}
     for part in diagnosis.parts:
         seen = set()
-        for scored in part.decision.listed:
+        for scored in part.listed:
             for index, name in enumerate(scored.names):
                 if name not in seen:
                     seen.add(name)
                     found.setdefault(name, []).append((part, scored, index, part.decision.of(name)))
     if not found:
         return []
+    settings = diagnosis.configuration.reduction
     errors = {
-        (part.axes, key(scored)): held_out(part.linearised, scored, part.found.none)
+        (part.axes, scored.names): held_out(part.linearised, scored, part.found.none, settings)
         for part in diagnosis.parts
-        for scored in part.decision.listed
+        for scored in part.listed
         if not scored.inflated
     }
-    none = {part.axes: held_out(part.linearised, part.found.none, part.found.none) for part in diagnosis.parts}
+    none = {part.axes: held_out(part.linearised, part.found.none, part.found.none, settings) for part in diagnosis.parts}
     whole = sum(float(none[part.axes].before.sum()) for part in diagnosis.parts)
     named = []
     for name, places in found.items():
-        values = _joined([_values(part, scored, index) for part, scored, index, _ in places])
-        axes = tuple(
-            diagnosis.model.axes[axis]
-            for part, scored, index, _ in places
-            for axis in (
-                part.axes if scored.candidate.members[index].axis is None else (part.axes[scored.candidate.members[index].axis],)
-            )
-        )
+        values = _joined([_values(part, scored, index, diagnosis.configuration.attribution) for part, scored, index, _ in places])
+        axes = tuple(diagnosis.model.axes[axis] for part, scored, index, _ in places for axis in _axes_of(part, scored, index))
         # On axes that this effect is not on, what explains those: effects that are named together shrink the gap together.
         chosen = {
-            part.axes: (errors[(part.axes, key(part.decision.chosen))], part.decision.chosen)
+            part.axes: errors[(part.axes, part.chosen.names)]
             for part in diagnosis.parts
-            if part.decision.chosen.candidate is not None and part.decision.listed
+            if part.chosen.candidate is not None and part.listed
         }
-        chosen |= {part.axes: (errors[(part.axes, key(scored))], scored) for part, scored, _, _ in places}
+        chosen |= {part.axes: errors[(part.axes, scored.names)] for part, scored, _, _ in places}
         before, after, before_fitted, after_fitted = _series(diagnosis, none, chosen)
-        value, ci90 = shrink(before, after, diagnosis.seed)
-        fitted, _ = shrink(before_fitted, after_fitted, diagnosis.seed)
+        value, ci90 = shrink(before, after, diagnosis.seed, settings)
+        fitted, _ = shrink(before_fitted, after_fitted, diagnosis.seed, settings)
         probability = 1.0 - float(np.prod([1.0 - p for *_, p in places]))
         share = sum(
             shares(part.linearised, scored)[index] * float(none[part.axes].before.sum()) / whole
@@ -116,33 +145,41 @@ def _waveforms(diagnosis: Diagnosis) -> list[Named]:
         )
         unit = _rms_unit(diagnosis, chosen, none)
         others = tuple(
-            sorted(
-                {other for part, _, _, _ in places for one in part.decision.listed for other in one.names if name not in one.names}
-            )
+            sorted({other for part, _, _, _ in places for one in part.listed for other in one.names if name not in one.names})
         )
         named.append(Named(name, axes, probability, values, others, unit[0], unit[1], value, ci90, fitted, share))
     total = sum(effect.share for effect in named) or 1.0
-    return [Named(**{**effect.__dict__, "share": effect.share / total}) for effect in named]
+    return [replace(effect, share=effect.share / total) for effect in named]
 
 
-def _series(diagnosis: Diagnosis, none: dict, chosen: dict) -> tuple[Array, Array, Array, Array]:
+def _axes_of(part: AxisDiagnosis, scored: Scored, index: int) -> Axes:
+    """Axes of the plant that an effect of an explanation is on."""
+    assert scored.candidate is not None
+    axis = scored.candidate.members[index].axis
+    return part.axes if axis is None else (part.axes[axis],)
+
+
+def _series(
+    diagnosis: Diagnosis, none: Mapping[Axes, HeldOut], chosen: Mapping[Axes, HeldOut]
+) -> tuple[Array, Array, Array, Array]:
     """Squared errors of all axes side by side in time, before and after, given and fitted; axes without the effect do not change."""
     columns: list[list[Array]] = [[], [], [], []]
     rows = min(len(none[part.axes].before) // len(part.axes) for part in diagnosis.parts)
     for part in diagnosis.parts:
-        errors: HeldOut = chosen[part.axes][0] if part.axes in chosen else none[part.axes]
+        errors = chosen.get(part.axes, none[part.axes])
         for column, series in zip(columns, (errors.before, errors.after, errors.before_fitted, errors.after_fitted), strict=True):
             weight = np.asarray(part.problem.sigma) ** 2 / np.mean(diagnosis.problem.sigma**2)
             column.append((series.reshape(-1, len(part.axes)) * weight)[:rows].sum(axis=1))
     count = len(diagnosis.model.axes)
-    return tuple(np.sum(column, axis=0) / count for column in columns)  # type: ignore[return-value]
+    before, after, before_fitted, after_fitted = (np.sum(column, axis=0) / count for column in columns)
+    return before, after, before_fitted, after_fitted
 
 
-def _rms_unit(diagnosis: Diagnosis, chosen: dict, none: dict) -> tuple[float, float]:
+def _rms_unit(diagnosis: Diagnosis, chosen: Mapping[Axes, HeldOut], none: Mapping[Axes, HeldOut]) -> tuple[float, float]:
     """Rms before and after over all samples of all axes, in the measurement's unit."""
     sums, rows = np.zeros(2), 0
     for part in diagnosis.parts:
-        errors = chosen[part.axes][0] if part.axes in chosen else none[part.axes]
+        errors = chosen.get(part.axes, none[part.axes])
         variance = np.asarray(part.problem.sigma) ** 2
         for i, series in enumerate((errors.before, errors.after)):
             sums[i] += float((series.reshape(-1, len(part.axes)) * variance).sum())
@@ -150,9 +187,10 @@ def _rms_unit(diagnosis: Diagnosis, chosen: dict, none: dict) -> tuple[float, fl
     return float(np.sqrt(sums[0] / rows)), float(np.sqrt(sums[1] / rows))
 
 
-def _values(part: AxisDiagnosis, scored: Scored, index: int) -> dict[str, tuple[float, tuple[float, float], str]]:
+def _values(part: AxisDiagnosis, scored: Scored, index: int, settings: AttributionSettings) -> dict[str, Value]:
     """Parameter values of one effect with 90 % intervals: from draws of the fit's covariance, wider where more than noise is left."""
-    member: Member = scored.candidate.members[index]
+    assert scored.candidate is not None
+    member = scored.candidate.members[index]
     where = scored.candidate.slices()[index]
     begin = part.linearised.count + where.start
     covariance = scored.solution.covariance[begin : begin + member.size, begin : begin + member.size] / part.found.temper
@@ -160,7 +198,7 @@ def _values(part: AxisDiagnosis, scored: Scored, index: int) -> dict[str, tuple[
     random = np.random.default_rng(0)
     lower, upper, _ = member.bounds()
     spread = np.linalg.cholesky(0.5 * (covariance + covariance.T) + 1e-18 * np.eye(member.size))
-    draws = np.clip(centre + random.standard_normal((DRAWS, member.size)) @ spread.T, lower, upper)
+    draws = np.clip(centre + random.standard_normal((settings.draws, member.size)) @ spread.T, lower, upper)
     drawn = [member.values(x) for x in draws]
     found = {}
     hidden = [parameter.name for parameter in member.parameters if not parameter.told]
@@ -168,12 +206,12 @@ def _values(part: AxisDiagnosis, scored: Scored, index: int) -> dict[str, tuple[
         if name in hidden:
             continue
         low, high = np.quantile([one[name] for one in drawn], [0.05, 0.95])
-        least = thresholds().form * abs(value)
+        least = settings.interval * abs(value)
         found[name] = (float(value), (float(min(low, value - least)), float(max(high, value + least))), member.units()[name])
     return found
 
 
-def _joined(values: list[dict[str, Any]]) -> dict[str, tuple[float, tuple[float, float], str]]:
+def _joined(values: Sequence[dict[str, Value]]) -> dict[str, Value]:
     """One value for several axes: their mean, and an interval that covers what the axes' intervals say of it."""
     if len(values) == 1:
         return values[0]
@@ -193,56 +231,54 @@ def _joined(values: list[dict[str, Any]]) -> dict[str, tuple[float, tuple[float,
 
 
 def _without_waveform(diagnosis: Diagnosis) -> list[Named]:
-    named: dict[str, list] = {}
+    """Effects that checks of the record found."""
+    named: dict[str, list[tuple[int, Value, float, float]]] = {}
+    parameters: dict[str, str] = {}
     for part in diagnosis.parts:
-        for finding in part.findings:
-            units = {"fraction": "", "step": diagnosis.model.units["measurement"], "rms": diagnosis.model.units["measurement"]}
-            values = {name: (value, finding.ci90[name], units[name]) for name, value in finding.values.items()}
-            named.setdefault(finding.name, []).append((part.axes[finding.axis], values, 1.0 - np.exp(-min(finding.evidence, 50.0))))
-        if part.flicker is not None:
-            values = {"rms": (part.flicker.rms, part.flicker.ci90, diagnosis.model.units["measurement"])}
-            named.setdefault("flicker_noise", []).append((part.axes[0], values, 1.0 - np.exp(-min(part.flicker.gain, 50.0))))
+        for finding in part.decision.findings:
+            effect = effect_found_by(finding.check)
+            if effect is None:
+                continue
+            (parameter,) = effect.parameters(diagnosis.problem.surroundings)
+            unit = diagnosis.model.units["measurement"] if parameter.unit == "unit" else parameter.unit
+            own = finding.rms**2 if finding.check.is_noise else 0.0
+            probability = float(1.0 - np.exp(-min(finding.gain, 50.0)))
+            parameters[effect.name] = parameter.name
+            value = (finding.value, finding.ci90, unit)
+            named.setdefault(effect.name, []).append((part.axes[finding.axis], value, probability, own))
     gap = sum(float(np.sum(np.mean(part.gap() ** 2, axis=0))) for part in diagnosis.parts)
     found = []
     for name, rows in named.items():
-        own = sum(values["rms"][0] ** 2 for _, values, _ in rows if "rms" in values)
+        own = sum(energy for *_, energy in rows)
         found.append(
             Named(
                 name,
-                tuple(diagnosis.model.axes[axis] for axis, _, _ in rows),
-                float(max(p for *_, p in rows)),
-                _joined([values for _, values, _ in rows]),
+                tuple(diagnosis.model.axes[axis] for axis, *_ in rows),
+                max(p for *_, p, _ in rows),
+                _joined([{parameters[name]: value} for _, value, *_ in rows]),
                 share=min(own / gap, 1.0) if own and gap else 1.0,
             )
         )
     return found
 
 
-def _candidates(diagnosis: Diagnosis) -> tuple[tuple[str, float], ...]:
+def _candidates(diagnosis: Diagnosis, found_by_checks: Sequence[Named]) -> tuple[tuple[str, float], ...]:
     """Every explanation weighed, most probable first: of an effect the probability that it is at work on some axis."""
-    names = {
-        name
-        for part in diagnosis.parts
-        for explanation in part.decision.probability
-        for name in explanation
-        if name != "parameters"
-    }
+    names = {name for part in diagnosis.parts for scored in part.hypotheses for name in scored.names}
     found = {name: 1.0 - float(np.prod([1.0 - min(part.decision.of(name), 1.0) for part in diagnosis.parts])) for name in names}
-    for effect in _without_waveform(diagnosis):
+    for effect in found_by_checks:
         found[effect.name] = effect.probability
     ranked = sorted(found.items(), key=lambda item: (-item[1], item[0]))
-    return tuple((name, p) for name, p in ranked if p >= 1e-4)
+    least = diagnosis.configuration.attribution.candidate_probability
+    return tuple((name, p) for name, p in ranked if p >= least)
 
 
 def _parameters(diagnosis: Diagnosis) -> tuple[tuple[str, float], ...]:
     """Nominal coefficients that are off by more than their tolerance suggests, in standard deviations of it."""
+    least = diagnosis.configuration.attribution.coefficient_deviations
     found = []
     for part in diagnosis.parts:
-        chosen = part.decision.chosen
-        factor = INFLATION if chosen.inflated else 1.0
-        scatter = part.linearised.scatter.coefficients
         axis = f" ({diagnosis.model.axes[part.axes[0]]})" if len(diagnosis.parts) > 1 else ""
-        found += [
-            (c.name + axis, float(z * factor)) for c, z in zip(scatter, chosen.solution.z, strict=True) if abs(z * factor) > 2.0
-        ]
+        scatter = part.linearised.scatter.coefficients
+        found += [(c.name + axis, float(z)) for c, z in zip(scatter, part.coefficients, strict=True) if abs(z) > least]
     return tuple(sorted(found, key=lambda item: -abs(item[1])))

@@ -10,20 +10,37 @@ import numpy as np
 
 from hyst_control.chain.stage import Stage
 from hyst_control.diagnose.diagnosis import Diagnosis
+from hyst_control.diagnose.evidence_collection import stated_noise
 from hyst_control.diagnose.hypothesis import Member
+from hyst_control.diagnose.record_checks import effect_found_by
 from hyst_control.effects import EFFECTS, insert
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 
-NOISES = ("sensor_noise", "flicker_noise")
-
 
 def augmented(diagnosis: Diagnosis) -> Model | None:
-    """The model with the best explanation of every axis inserted; None where there is nothing to insert."""
+    """Insert the best explanation of every axis into the nominal model.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        All axes.
+
+    Returns
+    -------
+    Model or None
+        None where there is nothing to insert.
+
+    Raises
+    ------
+    InputError
+        Where an effect cannot be added to this model.
+
+    """
     count = len(diagnosis.model.axes)
     values: dict[tuple[str, int], dict[str, list[float]]] = {}
     for part in diagnosis.parts:
-        candidate, solution = part.decision.chosen.candidate, part.decision.chosen.solution
+        candidate, solution = part.chosen.candidate, part.chosen.solution
         if candidate is None:
             continue
         met: dict[str, int] = {}
@@ -37,13 +54,13 @@ def augmented(diagnosis: Diagnosis) -> Model | None:
                 for axis in axes:
                     slots[axis] = value
     for part in diagnosis.parts:
-        for finding in part.findings:
-            if finding.name not in NOISES:
-                for name, value in finding.values.items():
-                    slots = values.setdefault((finding.name, 0), {}).setdefault(
-                        name, [_absent(diagnosis, finding.name, name)] * count
-                    )
-                    slots[part.axes[finding.axis]] = value
+        for finding in part.decision.findings:
+            effect = effect_found_by(finding.check)
+            if effect is None or finding.check.is_noise:
+                continue
+            (parameter,) = effect.parameters(diagnosis.problem.surroundings)
+            slots = values.setdefault((effect.name, 0), {}).setdefault(parameter.name, [parameter.absent] * count)
+            slots[part.axes[finding.axis]] = finding.value
     noise = _noise(diagnosis)
     if not values and noise is None:
         return None
@@ -77,17 +94,13 @@ def _phase(member: Member, x: np.ndarray) -> dict[str, float]:
 
 def _noise(diagnosis: Diagnosis) -> list[float] | float | None:
     """The noise with what was found beside what the model states."""
-    stated = np.broadcast_to(
-        np.atleast_1d(np.asarray(diagnosis.model.noise.get("sigma", 0.0), dtype=float)), len(diagnosis.model.axes)
-    ).copy()
+    stated = stated_noise(diagnosis.model)
     more = False
     for part in diagnosis.parts:
-        for finding in part.findings:
-            if finding.name in NOISES:
+        for finding in part.decision.findings:
+            if finding.check.is_noise:
                 axis = part.axes[finding.axis]
-                stated[axis], more = float(np.hypot(stated[axis], finding.values["rms"])), True
-        if part.flicker is not None:
-            stated[part.axes[0]], more = float(np.hypot(stated[part.axes[0]], part.flicker.rms)), True
+                stated[axis], more = float(np.hypot(stated[axis], finding.value)), True
     if not more:
         return None
     return float(stated[0]) if len(set(stated)) == 1 else [float(value) for value in stated]

@@ -6,16 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hyst_control.diagnose.configuration import CONFIGURATION, ReplaySettings
 from hyst_control.errors import InputError
 from hyst_control.records.record import Record
-
-TOLERANCE = 1e-6
-"""Share of the command's range within which a block does what it says."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """A software block: whether the record has it, and the rms (V) by which it departs from what it should have done."""
+    """Software block, and the rms (V) by which it departs from what it should have done."""
 
     name: str
     rms: float
@@ -27,12 +25,26 @@ class Block:
         return self.rms == 0.0
 
 
-def replay(record: Record) -> list[Block]:
-    """The sum and limits (command = feedforward + feedback within limits), the PI law, and the transport of the ticks."""
-    return [block for block in (_sum(record), _feedback(record), _transport(record)) if block is not None]
+def replay(record: Record, settings: ReplaySettings = CONFIGURATION.replay) -> list[Block]:
+    """Replay the sum and limits (command = feedforward + feedback within limits), the PI law, and the transport of the ticks.
+
+    Parameters
+    ----------
+    record : Record
+        Whose signals say which blocks there are.
+    settings : ReplaySettings
+        Values of the configuration.
+
+    Returns
+    -------
+    list of Block
+        Those that can be replayed.
+
+    """
+    return [block for block in (_sum(record, settings), _feedback(record, settings), _transport(record)) if block is not None]
 
 
-def _sum(record: Record) -> Block | None:
+def _sum(record: Record, settings: ReplaySettings) -> Block | None:
     if not {"command", "feedforward", "feedback"} <= set(record.signals):
         return None
     try:
@@ -42,11 +54,13 @@ def _sum(record: Record) -> Block | None:
     command, wanted = values["command"], values["feedforward"] + values["feedback"]
     span = max(float(np.ptp(command)), 1e-9)
     step = float(np.max(np.abs(np.diff(command, axis=0)), initial=0.0))
-    limited = (command <= command.min(axis=0) + TOLERANCE * span) | (command >= command.max(axis=0) - TOLERANCE * span)
-    limited[1:] |= np.abs(np.abs(np.diff(command, axis=0)) - step) < TOLERANCE * span
+    limited = (command <= command.min(axis=0) + settings.tolerance * span) | (
+        command >= command.max(axis=0) - settings.tolerance * span
+    )
+    limited[1:] |= np.abs(np.abs(np.diff(command, axis=0)) - step) < settings.tolerance * span
     wrong = (command - wanted)[~limited]
     rms = float(np.sqrt(np.mean(wrong**2))) if wrong.size else 0.0
-    faithful = rms < TOLERANCE * span
+    faithful = rms < settings.tolerance * span
     return Block(
         "command sum",
         0.0 if faithful else rms,
@@ -56,7 +70,7 @@ def _sum(record: Record) -> Block | None:
     )
 
 
-def _feedback(record: Record) -> Block | None:
+def _feedback(record: Record, settings: ReplaySettings) -> Block | None:
     if not {"reference", "feedback", "measurement"} <= set(record.signals):
         return None
     try:
@@ -67,19 +81,19 @@ def _feedback(record: Record) -> Block | None:
     span = float(np.ptp(feedback))
     if span == 0.0:
         return Block("feedback", 0.0, "feedback was off")
-    error = stretch.values["reference"] - stretch.values["measurement"]
+    tracking = stretch.values["reference"] - stretch.values["measurement"]
     worst = 0.0
     for axis in range(feedback.shape[1]):
         # v[k] - v[k-1] = kp (e[k] - e[k-1]) + ki T e[k]; ticks at a limit, where the integral is led back, stand out and are left out.
-        design = np.stack([np.diff(error[:, axis]), error[1:, axis]], axis=1)
+        design = np.stack([np.diff(tracking[:, axis]), tracking[1:, axis]], axis=1)
         moved = np.diff(feedback[:, axis])
         keep = np.ones(len(moved), bool)
         for _ in range(3):
             law = np.linalg.lstsq(design[keep], moved[keep], rcond=None)[0]
             left = np.abs(moved - design @ law)
-            keep = left <= max(5.0 * float(np.median(left)), TOLERANCE * span)
+            keep = left <= max(settings.outlying * float(np.median(left)), settings.tolerance * span)
         worst = max(worst, float(np.sqrt(np.mean(left[keep] ** 2))))
-    faithful = worst < 1e-4 * span
+    faithful = worst < settings.law_tolerance * span
     return Block(
         "feedback",
         0.0 if faithful else worst,

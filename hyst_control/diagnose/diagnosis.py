@@ -8,73 +8,108 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hyst_control.chain.stage import Array
-from hyst_control.diagnose.decision import Decision, Thresholds, decide, energy, thresholds
-from hyst_control.diagnose.flicker_estimation import Flicker, flicker
+from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
+from hyst_control.diagnose.evidence import Evidence
+from hyst_control.diagnose.evidence_collection import collect, residual_evidence, stated_energy, stated_noise, white_noise
 from hyst_control.diagnose.hypothesis import catalogue
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
-from hyst_control.diagnose.hypothesis_search import Found, search
-from hyst_control.diagnose.noise_floor import noise_of
+from hyst_control.diagnose.hypothesis_search import Found, Scored, search
 from hyst_control.diagnose.null_distribution import threshold
 from hyst_control.diagnose.parameter_uncertainty import scatter_of
+from hyst_control.diagnose.policy import Decision, contenders, decide, detected, practical_floor
 from hyst_control.diagnose.problem import Piece, Problem, check_units, split
-from hyst_control.diagnose.record_checks import (
-    FEW_OUTLIERS,
-    MANY_OUTLIERS,
-    Finding,
-    excess_noise,
-    findings,
-    lattice_of,
-    lines,
-    outliers,
-)
+from hyst_control.diagnose.record_checks import effect_found_by, lattice_of, lines, record_evidence
+from hyst_control.effects.effect import RecordCheck
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
-LEAST_ROWS = 200
-HIDDEN = 0.3
-"""Share of 1/f noise at the top of the spectrum beyond which it hides the white noise."""
-
-OUTWEIGHS = 0.7
-"""Share of excess noise (rms) from which outliers are what it is."""
-
-LEAST_NOISE = 2e-5
-"""Share of the range below which noise is not believed: numbers are rounded, and models discretised."""
-
 
 @dataclass(frozen=True)
 class AxisDiagnosis:
-    """The diagnosis of one problem: an axis, or all axes of a model that mixes them.
+    """Diagnosis of one problem: an axis, or all axes of a model that mixes them.
 
-    axes: indices in the model. floor: practical size (rms, in units of the noise). null: the simulated null's threshold (nats).
-    notes: sentences on what was met that no effect of the catalogue is.
+    Parameters
+    ----------
+    axes : tuple of int
+        Indices in the model.
+    problem : Problem
+        Records and model of these axes.
+    linearised : Linearised
+        The problem with the columns of its coefficients.
+    found : Found
+        Fits of all hypotheses.
+    hypotheses : tuple of Scored
+        The same, in the order of the evidence.
+    evidence : Evidence
+        Numbers that the decision is based on.
+    decision : Decision
+        Verdict, reasons, and what is named.
+
     """
 
     axes: tuple[int, ...]
     problem: Problem
     linearised: Linearised
     found: Found
+    hypotheses: tuple[Scored, ...]
+    evidence: Evidence
     decision: Decision
-    findings: tuple[Finding, ...]
-    flicker: Flicker | None
-    null: float
-    floor: float
-    notes: tuple[str, ...] = ()
+
+    @property
+    def chosen(self) -> Scored:
+        """The best explanation."""
+        return self.hypotheses[self.decision.chosen]
+
+    @property
+    def listed(self) -> tuple[Scored, ...]:
+        """Explanations that the data cannot tell from it, best first, itself among them."""
+        return tuple(self.hypotheses[index] for index in self.decision.listed)
+
+    @property
+    def coefficients(self) -> Array:
+        """Coefficients (K,) of the best explanation, in tolerances from the nominal ones."""
+        return self.chosen.solution.z * self.chosen.tolerances
 
     def gap(self) -> Array:
-        """Measured minus simulated (M, A) by the model as it is given, in the measurement's unit."""
+        """Gap of the model as it is given.
+
+        Returns
+        -------
+        ndarray, shape (M, A)
+            Measured minus simulated, measurement unit.
+
+        """
         return self.problem.rows(self.linearised.measured - self.linearised.simulate(np.zeros(self.linearised.count)))
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All axes together, with the whole problem they were split from and sentences on the records."""
+    """Diagnosis of all axes together.
+
+    Parameters
+    ----------
+    model : Model
+        Nominal model.
+    problem : Problem
+        The whole problem, which the parts were split from.
+    parts : tuple of AxisDiagnosis
+        One an axis, or one for all where the model mixes them.
+    notes : tuple of str
+        Sentences on the records.
+    seed : int
+        Of everything drawn at random.
+    configuration : Configuration
+        All values.
+
+    """
 
     model: Model
     problem: Problem
     parts: tuple[AxisDiagnosis, ...]
     notes: tuple[str, ...]
     seed: int
+    configuration: Configuration = CONFIGURATION
 
 
 def diagnose(
@@ -83,42 +118,91 @@ def diagnose(
     seed: int = 0,
     without: Sequence[str] = (),
     cache: bool = True,
-    limits: Thresholds | None = None,
     progress: Callable[[str], None] = lambda _: None,
     warm_up: float = 0.0,
+    configuration: Configuration = CONFIGURATION,
 ) -> Diagnosis:
     """Diagnose records against a model.
 
-    without: effects left out of the catalogue; cache: keep the null's threshold between runs; warm_up: as in `problem_of`.
-    Raises `InputError` when the records cannot be used.
+    Parameters
+    ----------
+    records : sequence of Record
+        With command and measurement.
+    model : Model
+        Nominal model.
+    seed : int
+        Of everything drawn at random.
+    without : sequence of str
+        Effects left out of the catalogue.
+    cache : bool
+        Whether the null's threshold is kept between runs.
+    progress : callable
+        Is told what is being done.
+    warm_up : float
+        s, as in `problem_of`.
+    configuration : Configuration
+        All values.
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    InputError
+        Where the records cannot be used.
+
     """
-    limits = limits or thresholds()
-    problem, notes = problem_of(records, model, warm_up)
+    problem, notes = problem_of(records, model, warm_up, configuration)
     parts = []
     axis = 0
     for part in split(problem):
         count = len(part.model.axes)
-        parts.append(_axis(part, tuple(range(axis, axis + count)), seed, without, cache, limits, progress))
+        parts.append(_axis(part, tuple(range(axis, axis + count)), seed, without, cache, progress, configuration))
         axis += count
-    notes += [note for part in parts for note in part.notes]
-    return Diagnosis(model, problem, tuple(parts), tuple(notes), seed)
+    notes += [note for part in parts for note in _outlier_notes(part)]
+    return Diagnosis(model, problem, tuple(parts), tuple(notes), seed, configuration)
 
 
-def problem_of(records: Sequence[Record], model: Model, warm_up: float = 0.0) -> tuple[Problem, list[str]]:
-    """The records as pieces of one problem, and sentences on what was met in them.
+def problem_of(
+    records: Sequence[Record], model: Model, warm_up: float = 0.0, configuration: Configuration = CONFIGURATION
+) -> tuple[Problem, list[str]]:
+    """Make pieces of one problem from records.
 
-    warm_up: s at the beginning of each record that bring the simulation into the plant's state and do not count, for records
-    that do not begin at rest.
+    Parameters
+    ----------
+    records : sequence of Record
+        With command and measurement.
+    model : Model
+        Nominal model.
+    warm_up : float
+        s at the beginning of each record that bring the simulation into the plant's state and do not count, for records that do not
+        begin at rest.
+    configuration : Configuration
+        All values.
+
+    Returns
+    -------
+    problem : Problem
+    notes : list of str
+        Sentences on what was met in the records.
+
+    Raises
+    ------
+    InputError
+        Where the records cannot be used.
+
     """
+    least_rows = configuration.record.least_rows
     if not 0.0 <= warm_up < np.inf:
-        raise InputError(f"warm-up: {warm_up!r} s, 0 or more is due")
+        raise InputError(f"warm-up: must be >= 0 s, got {warm_up!r}")
     pieces, notes, sample_times, holds = [], [], set(), set()
     for record in records:
         check_units(model, record.signal("measurement").unit, record.source)
         stretches = record.aligned(("command", "measurement"), allow_gaps=True)
-        used = [stretch for stretch in stretches if len(stretch.time) >= LEAST_ROWS]
+        used = [stretch for stretch in stretches if len(stretch.time) >= least_rows]
         if not used:
-            raise InputError(f"{record.source}: no gapless stretch of {LEAST_ROWS} samples: record longer, or mend the transport")
+            raise InputError(f"{record.source}: no gapless stretch of {least_rows} samples: record longer, or mend the transport")
         if len(stretches) > 1:
             notes.append(f"{record.source}: ticks are missing between {len(stretches)} stretches; only the first starts settled")
         notes += record.notes
@@ -133,12 +217,13 @@ def problem_of(records: Sequence[Record], model: Model, warm_up: float = 0.0) ->
                 raise InputError(f"{record.source}: the command never moves: record with an excitation")
             keep = None
             if i or stretch is not stretches[0]:
-                keep = np.arange(len(command)) >= len(command) // 3  # the memory of the hysteresis has to fill first
+                # The memory of the hysteresis has to fill first.
+                keep = np.arange(len(command)) >= len(command) // configuration.record.memory_part
             elif warm_up:
                 keep = np.arange(len(command)) >= round(warm_up / stretch.sample_time)
-                if np.count_nonzero(keep) < LEAST_ROWS:
+                if np.count_nonzero(keep) < least_rows:
                     raise InputError(
-                        f"{record.source}: {warm_up:g} s of warm-up leave {np.count_nonzero(keep)} samples, {LEAST_ROWS} "
+                        f"{record.source}: {warm_up:g} s of warm-up leave {np.count_nonzero(keep)} samples, {least_rows} "
                         "are due: shorten the warm-up or record longer"
                     )
             pieces.append(Piece(command, measurement, keep))
@@ -158,19 +243,21 @@ def problem_of(records: Sequence[Record], model: Model, warm_up: float = 0.0) ->
         outside = float(np.mean((commands < valid[0] - 1e-9) | (commands > valid[1] + 1e-9)))
         if outside > 0:
             notes.append(f"{outside:.1%} of the command lies outside the {valid[0]:g} … {valid[1]:g} V that the model is valid for")
-    return _with_noise(problem, problem.rows(problem.measured() - problem.simulate(model.chain.stages))), notes
+    residuals = problem.rows(problem.measured() - problem.simulate(model.chain.stages))
+    return _with_noise(problem, residuals, configuration), notes
 
 
-def _with_noise(problem: Problem, residuals: Array) -> Problem:
+def _with_noise(problem: Problem, residuals: Array, configuration: Configuration) -> Problem:
     """The same problem with the noise (A,) that the residuals' upper spectrum has."""
     measured = np.concatenate([piece.measurement for piece in problem.pieces])
     stated, sigma = stated_noise(problem.model), []
     for axis in range(residuals.shape[1]):
-        lattice = lattice_of(measured[:, axis])
-        noise = _white(problem, residuals, axis, rests=not lattice)  # at rest a lattice hides the noise
+        lattice = lattice_of(measured[:, axis], configuration.checks)
+        # At rest a lattice hides the noise.
+        noise = white_noise(problem, residuals, axis, configuration.noise, rests=not lattice)
         # Rounding adds to the noise; it follows the signal, so that the upper spectrum shows little of it.
         rounded = float(np.hypot(lattice / np.sqrt(12.0), stated[axis])) if lattice else 0.0
-        sigma.append(max(noise, LEAST_NOISE * float(np.ptp(measured[:, axis])), rounded, 1e-12))
+        sigma.append(max(noise, configuration.noise.least * float(np.ptp(measured[:, axis])), rounded, 1e-12))
     return replace(problem, sigma=np.array(sigma))
 
 
@@ -180,89 +267,66 @@ def _axis(
     seed: int,
     without: Sequence[str],
     cache: bool,
-    limits: Thresholds,
     progress: Callable[[str], None],
+    configuration: Configuration,
 ) -> AxisDiagnosis:
-    model = problem.model
-    stated = stated_noise(model)
+    thresholds = configuration.policy
+    stated = stated_noise(problem.model)
+    checks = frozenset(check for check in RecordCheck if _is_used(check, without))
     progress("coefficients of the model")
-    scatter = scatter_of(model)
+    scatter = scatter_of(problem.model)
     linearised = Linearised(problem, scatter)
     none = fit(linearised)
-    strange: list[str] = []
-    looked = [finding for finding in findings(problem, problem.rows(none.residual)) if finding.name not in without]
-    suggested = lines(problem, linearised.unexplained(none.residual))
+    record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
+    findings = detected(record, checks, thresholds)
+    suggested = lines(problem, linearised.unexplained(none.residual), configuration.checks)
     # The first estimate of the noise still had the gap's own leakage in it.
-    problem = _with_noise(problem, problem.rows(none.residual))
-    problem = _without_repeats(problem, looked)
+    problem = _with_noise(problem, problem.rows(none.residual), configuration)
+    repeated = [finding.axis for finding in findings if finding.check is RecordCheck.REPEATED_VALUES]
+    problem = _without_repeats(problem, repeated)
     linearised = Linearised(problem, scatter)
-    if any(finding.name == "held_samples" for finding in looked):
-        problem = _with_noise(problem, problem.rows(fit(linearised).residual))
+    if repeated:
+        problem = _with_noise(problem, problem.rows(fit(linearised).residual), configuration)
         linearised = Linearised(problem, scatter)
     members = catalogue(problem, suggested, without)
     progress("records without a gap")
-    null = threshold(linearised, members, seed, cache=cache)
-    floor = practical_floor(problem, stated, limits)
-    leaves = max(float(np.mean((stated / problem.sigma) ** 2)), 1.0)
-    lattice = np.zeros(len(axes))
-    for finding in looked:
-        if finding.name == "quantization":
-            lattice[finding.axis] = finding.values["step"]
-    found = search(linearised, members, null + limits.margin, floor, leaves, progress=progress)
-    decision = decide(found, null, floor, limits, leaves, lattice)
-    noise = _flicker(problem, found, decision, null + limits.margin, floor) if "flicker_noise" not in without else None
-    if noise is not None and _outweighs(noise, found, decision):
-        decision = replace(decide(replace(found, singles=(), combinations=()), null, floor, limits, leaves, lattice), remainder=0.0)
-        if decision.verdict == "unknown":
-            decision = replace(decision, verdict="no_gap")
-    if "sensor_noise" not in without:
-        left = problem.rows(decision.chosen.solution.residual)
-        for axis in range(len(axes)):
-            if noise is not None and noise.top > HIDDEN:
-                continue
-            white = noise.white if noise is not None else _white(problem, left, axis)
-            # What falls with frequency levels off at the top, which looks white.
-            more = excess_noise(white / 1.5 if noise is not None else white, float(stated[axis]), looked, axis, len(left))
-            count, rms = outliers(left[:, axis])
-            if more is not None and FEW_OUTLIERS <= count <= MANY_OUTLIERS * len(left) and rms > OUTWEIGHS * more.rms:
-                strange.append(
-                    f"{model.axes[axis]}: {count} single samples ({count / len(left):.2%}) stand out of the noise: outliers, "
-                    f"{rms:.3g} {model.units['measurement']} rms"
-                )
-                decision = _left_unknown(decision, found, (rms / problem.sigma[axis]) ** 2 / len(axes), limits)
-            elif more is not None:
-                looked.append(more)
-    return AxisDiagnosis(axes, problem, linearised, found, decision, tuple(looked), noise, null, floor, tuple(strange))
+    null = threshold(linearised, members, seed, cache=cache, configuration=configuration)
+    floor = _floor(problem, stated, configuration)
+    leaves = stated_energy(stated, problem.sigma)
+    found = search(linearised, members, null + thresholds.margin, floor, leaves, progress, configuration)
+    collected = collect(found, null, floor, stated, record, checks, configuration)
+    evidence = collected.evidence.with_residuals(
+        {
+            index: residual_evidence(problem, collected.hypotheses[index], findings, checks, configuration)
+            for index in contenders(collected.evidence, thresholds)
+        }
+    )
+    return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decide(evidence, thresholds))
 
 
-def _left_unknown(decision: Decision, found: Found, energy_left: float, limits: Thresholds) -> Decision:
-    """The decision when so much energy (in units of the noise's) is known to be left that no effect of the catalogue is."""
-    before = max(energy(found.none, len(found.linearised.measured)) - 1.0, 1e-12)
-    remainder = float(np.clip(energy_left / before, decision.remainder, 1.0))
-    return replace(decision, remainder=remainder, verdict="unknown" if remainder > limits.unknown else decision.verdict)
+def _is_used(check: RecordCheck, without: Sequence[str]) -> bool:
+    effect = effect_found_by(check)
+    return effect is not None and effect.name not in without
 
 
-def stated_noise(model: Model) -> Array:
-    """Rms (A,) of the noise that a model file states, 0 where it does not."""
-    return np.broadcast_to(np.atleast_1d(np.asarray(model.noise.get("sigma", 0.0), dtype=float)), len(model.axes)).copy()
+def _outlier_notes(part: AxisDiagnosis) -> list[str]:
+    model, rows = part.problem.model, part.evidence.rows
+    return [
+        f"{model.axes[one.axis]}: {one.count} single samples ({one.count / rows:.2%}) stand out of the noise: outliers, "
+        f"{one.rms:.3g} {model.units['measurement']} rms"
+        for one in part.decision.outliers
+    ]
 
 
-def practical_floor(problem: Problem, stated: Array, limits: Thresholds) -> float:
-    """The rms (in units of the noise) that an effect must take off to be worth naming.
-
-    A model's stated noise that exceeds the measured one says how far the model itself was off when it was identified. The
-    rounding of a converter follows the signal: a share of it is no effect.
-    """
+def _floor(problem: Problem, stated: Array, configuration: Configuration) -> float:
+    """Practical size on a problem."""
     measured = np.concatenate([piece.measurement for piece in problem.pieces])
-    size = limits.practical_floor * np.ptp(measured, axis=0) / problem.sigma
-    excess = np.sqrt(np.maximum((stated / problem.sigma) ** 2 - 1.0, 0.0))
-    rounding = np.array([lattice_of(column) for column in measured.T]) / np.sqrt(12.0) / problem.sigma
-    return float(np.sqrt(np.mean(size**2 + (limits.discrepancy * excess) ** 2 + (limits.rounding * rounding) ** 2)))
+    steps = np.array([lattice_of(column, configuration.checks) for column in measured.T])
+    return practical_floor(np.ptp(measured, axis=0), steps, stated, problem.sigma, configuration.policy)
 
 
-def _without_repeats(problem: Problem, found: Sequence[Finding]) -> Problem:
-    """Rows that only repeat the one before say nothing of the plant."""
-    axes = [finding.axis for finding in found if finding.name == "held_samples"]
+def _without_repeats(problem: Problem, axes: Sequence[int]) -> Problem:
+    """The same problem without the rows that only repeat the one before on these axes: they say nothing of the plant."""
     if not axes:
         return problem
     pieces = []
@@ -271,33 +335,3 @@ def _without_repeats(problem: Problem, found: Sequence[Finding]) -> Problem:
         same[1:] = (np.diff(piece.measurement[:, axes], axis=0) == 0.0).any(axis=1)
         pieces.append(replace(piece, keep=~same if piece.keep is None else piece.keep & ~same))
     return replace(problem, pieces=tuple(pieces))
-
-
-def _white(problem: Problem, residuals: Array, axis: int, rests: bool = True) -> float:
-    """Rms of an axis' noise from the residuals (rows, A) of all pieces; rests: whether stretches at rest count."""
-    edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in problem.pieces)])
-    return noise_of(
-        [residuals[a:b, axis] for a, b in zip(edges[:-1], edges[1:], strict=True)],
-        [piece.counted(piece.command)[:, axis] for piece in problem.pieces] if rests else None,
-    )
-
-
-def _flicker(problem: Problem, found: Found, decision: Decision, threshold: float, floor: float) -> Flicker | None:
-    """1/f noise in what the coefficients leave, if it explains more than the chosen effect, or in what that leaves; measurement unit."""
-    if len(problem.model.axes) > 1 or any(piece.keep is not None for piece in problem.pieces):
-        return None
-    command = np.concatenate([piece.command[:, 0] for piece in problem.pieces])
-    for solution in (found.none.solution, decision.chosen.solution):
-        seen = flicker(solution.residual, command)
-        if seen.plausible and seen.gain > threshold + 5.0 and seen.rms > max(floor, 0.1):
-            if solution is found.none.solution and not _outweighs(seen, found, decision):
-                continue
-            scale = float(problem.sigma[0])
-            return replace(seen, rms=seen.rms * scale, ci90=(seen.ci90[0] * scale, seen.ci90[1] * scale), white=seen.white * scale)
-    return None
-
-
-def _outweighs(noise: Flicker, found: Found, decision: Decision) -> bool:
-    """Whether 1/f noise explains more than the chosen effect does."""
-    best = found.temper * (found.none.solution.misfit - decision.chosen.solution.misfit)
-    return decision.chosen.candidate is None or noise.gain > best

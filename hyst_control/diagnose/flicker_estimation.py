@@ -2,45 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.optimize import minimize
 from scipy.signal import butter, sosfiltfilt
 
 from hyst_control.chain.stage import Array
-
-SEGMENTS = 24
-PER_OCTAVE = 3
-MISFIT = 0.5
-"""Most that bands may be off a + b/f (natural logarithm, rms), beyond what chance does: another shape is no flicker noise."""
+from hyst_control.diagnose.configuration import CONFIGURATION, FlickerSettings
+from hyst_control.diagnose.evidence import FlickerEvidence
 
 
-@dataclass(frozen=True)
-class Flicker:
-    """1/f noise beside white noise: rms of both (in the residual's unit), the flicker's 90 % interval, gain in log-likelihood (nats).
-
-    plausible: whether the spectrum has that shape, and is about the same where the command rests and where it moves. top: the
-    flicker's share of the power at the highest frequencies.
-    """
-
-    rms: float
-    ci90: tuple[float, float]
-    white: float
-    gain: float
-    plausible: bool
-    top: float
-
-
-def flicker(residual: Array, command: Array) -> Flicker:
-    """Fit a + b/f to the periodogram of a residual (N,) by Whittle's likelihood over bands; a the white part, b the flicker.
+def flicker(residual: Array, command: Array, settings: FlickerSettings = CONFIGURATION.flicker) -> FlickerEvidence:
+    """Fit a + b/f to the periodogram of a residual by Whittle's likelihood over bands; a the white part, b the flicker.
 
     Every band counts with its median, which lines in it do not move.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (N,)
+        Any unit.
+    command : ndarray, shape (N,)
+        Tells rest from motion.
+    settings : FlickerSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    FlickerEvidence
+        In the residual's unit.
+
     """
     count = len(residual)
     power = np.abs(np.fft.rfft(residual * np.sqrt(8.0 / 3.0) * np.hanning(count))[2 : count // 2]) ** 2 / count
     k = np.arange(2, 2 + len(power))
-    edges = np.unique(np.rint(2.0 ** np.arange(1.0, np.log2(k[-1]), 1.0 / PER_OCTAVE)).astype(int))
+    edges = np.unique(np.rint(2.0 ** np.arange(1.0, np.log2(k[-1]), 1.0 / settings.bands_per_octave)).astype(int))
     bands = [(a - 2, b - 2) for a, b in zip(edges[:-1], edges[1:], strict=True) if b - a >= 3]
     level = np.array([np.median(power[a:b]) / np.log(2.0) for a, b in bands])
     inverse = np.array([np.mean(1.0 / k[a:b]) for a, b in bands])
@@ -50,7 +44,7 @@ def flicker(residual: Array, command: Array) -> Flicker:
         spectrum = np.exp(logs[0]) + np.exp(logs[1]) * inverse
         return float(np.sum(bins * (np.log(spectrum) + level / spectrum)))
 
-    white = float(np.median(level[-PER_OCTAVE:]))
+    white = float(np.median(level[-settings.bands_per_octave :]))
     mean = float(bins @ level / bins.sum())
     alone = float(np.sum(bins * (np.log(mean) + level / mean)))
     best = min(
@@ -69,26 +63,26 @@ def flicker(residual: Array, command: Array) -> Flicker:
     rms = float(np.sqrt(2.0 * b * float(np.sum(1.0 / np.arange(1, count // 2))) / count))
     share = b * inverse / (a + b * inverse)
     spread = min(1.645 * 0.5 / np.sqrt(max(float(np.sum(bins * share**2)), 1e-9)), 3.0)
-    coloured = share > 0.3
-    scatter = np.log(level / (a + b * inverse))[coloured] ** 2 - 1.0 / bins[coloured]
-    fits = bool(coloured.sum() >= 4 and np.mean(scatter) < MISFIT**2)
-    return Flicker(
+    colored = share > settings.colored_share
+    scatter = np.log(level / (a + b * inverse))[colored] ** 2 - 1.0 / bins[colored]
+    fits = bool(colored.sum() >= settings.least_bands and np.mean(scatter) < settings.shape_misfit**2)
+    return FlickerEvidence(
         rms,
         (rms * float(np.exp(-spread)), rms * float(np.exp(spread))),
         float(np.sqrt(a)),
         alone - float(best.fun),
-        fits and _stationary(residual, command),
+        fits and _stationary(residual, command, settings),
         float(share[-1]),
     )
 
 
-def _stationary(residual: Array, command: Array) -> bool:
-    slow = sosfiltfilt(butter(2, 0.1, output="sos"), residual)
-    length = max(len(residual) // SEGMENTS, 1)
+def _stationary(residual: Array, command: Array, settings: FlickerSettings) -> bool:
+    slow = sosfiltfilt(butter(2, settings.slow_corner, output="sos"), residual)
+    length = max(len(residual) // settings.segments, 1)
     begins = range(0, len(residual) - length + 1, length)
     energy = np.array([np.var(slow[a : a + length]) for a in begins])
     activity = np.array([np.mean(np.abs(np.diff(command[a : a + length]))) for a in begins])
     order = np.argsort(activity)
     third = max(len(order) // 3, 1)
     quiet, busy = np.median(energy[order[:third]]), np.median(energy[order[-third:]])
-    return bool(busy < 4.0 * quiet)
+    return bool(busy < settings.motion_ratio * quiet)

@@ -12,14 +12,13 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.diagnosis import AxisDiagnosis, Diagnosis
-from hyst_control.diagnose.hypothesis_search import INFLATION
 from hyst_control.diagnose.problem import Piece, Problem
 from hyst_control.errors import InputError
 
 
 @dataclass(frozen=True)
 class Foreseen:
-    """Gap (rms over all axes, without the noise, in the measurement's unit) of the nominal and of the augmented model."""
+    """Gap of the nominal and of the augmented model: rms over all axes, without the noise, measurement unit."""
 
     rms_before: float
     rms_after: float
@@ -30,20 +29,44 @@ class Foreseen:
         return float(np.clip(1.0 - (self.rms_after / self.rms_before) ** 2, -10.0, 1.0)) if self.rms_before > 0 else 0.0
 
     def document(self) -> dict[str, float]:
-        """As it stands in a gap report."""
+        """Make its part of a gap report.
+
+        Returns
+        -------
+        dict of str to float
+
+        """
         return {"rms_before": self.rms_before, "rms_after": self.rms_after, "shrink": self.shrink}
 
 
 def foresee(diagnosis: Diagnosis, command: Array) -> Foreseen:
-    """What the gap will be on a command (N, A) in V, sampled as the records were. Raises `InputError` for another shape."""
+    """Foresee the gap on a command that has not been played yet.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        Of records of the same plant.
+    command : ndarray, shape (N, A)
+        V, sampled as the records were.
+
+    Returns
+    -------
+    Foreseen
+
+    Raises
+    ------
+    InputError
+        Where the command has another shape.
+
+    """
     count = len(diagnosis.model.axes)
     if command.ndim != 2 or command.shape[1] != count or len(command) < 2 or not np.isfinite(command).all():
-        raise InputError(f"command of shape {command.shape}: finite rows of {count} axes are due")
-    fitted = {part.axes: _simulated(part, _on(part, command, None), _coefficients(part)) for part in diagnosis.parts}
+        raise InputError(f"command: must be finite rows of {count} axes, got shape {command.shape}")
+    fitted = {part.axes: _simulated(part, _on(part, command, None), part.coefficients) for part in diagnosis.parts}
     whole = np.hstack([fitted[part.axes] for part in diagnosis.parts])
     before = after = 0.0
     for part in diagnosis.parts:
-        problem, z = _on(part, command, np.delete(whole, part.axes, axis=1)), _coefficients(part)
+        problem, z = _on(part, command, np.delete(whole, part.axes, axis=1)), part.coefficients
         true = _simulated(part, problem, z, True)
         nominal, augmented = (_simulated(part, problem, 0.0 * z, effects) for effects in (False, True))
         lines = _line_energy(part)
@@ -58,18 +81,13 @@ def _on(part: AxisDiagnosis, command: Array, others: Array | None) -> Problem:
     return replace(part.problem, pieces=(Piece(rows, np.zeros_like(rows), None, others),))
 
 
-def _coefficients(part: AxisDiagnosis) -> Array:
-    chosen = part.decision.chosen
-    return chosen.solution.z * (INFLATION if chosen.inflated else 1.0)
-
-
 def _simulated(part: AxisDiagnosis, problem: Problem, z: Array, effects: bool = False) -> Array:
     """Rows (N, A) of the measurement for coefficients z, with the chosen effects or without."""
-    candidate = part.decision.chosen.candidate
+    candidate = part.chosen.candidate
     stages = part.linearised.scatter.at(z)
     if candidate is None or not effects:
         return problem.rows(problem.simulate(stages))
-    x = part.decision.chosen.solution.x
+    x = part.chosen.solution.x
     flat = problem.simulate(candidate.unknowns().stages(stages, x))
     for member, where in zip(candidate.members, candidate.slices(), strict=True):
         if member.is_extra and not member.is_line:
@@ -78,7 +96,7 @@ def _simulated(part: AxisDiagnosis, problem: Problem, z: Array, effects: bool = 
 
 
 def _line_energy(part: AxisDiagnosis) -> float:
-    chosen = part.decision.chosen
+    chosen = part.chosen
     if chosen.candidate is None:
         return 0.0
     return sum(

@@ -187,20 +187,20 @@ def steps(diagnosis: Diagnosis) -> tuple[list[str], Array]:
     and with fitted coefficients as well; over all samples of all axes."""
     size: dict[str, float] = {}
     for part in diagnosis.parts:
-        chosen = part.decision.chosen
+        chosen = part.chosen
         if chosen.candidate is not None:
             for name, share in zip(chosen.names, shares(part.linearised, chosen), strict=True):
                 size[name] = size.get(name, 0.0) + share
     names = sorted(size, key=lambda name: -size[name])
     energies = [_energy(diagnosis, names[:count]) for count in range(len(names) + 1)]
-    fitted = [_square(part, part.decision.chosen.solution.residual) for part in diagnosis.parts]
+    fitted = [_square(part, part.chosen.solution.residual) for part in diagnosis.parts]
     return names, np.array([*energies, _mean(diagnosis, fitted)])
 
 
 def _energy(diagnosis: Diagnosis, names: Sequence[str]) -> float:
     found = []
     for part in diagnosis.parts:
-        lin, chosen = part.linearised, part.decision.chosen
+        lin, chosen = part.linearised, part.chosen
         unknowns, x = None, None
         if chosen.candidate is not None:
             kept = [i for i, name in enumerate(chosen.names) if name in names]

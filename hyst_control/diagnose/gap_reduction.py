@@ -15,17 +15,23 @@ from math import factorial
 import numpy as np
 
 from hyst_control.chain.stage import Array
+from hyst_control.diagnose.configuration import CONFIGURATION, ReductionSettings
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.hypothesis_search import Scored
-
-BLOCKS = 20
-RESAMPLES = 400
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Squared errors (M,) in units of the noise's variance on samples that did not fit: nominal, with the effects, and both with
-    coefficients fitted."""
+    """Squared errors on samples that did not fit, in noise energies.
+
+    Parameters
+    ----------
+    before, after : ndarray, shape (M,)
+        Of the nominal model, and with the effects.
+    before_fitted, after_fitted : ndarray, shape (M,)
+        The same with coefficients fitted.
+
+    """
 
     before: Array
     after: Array
@@ -33,10 +39,29 @@ class HeldOut:
     after_fitted: Array
 
 
-def held_out(linearised: Linearised, scored: Scored, none: Scored) -> HeldOut:
-    """Squared errors of an explanation by two-fold blocked cross-validation."""
+def held_out(
+    linearised: Linearised, scored: Scored, none: Scored, settings: ReductionSettings = CONFIGURATION.reduction
+) -> HeldOut:
+    """Squared errors of an explanation by two-fold blocked cross-validation.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    scored : Scored
+        The explanation.
+    none : Scored
+        No effect.
+    settings : ReductionSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    HeldOut
+
+    """
     count = len(linearised.measured)
-    fold = (np.arange(count) * BLOCKS // count) % 2
+    fold = (np.arange(count) * settings.blocks // count) % 2
     unknowns = scored.candidate.unknowns() if scored.candidate else None
     nominal = np.zeros(linearised.count)
     before = (linearised.measured - linearised.simulate(nominal)) ** 2
@@ -48,37 +73,72 @@ def held_out(linearised: Linearised, scored: Scored, none: Scored) -> HeldOut:
     for held in (0, 1):
         weight = (fold != held).astype(float)
         rows = fold == held
-        alone = fit(without, z=none.solution.z, weight=weight, rounds=4)
+        alone = fit(without, z=none.solution.z, weight=weight, rounds=settings.rounds)
         before_fitted[rows] = (linearised.measured - linearised.simulate(alone.z))[rows] ** 2
         if unknowns is None:
             after_fitted[rows] = before_fitted[rows]
             continue
-        both = fit(within, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=4)
+        both = fit(within, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=settings.rounds)
         after_fitted[rows] = (linearised.measured - linearised.simulate(both.z, unknowns, both.x))[rows] ** 2
         after[rows] = (linearised.measured - linearised.simulate(nominal, unknowns, both.x))[rows] ** 2
     return HeldOut(before, after, before_fitted, after_fitted)
 
 
-def shrink(before: Array, after: Array, seed: int) -> tuple[float, tuple[float, float]]:
-    """Shrink and its 90 % interval by a moving-block bootstrap; squared errors in units of the floor's variance."""
+def shrink(
+    before: Array, after: Array, seed: int, settings: ReductionSettings = CONFIGURATION.reduction
+) -> tuple[float, tuple[float, float]]:
+    """Shrink and its interval by a moving-block bootstrap.
+
+    Parameters
+    ----------
+    before, after : ndarray, shape (M,)
+        Squared errors in noise energies.
+    seed : int
+        Of the bootstrap.
+    settings : ReductionSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    value : float
+        At most 1.
+    ci90 : tuple of float
+        90 % interval.
+
+    """
 
     def ratio(b: float, a: float) -> float:
         return float(np.clip(1.0 - (a - 1.0) / max(b - 1.0, 1e-12), -10.0, 1.0))
 
     value = ratio(float(before.mean()), float(after.mean()))
-    length = max(len(before) // (2 * BLOCKS), 1)
+    length = max(len(before) // (2 * settings.blocks), 1)
     sums = np.stack([np.concatenate([[0.0], np.cumsum(series)]) for series in (before, after)])
     random = np.random.default_rng(seed)
-    starts = random.integers(0, len(before) - length + 1, (RESAMPLES, 2 * BLOCKS))
-    means = (sums[:, starts + length] - sums[:, starts]).sum(axis=-1) / (length * 2 * BLOCKS)
+    starts = random.integers(0, len(before) - length + 1, (settings.resamples, 2 * settings.blocks))
+    means = (sums[:, starts + length] - sums[:, starts]).sum(axis=-1) / (length * 2 * settings.blocks)
     drawn = [ratio(b, a) for b, a in means.T]
     low, high = np.quantile(drawn, [0.05, 0.95])
     return value, (float(min(low, value)), float(max(high, value)))
 
 
 def shares(linearised: Linearised, scored: Scored) -> list[float]:
-    """Shapley shares of the members of an explanation in what it takes off, coefficients as fitted; they add up to 1."""
+    """Shapley shares of the effects of an explanation in what it takes off, coefficients as fitted.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    scored : Scored
+        An explanation by effects.
+
+    Returns
+    -------
+    list of float
+        By effect; they add up to 1.
+
+    """
     candidate, solution = scored.candidate, scored.solution
+    assert candidate is not None
     count = len(candidate.members)
     if count == 1:
         return [1.0]

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.diagnose.attribution import Explanation
+from hyst_control.diagnose.attribution import Attribution, Named
 from hyst_control.diagnose.block_replay import Block
-from hyst_control.diagnose.decision import thresholds
 from hyst_control.diagnose.diagnosis import Diagnosis
 from hyst_control.diagnose.gap_budget import budget, stages
 from hyst_control.diagnose.next_experiment import next_experiment
+from hyst_control.diagnose.policy import Reason, Verdict, join
 from hyst_control.effects import EFFECTS
 
 SCHEMA = "hyst_control/gap-report"
@@ -22,32 +22,55 @@ VERSION = 1
 
 def gap_report(
     diagnosis: Diagnosis,
-    explanation: Explanation,
+    attribution: Attribution,
     blocks: Sequence[Block] = (),
     augmented: str | None = None,
     with_next: bool = True,
 ) -> dict[str, Any]:
-    """The report as a JSON document. augmented: path of the model file with the effects added."""
-    return _finite(
+    """Make the report.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        All axes.
+    attribution : Attribution
+        Shares of the gap by effect.
+    blocks : sequence of Block
+        Software blocks that were replayed.
+    augmented : str, optional
+        Path of the model file with the effects added.
+    with_next : bool
+        Whether to choose the next experiment.
+
+    Returns
+    -------
+    dict of str
+        The JSON document.
+
+    """
+    joint = join([part.decision for part in diagnosis.parts])
+    document: dict[str, Any] = _finite(
         {
             "schema": SCHEMA,
             "version": VERSION,
-            "verdict": explanation.verdict,
+            "verdict": joint.verdict.value,
+            "reasons": [reason.value for reason in joint.reasons],
             "gap": _gap(diagnosis),
             "where": {
-                "stage": stages(diagnosis, explanation, [block.name for block in blocks if not block.faithful]),
+                "stage": stages(diagnosis, attribution, [block.name for block in blocks if not block.faithful]),
                 **budget(diagnosis),
             },
-            "effects": [_effect(effect) for effect in explanation.effects],
-            "candidates": [{"name": name, "probability": _number(p)} for name, p in explanation.candidates],
-            "parameters": [{"name": name, "z": _number(z)} for name, z in explanation.parameters],
+            "effects": [_effect(effect) for effect in attribution.effects],
+            "candidates": [{"name": name, "probability": _number(p)} for name, p in attribution.candidates],
+            "parameters": [{"name": name, "z": _number(z)} for name, z in attribution.parameters],
             "next_experiment": next_experiment(diagnosis) if with_next else None,
             "augmented_model": augmented,
-            "unexplained_share": _number(explanation.unknown),
+            "unexplained_share": _number(joint.remainder),
             "replay": [{"name": block.name, "faithful": block.faithful, "rms": block.rms, "text": block.text} for block in blocks],
             "notes": list(diagnosis.notes),
         }
     )
+    return document
 
 
 def _finite(value: Any) -> Any:
@@ -77,7 +100,7 @@ def _gap(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _effect(effect: Any) -> dict[str, Any]:
+def _effect(effect: Named) -> dict[str, Any]:
     return {
         "name": effect.name,
         "axis": list(effect.axes),
@@ -98,26 +121,37 @@ def _effect(effect: Any) -> dict[str, Any]:
     }
 
 
-def _number(value: Any) -> float | None:
+def _number(value: float | None) -> float | None:
     """A JSON number; null where there is none."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 
 def sentence(report: dict[str, Any]) -> str:
-    """The verdict in one sentence."""
+    """Say the verdict in one sentence.
+
+    Parameters
+    ----------
+    report : dict of str
+        The JSON document; in one of before `reasons` were added the reason of `unknown` is taken to be the energy left.
+
+    Returns
+    -------
+    str
+
+    """
     gap, unit = report["gap"], report["gap"]["unit"]
     size = f"{gap['rms']:.3g} {unit} rms ({gap['nrmse']:.2g} % of range, noise floor {gap['floor_rms']:.3g} {unit})"
     names = [effect["name"].replace("_", " ") for effect in report["effects"]]
-    verdict = report["verdict"]
-    if verdict == "no_gap":
+    verdict, reasons = report["verdict"], report.get("reasons", ())
+    if verdict == Verdict.NO_GAP.value:
         return f"No gap beyond the model's tolerances and the noise: simulation and record differ by {size}."
-    if verdict == "parameters":
+    if verdict == Verdict.PARAMETERS.value:
         worst = ", ".join(f"{row['name']} ({row['z']:+.1f} σ)" for row in report["parameters"][:3])
         return f"The gap of {size} is one of parameters: re-identify {worst or 'the nominal model'}."
-    if verdict == "unknown":
+    if verdict == Verdict.UNKNOWN.value:
         near = f"; the nearest, {' and '.join(names)}, leaves {100 * report['unexplained_share']:.0f} % of it" if names else ""
-        if names and report["unexplained_share"] <= thresholds().unknown:
-            near = f"; it would take {' and '.join(names)} at once, and one effect that nobody knows is likelier"
+        if names and Reason.TOO_MANY_EFFECTS.value in reasons and Reason.ENERGY_LEFT.value not in reasons:
+            near = f"; it would take {' and '.join(names)} at once, and an effect outside the catalogue is more likely"
         return f"No known effect explains the gap of {size}{near}."
     shrinks = [effect["shrink_reidentified"] for effect in report["effects"] if effect["shrink_reidentified"] is not None]
     given = [effect["shrink"] for effect in report["effects"] if effect["shrink"] is not None]
@@ -127,13 +161,25 @@ def sentence(report: dict[str, Any]) -> str:
         if shrinks
         else ""
     )
-    if verdict == "ambiguous":
+    if verdict == Verdict.AMBIGUOUS.value:
         return f"The gap of {size} is {' or '.join(names)}: these data cannot tell which.{far}"
     return f"The gap of {size} is {' and '.join(names)}.{far}"
 
 
 def in_words(report: dict[str, Any]) -> str:
-    """The whole report as text for a terminal."""
+    """Say the whole report, for a terminal.
+
+    Parameters
+    ----------
+    report : dict of str
+        The JSON document.
+
+    Returns
+    -------
+    str
+        Several lines.
+
+    """
     lines = [sentence(report), ""]
     for effect in report["effects"]:
         values = ", ".join(

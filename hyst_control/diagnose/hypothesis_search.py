@@ -13,47 +13,45 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import cho_factor
 from scipy.optimize import minimize_scalar
 
 from hyst_control.chain.stage import Array
+from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, SearchSettings, Thresholds
 from hyst_control.diagnose.hypothesis import Candidate, Member
 from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, Unknowns, fit, refined
+from hyst_control.diagnose.policy import strained as are_strained
 from hyst_control.errors import InputError
 from hyst_control.parallel import forked
-
-FOLLOWED = 2
-"""How many of an effect's starts are fitted to the end."""
-
-SCREENED = 8
-"""How many of an effect's starts are looked at on top of another effect."""
-
-SCANNED = 12
-"""Values of a parameter that are tried, and then as many between the best of them and its neighbours."""
-
-REFINED = 6
-"""How many of the best fits go on with columns of their own."""
-
-REACH, NEAR = 0.1, 50.0
-"""How far behind the best fit, as a share of what that takes off and in nats, another may be to go on."""
-
-SPENT = 0.03
-"""Energy beyond the noise's, as a share of it, under which no further effect is looked for: the noise is not known better."""
-
-INFLATION = 5.0
-"""`parameters`: the nominal coefficients may be off by this many times their tolerance."""
 
 
 @dataclass(frozen=True)
 class Scored:
-    """A candidate (None: no effect; `inflated`: only the nominal coefficients) with its fit and its score."""
+    """Hypothesis with its fit and its score.
+
+    Parameters
+    ----------
+    candidate : Candidate or None
+        Effects; None for "no effect" and for coefficients alone.
+    solution : Solution
+        The fit.
+    score : float
+        Evidence over "no effect", nats.
+    inflated : bool
+        Whether it is coefficients alone, beyond their tolerance.
+    tolerances : float
+        Size of the fit's unit of the coefficients, in tolerances.
+
+    """
 
     candidate: Candidate | None
     solution: Solution
     score: float
     inflated: bool = False
+    tolerances: float = 1.0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -63,7 +61,22 @@ class Scored:
 
 @dataclass(frozen=True)
 class Found:
-    """What a search found on one problem: no effect, coefficients only, single effects, combinations (best first), and τ."""
+    """Hypotheses that a search fitted on one problem.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    none : Scored
+        No effect.
+    parameters : Scored
+        Coefficients alone.
+    singles, combinations : tuple of Scored
+        Single effects and combinations, best first.
+    temper : float
+        Weight of a sample.
+
+    """
 
     linearised: Linearised
     none: Scored
@@ -73,8 +86,21 @@ class Found:
     temper: float
 
 
-def inflated(linearised: Linearised, factor: float = INFLATION) -> Linearised:
-    """The same columns with every tolerance multiplied."""
+def inflated(linearised: Linearised, factor: float) -> Linearised:
+    """The same columns with every tolerance multiplied.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    factor : float
+        Of the tolerances.
+
+    Returns
+    -------
+    Linearised
+
+    """
     wide = copy(linearised)
     wide.scatter = replace(
         linearised.scatter, coefficients=tuple(replace(c, tolerance=c.tolerance * factor) for c in linearised.scatter.coefficients)
@@ -90,36 +116,59 @@ def search(
     threshold: float,
     floor: float,
     leaves: float = 1.0,
-    beam: int = 3,
-    depth: int = 3,
     progress: Callable[[str], None] = lambda _: None,
+    configuration: Configuration = CONFIGURATION,
 ) -> Found:
     """Fit and weigh all candidates.
 
-    threshold: score by which a further effect must be better; floor: rms in units of the noise that it must take off; leaves:
-    energy (in units of the noise's) that the model itself says it leaves.
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    members : sequence of Member
+        Catalogue as it is used.
+    threshold : float
+        Score (nats) by which a further effect must be better.
+    floor : float
+        Rms, in units of the noise, that it must take off.
+    leaves : float
+        Energy, in noise energies, that the model itself says it leaves.
+    progress : callable
+        Is told the names of what was fitted.
+    configuration : Configuration
+        All values.
+
+    Returns
+    -------
+    Found
+
     """
-    depth = depth if leaves < 1.5 else min(depth, 2)  # beside a model error that is known, finer parts cannot be told
+    settings, thresholds = configuration.search, configuration.policy
+    beam, depth = settings.beam, settings.depth
+    if leaves >= thresholds.own_error_energy:
+        depth = min(depth, settings.depth_with_own_error)
+    strained = partial(_strained, thresholds=thresholds)
     none = Scored(None, settled(linearised), 0.0)
-    wide = inflated(linearised)
-    parameters = Scored(None, settled(wide, none.solution.z / INFLATION), 0.0, True)
+    wide = inflated(linearised, settings.inflation)
+    parameters = Scored(None, settled(wide, none.solution.z / settings.inflation), 0.0, True, settings.inflation)
     fits: list[tuple[Candidate, Solution]] = []
     alone = [Candidate((member,)) for member in members]
-    solutions = forked(lambda i: _fitted(linearised, alone[i], alone[i].starts()), len(alone))
+    solutions = forked(lambda i: _fitted(linearised, alone[i], alone[i].starts(), settings), len(alone))
     for candidate, found in zip(alone, solutions, strict=True):
         progress(candidate.names[0])
         if found is not None:
             fits.append((candidate, found))
-    fits = _freed(linearised, fits, none.solution.misfit)
-    fits = _refined(linearised, fits, REFINED, none.solution.misfit)
+    fits = _freed(linearised, fits, none.solution.misfit, settings)
+    fits = _refined(linearised, fits, settings.refined, none.solution.misfit, configuration)
     best = min([none.solution.misfit, *(solution.misfit for _, solution in fits)])
     combinations: list[tuple[Candidate, Solution]] = []
     parents = sorted(fits, key=lambda item: item[1].misfit)[:beam]
     size = len(linearised.measured)
     for size_reached in range(1, depth):
-        if not parents or _spent(parents[0][1], floor, leaves - 1.0 + leaves * SPENT * size_reached**2):
-            break
-        grown = _grown(linearised, parents, members, 0.5 * threshold, none.solution.misfit, progress)
+        excess = max(leaves - 1.0 + leaves * settings.spent * size_reached**2, settings.spent_floor * floor**2)
+        if not parents or (_beyond_noise(parents[0][1]) < excess and not strained(parents[0][1])):
+            break  # nothing but noise is left, and no coefficients were strained for it
+        grown = _grown(linearised, parents, members, settings.promise * threshold, none.solution.misfit, progress, configuration)
         if not grown:
             break
         gain, weight = best - grown[0][1].misfit, _temper(grown[0][1].residual)
@@ -127,7 +176,7 @@ def search(
         if gain * weight < threshold or (2.0 * gain / size < floor**2 and not relieved):
             break
         best = grown[0][1].misfit
-        combinations += grown[: 2 * beam]
+        combinations += grown[: settings.kept_beams * beam]
         parents = grown[:beam]
     for candidate, solution in _pruned(linearised, combinations):
         (combinations if len(candidate.members) > 1 else fits).append((candidate, solution))
@@ -157,20 +206,29 @@ def search(
     return Found(linearised, none, parameters, ranked(fits), ranked(combinations), temper)
 
 
-def _spent(solution: Solution, floor: float, excess: float) -> bool:
-    """Whether a fit leaves nothing but noise, and did not strain its coefficients for it."""
-    left = float(solution.residual @ solution.residual) / len(solution.residual) - 1.0
-    return left < max(excess, 0.5 * floor**2) and not strained(solution)
+def _beyond_noise(solution: Solution) -> float:
+    """Energy that a fit leaves beyond the noise's, as a share of it."""
+    return float(solution.residual @ solution.residual) / len(solution.residual) - 1.0
 
 
-def strained(solution: Solution) -> bool:
-    """Whether a fit's coefficients are further from the nominal ones than chance would have them: χ² four deviations above its mean."""
-    count = len(solution.z)
-    return 2.0 * strain(solution) >= count + 4.0 * np.sqrt(2.0 * count)
+def _strained(solution: Solution, thresholds: Thresholds) -> bool:
+    return are_strained(strain(solution), len(solution.z), thresholds)
 
 
 def strain(solution: Solution) -> float:
-    """Misfit (nats) that is the coefficients' distance from the nominal ones."""
+    """Misfit that is the coefficients' distance from the nominal ones.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of a fit.
+
+    Returns
+    -------
+    float
+        Nats.
+
+    """
     return 0.5 * float(solution.z @ solution.z)
 
 
@@ -181,22 +239,25 @@ def _grown(
     least: float,
     before: float,
     progress: Callable[[str], None],
+    configuration: Configuration,
 ) -> list[tuple[Candidate, Solution]]:
     """The parents with one effect more each, best first."""
-    promising = forked(lambda i: _promising(linearised, *parents[i], members, least), len(parents))
+    settings = configuration.search
+    promising = forked(lambda i: _promising(linearised, *parents[i], members, least, settings), len(parents))
     wanted: list[tuple[Candidate, Array]] = []
     for (candidate, solution), found in zip(parents, promising, strict=True):
         for index, start in found:
             pair = candidate.with_member(members[index])
             if not any(_same(pair, other) for other, _ in wanted):
                 wanted.append((pair, _merged(pair, candidate, solution.x, members[index], start)))
-    fitted = forked(lambda i: _fitted(linearised, wanted[i][0], [wanted[i][1]]), len(wanted))
+    fitted = forked(lambda i: _fitted(linearised, wanted[i][0], [wanted[i][1]], settings), len(wanted))
     grown = []
     for (pair, _), found in zip(wanted, fitted, strict=True):
         progress("+".join(pair.names))
         if found is not None:
             grown.append((pair, found))
-    return sorted(_refined(linearised, grown, REFINED // 2, before), key=lambda item: item[1].misfit)
+    better = _refined(linearised, grown, settings.refined // 2, before, configuration)
+    return sorted(better, key=lambda item: item[1].misfit)
 
 
 def _pruned(linearised: Linearised, found: Sequence[tuple[Candidate, Solution]]) -> list[tuple[Candidate, Solution]]:
@@ -235,28 +296,42 @@ def _temper(residual: Array) -> float:
 
 
 def settled(linearised: Linearised, z: Array | None = None) -> Solution:
-    """The fit of the coefficients alone, gone on with columns taken where it ended."""
+    """The fit of the coefficients alone, gone on with columns taken where it ended.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    z : ndarray, shape (K,), optional
+        Where to begin, in tolerances; 0 unless given.
+
+    Returns
+    -------
+    Solution
+
+    """
     return refined(linearised, None, fit(linearised, z=z))
 
 
 def _refined(
-    linearised: Linearised, found: Sequence[tuple[Candidate, Solution]], count: int, before: float
+    linearised: Linearised, found: Sequence[tuple[Candidate, Solution]], count: int, before: float, configuration: Configuration
 ) -> list[tuple[Candidate, Solution]]:
     """The best fits gone on with, but for those that are too far behind the first to reach it; the rest as they are."""
     found = sorted(found, key=lambda item: item[1].misfit)
     if not found:
         return found
-    within = found[0][1].misfit + max(REACH * (before - found[0][1].misfit), NEAR)
+    settings = configuration.search
+    within = found[0][1].misfit + max(settings.reach * (before - found[0][1].misfit), settings.near)
     near = sum(solution.misfit <= within for _, solution in found[:count])
-    better = forked(lambda i: _finished(linearised, *found[i]), near)
+    better = forked(lambda i: _finished(linearised, *found[i], configuration.policy), near)
     return [(candidate, solution) for (candidate, _), solution in zip(found, better, strict=False)] + found[near:]
 
 
-def _finished(linearised: Linearised, candidate: Candidate, solution: Solution) -> Solution:
+def _finished(linearised: Linearised, candidate: Candidate, solution: Solution, thresholds: Thresholds) -> Solution:
     """A fit gone on with; where it strains the coefficients, also begun again from where the effects do best without them."""
     unknowns = candidate.unknowns()
     best = refined(linearised, unknowns, solution)
-    if not strained(best):
+    if not _strained(best, thresholds):
         return best
     try:
         alone = fit(_held(linearised), unknowns, best.x)
@@ -273,18 +348,18 @@ def _held(linearised: Linearised) -> Linearised:
     return held
 
 
-def _fitted(linearised: Linearised, candidate: Candidate, starts: Sequence[Array]) -> Solution | None:
+def _fitted(linearised: Linearised, candidate: Candidate, starts: Sequence[Array], settings: SearchSettings) -> Solution | None:
     """The best fit over the starts of a single effect; only those that a first linear step makes most of are followed."""
     unknowns = candidate.unknowns()
-    if len(starts) > FOLLOWED:
-        ranked = []
+    if len(starts) > settings.followed:
+        ranked: list[tuple[float, int, Array]] = []
         for start in starts:
             try:
-                left, there = _after_step(linearised, unknowns, candidate, candidate.members[0], start)
+                left, there = _after_step(linearised, unknowns, candidate, candidate.members[0], start, settings)
                 ranked.append((left, len(ranked), there))
             except InputError:
                 continue
-        starts = [start for *_, start in sorted(ranked, key=lambda item: item[:2])[:FOLLOWED]]
+        starts = [start for *_, start in sorted(ranked, key=lambda item: item[:2])[: settings.followed]]
     tried = []
     for start in starts:
         try:
@@ -294,7 +369,9 @@ def _fitted(linearised: Linearised, candidate: Candidate, starts: Sequence[Array
     return min(tried, key=lambda solution: solution.misfit, default=None)
 
 
-def _freed(linearised: Linearised, fits: list[tuple[Candidate, Solution]], without: float) -> list[tuple[Candidate, Solution]]:
+def _freed(
+    linearised: Linearised, fits: list[tuple[Candidate, Solution]], without: float, settings: SearchSettings
+) -> list[tuple[Candidate, Solution]]:
     """The fits, of which those of one parameter that are worse than no effect at all begin again, where it alone does best.
 
     Beside a great gap the columns of the coefficients promise too much: a step in all of them leads astray, and the fit ends there.
@@ -302,7 +379,12 @@ def _freed(linearised: Linearised, fits: list[tuple[Candidate, Solution]], witho
     stuck = [
         i for i, (candidate, solution) in enumerate(fits) if solution.misfit > without and len(candidate.unknowns().lower) == 1
     ]
-    again = forked(lambda i: _fitted(linearised, fits[stuck[i]][0], [_best_alone(linearised, fits[stuck[i]][0])]), len(stuck))
+
+    def begun_again(i: int) -> Solution | None:
+        candidate = fits[stuck[i]][0]
+        return _fitted(linearised, candidate, [_best_alone(linearised, candidate, settings.scanned)], settings)
+
+    again = forked(begun_again, len(stuck))
     freed = dict(zip(stuck, again, strict=True))
     return [
         (candidate, min((solution, freed.get(i) or solution), key=lambda one: one.misfit))
@@ -310,7 +392,7 @@ def _freed(linearised: Linearised, fits: list[tuple[Candidate, Solution]], witho
     ]
 
 
-def _best_alone(linearised: Linearised, candidate: Candidate) -> Array:
+def _best_alone(linearised: Linearised, candidate: Candidate, count: int) -> Array:
     """The value (1,) of a candidate's one parameter that comes closest to the record with the nominal coefficients."""
     unknowns, nominal = candidate.unknowns(), np.zeros(linearised.count)
 
@@ -322,14 +404,19 @@ def _best_alone(linearised: Linearised, candidate: Candidate) -> Array:
         size = float(residual @ residual)
         return size if np.isfinite(size) else np.inf
 
-    values = np.linspace(unknowns.lower[0], unknowns.upper[0], SCANNED)
+    values = np.linspace(unknowns.lower[0], unknowns.upper[0], count)
     best = int(np.argmin([misfit(value) for value in values]))
-    bounds = values[max(best - 1, 0)], values[min(best + 1, SCANNED - 1)]
-    return np.array([minimize_scalar(misfit, bounds=bounds, method="bounded", options={"maxiter": SCANNED}).x])
+    bounds = values[max(best - 1, 0)], values[min(best + 1, count - 1)]
+    return np.array([minimize_scalar(misfit, bounds=bounds, method="bounded", options={"maxiter": count}).x])
 
 
 def _promising(
-    linearised: Linearised, candidate: Candidate, solution: Solution, members: Sequence[Member], least: float, count: int = 5
+    linearised: Linearised,
+    candidate: Candidate,
+    solution: Solution,
+    members: Sequence[Member],
+    least: float,
+    settings: SearchSettings,
 ) -> list[tuple[int, Array]]:
     """The effects (by index) that a linear step on top of a candidate makes most of, at least so much, and from which start."""
     found = []
@@ -342,10 +429,10 @@ def _promising(
         pair = candidate.with_member(member)
         unknowns = pair.unknowns()
         starts = member.starts()
-        for start in starts[:: max(len(starts) // SCREENED, 1)]:
+        for start in starts[:: max(len(starts) // settings.screened, 1)]:
             x = _merged(pair, candidate, solution.x, member, start)
             try:
-                left, there = _after_step(linearised, unknowns, pair, member, x)
+                left, there = _after_step(linearised, unknowns, pair, member, x, settings)
                 gain = before - left
             except InputError:
                 continue
@@ -353,10 +440,12 @@ def _promising(
                 best = gain, there[next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)]
         if best is not None and best[0] > least:
             found.append((best[0], index, best[1]))
-    return [(index, start) for _, index, start in sorted(found, key=lambda item: -item[0])[:count]]
+    return [(index, start) for _, index, start in sorted(found, key=lambda item: -item[0])[: settings.promising]]
 
 
-def _after_step(linearised: Linearised, unknowns: Unknowns, pair: Candidate, member: Member, x: Array) -> tuple[float, Array]:
+def _after_step(
+    linearised: Linearised, unknowns: Unknowns, pair: Candidate, member: Member, x: Array, settings: SearchSettings
+) -> tuple[float, Array]:
     """A linear step in the new effect's parameters from x, coefficients marginalised about the nominal ones: the misfit after it
     and where it leads."""
     nominal = np.zeros(linearised.count)
@@ -364,7 +453,7 @@ def _after_step(linearised: Linearised, unknowns: Unknowns, pair: Candidate, mem
     residual = linearised.measured - simulated
     place = next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)
     chosen = list(range(place.start, place.stop))
-    if len(member.parameters) == len(chosen) and len(member.starts()) > SCREENED:
+    if len(member.parameters) == len(chosen) and len(member.starts()) > settings.screened:
         # Many starts over frequencies say enough of those; the amplitudes are what a step can find.
         chosen = [i for i, p in zip(chosen, member.parameters, strict=True) if not p.logarithmic]
     design = np.empty((len(residual), len(chosen)))

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from hyst_control.chain.stage import Array
-from hyst_control.diagnose.decision import thresholds
+from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.noise_floor import noise_of
 from hyst_control.diagnose.parameter_uncertainty import scatter_of
 from hyst_control.errors import InputError
@@ -30,18 +30,27 @@ from hyst_control.model_file import Model, Simulator
 
 STEP = 0.1
 """Standard deviations by which a coefficient is moved for its slope."""
-LEAST_NOISE = 2e-5
-"""Share of the range below which noise is not believed: numbers are rounded, and models discretised."""
-
-NOISE_ERROR = 1.1
-"""How far the noise, learned from few rows, may by chance lie below the stated one."""
 
 
 class LiveTwin:
     """The model and its slopes, streamed from the command that the plant gets."""
 
     def __init__(self, model: Model, sample_time: float) -> None:
-        """sample_time: s, of the running system. Raises `InputError` when the model cannot run at it."""
+        """Prepare the model and its slopes.
+
+        Parameters
+        ----------
+        model : Model
+            Nominal model.
+        sample_time : float
+            s, of the running system.
+
+        Raises
+        ------
+        InputError
+            Where the model cannot run at it.
+
+        """
         self._running = [Simulator(model, sample_time)]
         scatter = scatter_of(model)
         for z in STEP * np.eye(len(scatter.coefficients)):
@@ -53,15 +62,36 @@ class LiveTwin:
 
     @property
     def coefficients(self) -> int:
-        """Number K of uncertain coefficients."""
+        """Number of uncertain coefficients."""
         return len(self._running) - 1
 
     def settle(self, command: Array) -> None:
-        """Begin anew at rest at this command (A,) in V, reached from 0 V on the virgin curve."""
+        """Begin anew at rest, reached from 0 V on the virgin curve.
+
+        Parameters
+        ----------
+        command : ndarray, shape (A,)
+            V.
+
+        """
         self._ahead = [simulator.reset(command) for simulator in self._running]
 
     def follow(self, commands: Array) -> tuple[Array, Array]:
-        """Predicted measurement (N, A) at the ticks of these commands (N, A), and its slopes (N, A, K) per standard deviation."""
+        """Predict the measurement at the ticks of these commands.
+
+        Parameters
+        ----------
+        commands : ndarray, shape (N, A)
+            V.
+
+        Returns
+        -------
+        predicted : ndarray, shape (N, A)
+            Measurement unit.
+        slopes : ndarray, shape (N, A, K)
+            Per standard deviation of each coefficient.
+
+        """
         found = []
         for i, simulator in enumerate(self._running):
             following = simulator.step(commands)
@@ -74,10 +104,21 @@ class LiveTwin:
 
 @dataclass(frozen=True)
 class Window:
-    """What a window of the residual says.
+    """Window of the residual.
 
-    end: how many of the rows just added had come when it was complete; rms: over all axes, in the measurement's unit; nrmse: in %,
-    of the range since the start, the mean over the axes; excess: energy over the threshold, NaN while calibrating.
+    Parameters
+    ----------
+    end : int
+        Rows of those just added that had come when it was complete.
+    rms : float
+        Over all axes, measurement unit.
+    nrmse : float
+        % of the range since the start, the mean over the axes.
+    excess : float
+        Energy over the threshold, NaN while calibrating.
+    alarm : bool
+        Whether the alarm stands.
+
     """
 
     end: int
@@ -91,8 +132,21 @@ class Window:
 class GapAlarm:
     """Windows of the residual against their threshold; see the module's text for the statistics.
 
-    sample_time: s; window, calibrate: rows; stated: noise (A,) that the model states, in the measurement's unit;
-    false_alarm_rate: expected false alarms per hour; consecutive: windows.
+    Parameters
+    ----------
+    sample_time : float
+        s.
+    window, calibrate : int
+        Rows of a window, and rows from which coefficients and noise are learned.
+    stated : ndarray, shape (A,)
+        Noise (rms, measurement unit) that the model states.
+    false_alarm_rate : float
+        Expected false alarms per hour.
+    consecutive : int
+        Windows in a row that raise the alarm, or let it fall.
+    configuration : Configuration
+        All values.
+
     """
 
     sample_time: float
@@ -101,6 +155,7 @@ class GapAlarm:
     stated: Array
     false_alarm_rate: float
     consecutive: int
+    configuration: Configuration = CONFIGURATION
 
     def __post_init__(self) -> None:
         self.reset()
@@ -122,7 +177,21 @@ class GapAlarm:
         self._collected = 0
 
     def add(self, measured: Array, residual: Array, slopes: Array) -> list[Window]:
-        """Windows that became complete with these successive rows: measured and residual (N, A), slopes (N, A, K)."""
+        """Add successive rows.
+
+        Parameters
+        ----------
+        measured, residual : ndarray, shape (N, A)
+            Measurement, and measured minus predicted, measurement unit.
+        slopes : ndarray, shape (N, A, K)
+            Of the prediction, per standard deviation of each coefficient.
+
+        Returns
+        -------
+        list of Window
+            Those that became complete.
+
+        """
         found, begin = [], 0
         self._lower = np.minimum(self._lower, measured.min(axis=0, initial=np.inf))
         self._upper = np.maximum(self._upper, measured.max(axis=0, initial=-np.inf))
@@ -162,15 +231,16 @@ class GapAlarm:
             return
         residuals, every = zip(*self._learned, strict=True)
         self._learned = []
-        grams = sum(_gram(part) for part in every)
+        grams: Array = sum((_gram(part) for part in every), np.zeros(()))
         sides = sum(np.einsum("nak,na->ak", part, values) for part, values in zip(every, residuals, strict=True))
-        left, limits, span = residuals, thresholds(), self._upper - self._lower
+        left, span = list(residuals), self._upper - self._lower
+        policy, floor, error = self.configuration.policy, self.configuration.noise, self.configuration.live_twin.noise_error
         for _ in range(2):
-            measured = np.array([noise_of([part[:, axis] for part in left]) for axis in range(len(span))])
-            noise = np.maximum(measured, np.maximum(LEAST_NOISE * span, 1e-12))
+            measured = np.array([noise_of([part[:, axis] for part in left], settings=floor) for axis in range(len(span))])
+            noise = np.maximum(measured, np.maximum(floor.least * span, 1e-12))
             # What the model states beyond the noise, and what is too small to matter, is imperfection: slow, not white.
-            beyond = np.sqrt(np.maximum(self.stated**2 - (NOISE_ERROR * noise) ** 2, 0.0))
-            self._imperfection = np.hypot(limits.practical_floor * span, beyond)
+            beyond = np.sqrt(np.maximum(self.stated**2 - (error * noise) ** 2, 0.0))
+            self._imperfection = np.hypot(policy.practical_size * span, beyond)
             precision = np.eye(grams.shape[1]) + np.einsum("aij,a->ij", grams, noise**-2)
             self._covariance = np.linalg.inv(precision)
             self._mean = self._covariance @ np.einsum("ak,a->k", sides, noise**-2)
@@ -196,10 +266,24 @@ def _gram(slopes: Array) -> Array:
 
 
 def energy_quantile(weights: Array, count: int, share: float) -> float:
-    """The value that |u|^2 of a Gaussian vector exceeds with probability `share`; its covariance is 1 (count) plus these eigenvalues.
+    """Upper quantile of the squared size of a Gaussian vector.
 
     By the first three cumulants (Imhof 1961, section 4): with c_k the sum of the k-th powers of the covariance's eigenvalues,
     (|u|^2 - c_1) / sqrt(c_2) is as (X - nu) / sqrt(nu), X chi-square with nu = c_2^3 / c_3^2 degrees of freedom.
+
+    Parameters
+    ----------
+    weights : ndarray, shape (K,)
+        Eigenvalues of its covariance beyond 1.
+    count : int
+        Its size.
+    share : float
+        Probability that the squared size exceeds the quantile.
+
+    Returns
+    -------
+    float
+
     """
     first, second, third = (count + float(np.sum((1.0 + weights) ** power - 1.0)) for power in (1, 2, 3))
     freedom = second**3 / third**2

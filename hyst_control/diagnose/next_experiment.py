@@ -2,28 +2,52 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from hyst_control.chain.stage import Array
+from hyst_control.diagnose.configuration import CONFIGURATION, ExperimentSettings
 from hyst_control.diagnose.diagnosis import AxisDiagnosis, Diagnosis
 from hyst_control.diagnose.hypothesis_fit import Linearised
 from hyst_control.diagnose.hypothesis_search import Scored
 from hyst_control.diagnose.parameter_uncertainty import Scatter
+from hyst_control.diagnose.policy import Verdict
 from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.effects import EFFECTS
 from hyst_control.errors import InputError
 from hyst_control.records.excitation import build
 
-ENOUGH = 3.0
-"""Distance (standard deviations) from which two explanations are told apart."""
+OTHER_SENSOR = "a second, independent displacement sensor"
+"""What to record where no effect names anything better."""
 
-DURATION = 1.0
+Excitation = dict[str, Any]
+"""Configuration of the reference generator."""
 
 
-def library(lower: float, upper: float, sample_time: float) -> dict[str, dict[str, Any]]:
-    """Excitations by name, as reference-generator configurations, within lower … upper V."""
+def library(
+    lower: float, upper: float, sample_time: float, settings: ExperimentSettings = CONFIGURATION.experiment
+) -> dict[str, Excitation]:
+    """Excitations to choose from.
+
+    Parameters
+    ----------
+    lower, upper : float
+        Range of the command, V.
+    sample_time : float
+        s.
+    settings : ExperimentSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    dict of str to dict
+        Configurations of the reference generator by name.
+
+    """
+    duration = settings.duration
     span, centre, nyquist = upper - lower, 0.5 * (upper + lower), 0.5 / sample_time
     return {
         "diagnostic record": {"signal": "diagnostic", "lowest": lower, "highest": upper, "duration": 1.5},
@@ -38,8 +62,8 @@ def library(lower: float, upper: float, sample_time: float) -> dict[str, dict[st
             "lower": lower,
             "upper": upper,
         },
-        "slow triangle": {"signal": "triangle", "frequency": 2.0, "amplitude": 0.5 * span, "offset": centre, "duration": DURATION},
-        "steps": {"signal": "steps", "lowest": lower, "highest": upper, "hold": DURATION / 12, "count": 10},
+        "slow triangle": {"signal": "triangle", "frequency": 2.0, "amplitude": 0.5 * span, "offset": centre, "duration": duration},
+        "steps": {"signal": "steps", "lowest": lower, "highest": upper, "hold": duration / 12, "count": 10},
         "long hold": {"signal": "step", "height": 0.8 * span, "offset": lower, "before": 0.1, "after": 5.0},
         "sweep": {
             "signal": "sweep",
@@ -47,31 +71,44 @@ def library(lower: float, upper: float, sample_time: float) -> dict[str, dict[st
             "stop_frequency": nyquist / 4,
             "amplitude": 0.25 * span,
             "offset": centre,
-            "duration": DURATION,
+            "duration": duration,
         },
     }
 
 
 def next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    """The excitation of largest worst-pair distance between what is still possible; None where nothing is ambiguous."""
-    part = next((part for part in diagnosis.parts if part.decision.verdict == "ambiguous"), None)
+    """Choose the excitation of largest worst-pair distance between what is still possible.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        All axes.
+
+    Returns
+    -------
+    dict of str or None
+        Its part of the gap report; None where nothing is ambiguous.
+
+    """
+    part = next((part for part in diagnosis.parts if part.decision.verdict is Verdict.AMBIGUOUS), None)
     if part is None:
         return None
-    rivals = [scored for scored in part.decision.listed][:3]
+    settings = diagnosis.configuration.experiment
+    rivals = part.listed[: settings.rivals]
     lower, upper = diagnosis.problem.surroundings.command
-    best: tuple[float, str, dict[str, Any]] | None = None
-    for name, configuration in library(lower, upper, diagnosis.problem.sample_time).items():
+    best: tuple[float, str, Excitation] | None = None
+    for name, excitation in library(lower, upper, diagnosis.problem.sample_time, settings).items():
         try:
-            command = build(configuration, diagnosis.problem.sample_time, len(diagnosis.model.axes))
+            command = build(excitation, diagnosis.problem.sample_time, len(diagnosis.model.axes))
             distance = _distance(part, rivals, command)
         except (InputError, TypeError):
             continue
         if best is None or distance > best[0]:
-            best = distance, name, configuration
+            best = distance, name, excitation
     if best is None:
         return None
     separates = ["+".join(scored.names) or "parameters" for scored in rivals]
-    note = "" if best[0] >= ENOUGH else _channel(separates)
+    note = "" if best[0] >= settings.distance else _channel(rivals)
     return {
         "excitation": best[1],
         "separates": separates,
@@ -82,14 +119,13 @@ def next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
     }
 
 
-def _channel(names: list[str]) -> str:
-    """The channel that would tell what no excitation can."""
-    if any("delay" in name or "lowpass" in name for name in names):
-        return "no excitation separates them: record the amplifier's output voltage as well"
-    return "no excitation separates them: record a second, independent displacement sensor as well"
+def _channel(rivals: Sequence[Scored]) -> str:
+    """The channel that would tell what no excitation can: the first that one of the effects names."""
+    named = (EFFECTS[name].separating_record for scored in rivals for name in scored.names)
+    return f"no excitation separates them: record {next(filter(None, named), OTHER_SENSOR)} as well"
 
 
-def _distance(part: AxisDiagnosis, rivals: list[Scored], command: Array) -> float:
+def _distance(part: AxisDiagnosis, rivals: Sequence[Scored], command: Array) -> float:
     """The smallest distance between two rivals' predictions, coefficients marginalised."""
     problem = part.problem
     axes = list(part.axes)

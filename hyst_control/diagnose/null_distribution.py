@@ -2,7 +2,8 @@
 
 With tens of thousands of samples an information criterion is certain of everything. So records without a gap are simulated
 from the nominal model with scattered coefficients, the user's own command and noise; each is searched in the linearised way,
-and the threshold is a quantile of the best score found in them. Kept in a cache per model, command and noise.
+and the threshold is a quantile of the best score found in them. Kept in a cache; its key has all that it depends on: model, command,
+sample time, rows that count, noise, the catalogue's ranges and priors, the configuration and the version of this package.
 """
 
 from __future__ import annotations
@@ -11,50 +12,93 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
 from platformdirs import user_cache_path
 
 from hyst_control.chain.stage import Array
+from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NullSettings
 from hyst_control.diagnose.hypothesis import Candidate, Member
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
+from hyst_control.effects.effect import Surroundings
 from hyst_control.errors import InputError
 from hyst_control.model_file import model_to_document
 from hyst_control.parallel import forked
-
-ROUNDS = 4
-"""Most steps of the coefficients' fit: what their scatter leaves beyond its linear part is not to count as an effect."""
-
-STARTS = 6
-COUNT = 200
-QUANTILE = 0.99
 
 
 def threshold(
     linearised: Linearised,
     members: Sequence[Member],
     seed: int = 0,
-    count: int = COUNT,
     progress: Callable[[int], None] = lambda _: None,
     cache: bool = True,
+    configuration: Configuration = CONFIGURATION,
 ) -> float:
-    """The score (nats) that the best candidate stays under in 99 % of simulated records without a gap."""
-    file = _cache_file(linearised, members, seed, count) if cache else None
+    """Score that the best candidate stays under in nearly all simulated records without a gap.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    members : sequence of Member
+        Catalogue as it is used.
+    seed : int
+        Of everything drawn at random.
+    progress : callable
+        Is told how many records are done.
+    cache : bool
+        Whether the threshold is kept between runs.
+    configuration : Configuration
+        All values.
+
+    Returns
+    -------
+    float
+        Nats.
+
+    """
+    file = _cache_file(cache_key(linearised, members, seed, configuration)) if cache else None
     if file is not None and (known := _read(file)) is not None:
         return known
-    scores = null_scores(linearised, members, seed, count, progress)
-    found = float(np.quantile(scores, QUANTILE)) if len(scores) else 0.0
+    scores = null_scores(linearised, members, seed, configuration.null_distribution, progress)
+    found = float(np.quantile(scores, configuration.null_distribution.quantile)) if len(scores) else 0.0
     if file is not None:
         _write(file, found)
     return found
 
 
 def null_scores(
-    linearised: Linearised, members: Sequence[Member], seed: int, count: int, progress: Callable[[int], None] = lambda _: None
+    linearised: Linearised,
+    members: Sequence[Member],
+    seed: int,
+    settings: NullSettings = CONFIGURATION.null_distribution,
+    progress: Callable[[int], None] = lambda _: None,
 ) -> Array:
-    """The best candidate's gain (nats) on every simulated record without a gap."""
-    designs = tangents(linearised, members)
+    """Gain of the best candidate on every simulated record without a gap.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    members : sequence of Member
+        Catalogue as it is used.
+    seed : int
+        Of everything drawn at random.
+    settings : NullSettings
+        Values of the configuration.
+    progress : callable
+        Is told how many records are done.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Nats; of fewer records where some coefficients make no model.
+
+    """
+    designs = tangents(linearised, members, settings.starts)
     known = [linearised.unexplained(design) for design in designs]
     inverses = [np.linalg.inv(design.T @ left + np.eye(design.shape[1])) for design, left in zip(designs, known, strict=True)]
     flat = np.concatenate(known, axis=1) if known else np.zeros((len(linearised.measured), 0))
@@ -65,7 +109,7 @@ def null_scores(
         z = random.standard_normal(linearised.count)
         try:
             record = linearised.simulate(z) + random.standard_normal(len(linearised.measured))
-            solution = fit(linearised, measured=record, rounds=ROUNDS)
+            solution = fit(linearised, measured=record, rounds=settings.rounds)
         except InputError:
             return None  # these coefficients make no model
         # What the coefficients could still explain is projected out: as good as one more step.
@@ -76,22 +120,38 @@ def null_scores(
         )
 
     scores = []
-    for i, score in enumerate(forked(best, count)):
+    for i, score in enumerate(forked(best, settings.records)):
         progress(i + 1)
         if score is not None:
             scores.append(score)
     return np.array(scores)
 
 
-def tangents(linearised: Linearised, members: Sequence[Member]) -> list[Array]:
-    """∂ŷ/∂x (M, P) of every candidate at its starts (`STARTS` of them where there are many), at the nominal model."""
+def tangents(linearised: Linearised, members: Sequence[Member], count: int) -> list[Array]:
+    """Derivatives ∂ŷ/∂x of every candidate at its starts, at the nominal model.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    members : sequence of Member
+        Catalogue as it is used.
+    count : int
+        About how many starts where there are many.
+
+    Returns
+    -------
+    list of ndarray, shape (M, P)
+        One a candidate and start.
+
+    """
     found = []
     z = np.zeros(linearised.count)
     for member in members:
         if not member.size:
             continue  # a count: there or not, with no small first step
         unknowns, starts = Candidate((member,)).unknowns(), member.starts()
-        for x in starts[:: max(len(starts) // STARTS, 1)]:
+        for x in starts[:: max(len(starts) // count, 1)]:
             try:
                 base = linearised.simulate(z, unknowns, x)
                 columns = []
@@ -105,22 +165,74 @@ def tangents(linearised: Linearised, members: Sequence[Member]) -> list[Array]:
     return found
 
 
-def _cache_file(linearised: Linearised, members: Sequence[Member], seed: int, count: int) -> Path | None:
+def cache_key(linearised: Linearised, members: Sequence[Member], seed: int, configuration: Configuration) -> str:
+    """Key of a threshold: everything that it depends on but for a single measurement.
+
+    The ranges and priors of an effect are those that it has around the simulated record, not the measured one: so records of one
+    command share a threshold, though each measurement has another range.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    members : sequence of Member
+        Catalogue as it is used.
+    seed : int
+        Of everything drawn at random.
+    configuration : Configuration
+        All values.
+
+    Returns
+    -------
+    str
+        SHA-256, hexadecimal.
+
+    """
+    problem = linearised.problem
+    digest = hashlib.sha256()
+    for piece in problem.pieces:
+        digest.update(np.ascontiguousarray(piece.command).tobytes())
+        digest.update(b"all rows" if piece.keep is None else np.packbits(piece.keep).tobytes())
+    simulated = problem.rows(linearised.nominal)
+    span = float(f"{simulated.min():.6g}"), float(f"{simulated.max():.6g}")
+    around = replace(problem.surroundings, measurement=span)
+    document = {
+        "version": _version(),
+        "configuration": configuration.digest(),
+        "model": model_to_document(problem.model),
+        "sample_time": problem.sample_time,
+        "hold": problem.hold,
+        # A noise that is a little different has the same threshold.
+        "noise": [float(f"{value:.1g}") for value in problem.sigma],
+        "seed": seed,
+        "members": [_member(member, around) for member in members],
+    }
+    digest.update(json.dumps(document, sort_keys=True, default=str).encode())
+    return digest.hexdigest()
+
+
+def _member(member: Member, around: Surroundings) -> list[object]:
+    """An effect of the catalogue as it is used, with its ranges and priors."""
+    effect = member.effect
+    makers = [effect.parameters, *([effect.coupled_parameters] if effect.coupled_parameters else [])]
+    parameters = [asdict(parameter) for maker in makers for parameter in maker(around)]
+    return [member.name, member.axis, round(member.frequency), member.fixed, parameters]
+
+
+def _version() -> str:
+    try:
+        return version("hyst_control")
+    except PackageNotFoundError:  # run from its folder
+        return ""
+
+
+def _cache_file(key: str) -> Path | None:
     folder = user_cache_path("hyst_control") / "null"
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
         return None
-    digest = hashlib.sha256()
-    problem = linearised.problem
-    document = model_to_document(problem.model)
-    digest.update(json.dumps(document, sort_keys=True, default=str).encode())
-    for piece in problem.pieces:
-        digest.update(np.ascontiguousarray(piece.command).tobytes())
-    sigma = [float(f"{value:.1g}") for value in problem.sigma]  # a noise that is a little different has the same threshold
-    names = [(member.name, member.axis, round(member.frequency)) for member in members]
-    digest.update(json.dumps([sigma, problem.hold, seed, count, ROUNDS, STARTS, QUANTILE, 3, names]).encode())
-    return folder / f"{digest.hexdigest()}.json"
+    return folder / f"{key}.json"
 
 
 def _read(file: Path) -> float | None:

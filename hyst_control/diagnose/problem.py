@@ -24,7 +24,7 @@ class Piece:
 
     command: Array
     measurement: Array
-    keep: Array | None = None
+    keep: np.ndarray[tuple[int, ...], np.dtype[np.bool_]] | None = None
     others: Array | None = None
 
     def counted(self, values: Array) -> Array:

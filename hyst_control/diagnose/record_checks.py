@@ -1,167 +1,291 @@
 """Checks that fit nothing: repeated samples, the lattice of a converter, lines of the mains, noise above what the model states.
 
-They find transport and noise effects nearly always, and come first: fitted candidates would absorb them.
+They find transport and noise effects nearly always, and come first: fitted candidates would absorb them. They measure; the policy
+says which of them found something.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import periodogram
 
 from hyst_control.chain.stage import Array
+from hyst_control.diagnose.configuration import CONFIGURATION, CheckSettings, NoiseSettings
+from hyst_control.diagnose.evidence import Finding, RecordEvidence
 from hyst_control.diagnose.noise_floor import noise_of
 from hyst_control.diagnose.problem import Problem
+from hyst_control.effects import EFFECTS
+from hyst_control.effects.effect import Effect, RecordCheck
 
-MAINS = (50.0, 60.0)
-EXCESS = 1.15
-"""How far the noise must exceed the stated one: it is never stated better."""
-
-BY_CHANCE = 3.0
-"""How many times as often as by chance neighbours must coincide to be held samples."""
-
-STANDS_OUT = 7.0
-"""Robust standard deviations by which a single sample stands out of its neighbours (by chance: 1 in 4e11)."""
-
-FEW_OUTLIERS, MANY_OUTLIERS = 3, 0.03
-"""Count from which, and share of the samples up to which, those that stand out are outliers."""
-
-LINE_RATIO = 40.0
-"""How far a line stands out of the spectrum around it, in power, to be a suggestion (chance alone: 1 in e^40 per bin)."""
-
-HARMONIC_WIDTHS = (0.0, 0.05, 0.15)
-"""How near a harmonic counts as one, in fundamentals: amplitudes that change spread it. The first that holds the command counts."""
+NORMAL_95 = 1.645
+"""95 % quantile of the normal distribution: half a 90 % interval."""
 
 
-@dataclass(frozen=True)
-class Finding:
-    """Something that a check found on an axis: effect, parameter values and their 90 % intervals, and how sure (nats)."""
+def effect_found_by(check: RecordCheck) -> Effect | None:
+    """Effect of the catalogue that a check finds.
 
-    name: str
-    axis: int
-    values: dict[str, float]
-    ci90: dict[str, tuple[float, float]]
-    rms: float
-    evidence: float
+    Parameters
+    ----------
+    check : RecordCheck
+        Check of a record.
+
+    Returns
+    -------
+    Effect or None
+        The first that names the check, None where there is none.
+
+    """
+    return next((effect for effect in EFFECTS.values() if effect.record_check is check), None)
 
 
-def lattice_of(values: Array) -> float:
-    """The step of the lattice that all values lie on, 0 when there is none."""
+def lattice_of(values: Array, settings: CheckSettings = CONFIGURATION.checks) -> float:
+    """Step of the lattice that all values lie on.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+        Any unit.
+    settings : CheckSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    float
+        In the values' unit, 0 where there is no lattice.
+
+    """
     levels = np.unique(values)
-    if len(levels) < 4 or len(levels) > 0.7 * len(values):
+    if len(levels) < settings.lattice_levels or len(levels) > settings.lattice_crowding * len(values):
         return 0.0
     steps = np.diff(levels)
-    step = float(np.median(steps[steps <= 1.5 * steps.min()]))
+    step = float(np.median(steps[steps <= settings.lattice_spread * steps.min()]))
     if step <= 0 or step < 1e-9 * np.ptp(levels):
         return 0.0
     step = float(np.ptp(levels) / np.rint(np.ptp(levels) / step))
     off = np.abs((levels - levels[0]) / step - np.rint((levels - levels[0]) / step))
-    return step if np.mean(off < 1e-3) > 0.999 else 0.0
+    return step if np.mean(off < settings.lattice_off) > settings.lattice_share else 0.0
 
 
-def repeated_samples(values: Array, step: float, sigma: float) -> tuple[float, int]:
-    """Share of samples that repeat the one before exactly beyond what a lattice explains, and of how many it was counted."""
+def repeated_samples(values: Array, step: float, sigma: float, settings: CheckSettings = CONFIGURATION.checks) -> tuple[float, int]:
+    """Share of samples that repeat the one before exactly, beyond what a lattice explains.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+        Measurement.
+    step : float
+        Step of its lattice, 0 without.
+    sigma : float
+        Its noise (rms).
+    settings : CheckSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    share : float
+    count : int
+        Samples that it was counted on.
+
+    """
     if step > 0:
         # On a lattice neighbours coincide by chance: only where the signal moves by several steps a sample does a repeat say much.
-        smooth = np.convolve(values, np.ones(5) / 5, "same")
-        moving = np.abs(np.gradient(smooth)) > 6.0 * step
-        moving = np.convolve(moving, np.ones(7), "same") == 7.0  # before a step nothing moves yet, though the smoothed signal does
+        smooth = np.convolve(values, np.ones(settings.repeat_smoothing) / settings.repeat_smoothing, "same")
+        moving = np.abs(np.gradient(smooth)) > settings.repeat_motion * step
+        # Before a step nothing moves yet, though the smoothed signal does.
+        moving = np.convolve(moving, np.ones(settings.repeat_reach), "same") == settings.repeat_reach
     else:
         moving = np.ones(len(values), bool)
     moved = np.diff(values, prepend=np.nan)
     count = int(moving.sum())
-    if count < 200:
+    if count < settings.repeat_samples:
         return 0.0, count
     share = float(np.mean(moved[moving] == 0.0))
     if step > 0:  # by chance a sample repeats the one before as often as it is one step above, or one below
         share -= 0.5 * float(np.mean(np.abs(np.abs(moved[moving]) - step) < 0.01 * step))
         return max(share, 0.0), count
-    if share < BY_CHANCE * _chance(values):
+    if share < settings.repeat_chance * _chance(values, settings.repeat_window):
         return 0.0, count  # numbers of few digits coincide now and then
     if sigma < 1e-12 * max(np.ptp(values), 1e-300):
         return 0.0, count  # a noise-free record at rest repeats itself
     return share, count
 
 
-def _chance(values: Array) -> float:
+def _chance(values: Array, window: int) -> float:
     """Share of neighbours that coincide by chance in numbers that are rounded to the smallest step that occurs."""
     steps = np.abs(np.diff(values))
     if not steps.any():
         return 1.0
-    around = np.sqrt(np.convolve(steps**2, np.ones(11) / 11, "same"))
+    around = np.sqrt(np.convolve(steps**2, np.ones(window) / window, "same"))
     return float(np.mean(np.minimum(steps[steps > 0].min() / np.maximum(around, 1e-300), 1.0)))
 
 
-def findings(problem: Problem, residuals: Array) -> list[Finding]:
-    """Held samples and lattice of a problem. residuals (M, A): measurement minus simulation in the measurement's unit."""
-    found: list[Finding] = []
+def record_evidence(
+    problem: Problem,
+    residuals: Array,
+    settings: CheckSettings = CONFIGURATION.checks,
+    noise_settings: NoiseSettings = CONFIGURATION.noise,
+) -> tuple[RecordEvidence, ...]:
+    """Measure repeated samples and the lattice of a problem's records.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and model.
+    residuals : ndarray, shape (M, A)
+        Measurement minus simulation, measurement unit.
+    settings : CheckSettings
+        Values of the configuration.
+    noise_settings : NoiseSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    tuple of RecordEvidence
+        By axis.
+
+    """
+    lattice = effect_found_by(RecordCheck.VALUE_LATTICE)
+    modelled = lattice is not None and any(stage.name == lattice.name for stage in problem.model.chain.stages)
+    found = []
     for axis in range(len(problem.model.axes)):
         values = np.concatenate([piece.counted(piece.measurement)[:, axis] for piece in problem.pieces])
-        noise = noise_of([residuals[:, axis]])
-        step = lattice_of(values)
-        share, count = repeated_samples(values, step, noise)
-        if share * count > 10 and share > (0.01 if step else 0.002):
-            spread = 1.645 * np.sqrt(share * (1 - share) / count)
-            moved = np.abs(np.diff(values))
-            found.append(
-                Finding(
-                    "held_samples",
-                    axis,
-                    {"fraction": share},
-                    {"fraction": (share - spread, share + spread)},
-                    float(np.sqrt(share * np.mean(moved**2))),
-                    share * count,
-                )
-            )
-        if step > 0 and step / np.sqrt(12.0) > 0.2 * noise and not _has_quantization(problem):
-            found.append(
-                Finding(
-                    "quantization",
-                    axis,
-                    {"step": step},
-                    {"step": (step * 0.999, step * 1.001)},
-                    step / np.sqrt(12.0),
-                    float(len(values)),
-                )
-            )
-    return found
+        noise = noise_of([residuals[:, axis]], settings=noise_settings)
+        step = lattice_of(values, settings)
+        share, count = repeated_samples(values, step, noise, settings)
+        rms = float(np.sqrt(share * np.mean(np.abs(np.diff(values)) ** 2)))
+        found.append(RecordEvidence(len(values), share, count, rms, step, modelled, noise))
+    return tuple(found)
 
 
-def excess_noise(noise: float, stated: float, others: Sequence[Finding], axis: int, count: int) -> Finding | None:
-    """White noise beyond what the model states: noise as measured (upper spectrum), without what other findings bring in."""
-    if stated <= 0 or any(finding.name == "held_samples" and finding.axis == axis for finding in others):
+def held_samples(seen: RecordEvidence, axis: int) -> Finding:
+    """Finding of repeated samples.
+
+    Parameters
+    ----------
+    seen : RecordEvidence
+        Evidence of the axis.
+    axis : int
+        Index in the problem.
+
+    Returns
+    -------
+    Finding
+        Its value is the share of the samples.
+
+    """
+    share, count = seen.repeated, seen.repeats_counted
+    spread = NORMAL_95 * np.sqrt(share * (1 - share) / count)
+    interval = (float(share - spread), float(share + spread))
+    return Finding(RecordCheck.REPEATED_VALUES, axis, share, interval, seen.repeated_rms, share * count)
+
+
+def rounding(seen: RecordEvidence, axis: int) -> Finding:
+    """Finding of a lattice of values.
+
+    Parameters
+    ----------
+    seen : RecordEvidence
+        Evidence of the axis.
+    axis : int
+        Index in the problem.
+
+    Returns
+    -------
+    Finding
+        Its value is the step, measurement unit.
+
+    """
+    step = seen.step
+    interval = (step * 0.999, step * 1.001)
+    return Finding(RecordCheck.VALUE_LATTICE, axis, step, interval, float(step / np.sqrt(12.0)), float(seen.samples))
+
+
+def excess_noise(noise: float, stated: float, others: Sequence[Finding], axis: int, bins: float, ratio: float) -> Finding | None:
+    """White noise beyond what the model states.
+
+    Parameters
+    ----------
+    noise : float
+        As measured in the upper spectrum (rms, measurement unit).
+    stated : float
+        By the model; where it states none, nothing is in excess.
+    others : sequence of Finding
+        Findings on the same axis, whose errors are in the measured noise.
+    axis : int
+        Index in the problem.
+    bins : float
+        Bins of the spectrum that the noise was read from.
+    ratio : float
+        Of the noise to the stated one from which it is in excess.
+
+    Returns
+    -------
+    Finding or None
+        Its value is the rms of the excess, measurement unit.
+
+    """
+    if stated <= 0:
         return None
-    bare = float(np.sqrt(max(noise**2 - sum(finding.rms**2 for finding in others if finding.axis == axis), 0.0)))
-    if not bare > EXCESS * stated:
+    bare = float(np.sqrt(max(noise**2 - sum(finding.rms**2 for finding in others), 0.0)))
+    if not bare > ratio * stated:
         return None
     rms = float(np.sqrt(bare**2 - stated**2))
-    bins = 0.19 * count
-    error = 1.645 * bare**2 / rms / np.sqrt(bins)
-    evidence = bins * (np.log(stated / bare) + 0.5 * (bare / stated) ** 2 - 0.5)
-    return Finding("sensor_noise", axis, {"rms": rms}, {"rms": (max(rms - error, 0.0), rms + error)}, rms, float(evidence))
+    error = float(NORMAL_95 * bare**2 / rms / np.sqrt(bins))
+    gain = bins * (np.log(stated / bare) + 0.5 * (bare / stated) ** 2 - 0.5)
+    return Finding(RecordCheck.WHITE_SPECTRUM, axis, rms, (max(rms - error, 0.0), rms + error), rms, float(gain))
 
 
-def outliers(residual: Array) -> tuple[int, float]:
-    """How many single samples of a residual (N,) stand out of their neighbours as no white noise does, and the rms of all that they bring.
+def outliers(residual: Array, settings: CheckSettings = CONFIGURATION.checks) -> tuple[int, float]:
+    """Single samples of a residual that stand out of their neighbors as no white noise does.
 
-    Against the mean of both neighbours, in robust standard deviations: what is smooth, steps or falls with frequency stands out little.
+    Against the mean of both neighbors, in robust standard deviations: what is smooth, steps or falls with frequency stands out little.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (N,)
+        Any unit.
+    settings : CheckSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    count : int
+    rms : float
+        Error that they bring to all samples, in the residual's unit.
+
     """
     inner = residual[1:-1] - 0.5 * (residual[:-2] + residual[2:])
     scale = 1.4826 * float(np.median(np.abs(inner - np.median(inner))))
     size = np.pad(np.abs(inner), 1)
-    apart = (size > STANDS_OUT * scale) & (size >= np.roll(size, 1)) & (size >= np.roll(size, -1))
+    apart = (size > settings.outlier_deviations * scale) & (size >= np.roll(size, 1)) & (size >= np.roll(size, -1))
     return int(apart.sum()), float(np.sqrt(np.sum(size[apart] ** 2) / len(residual)))
 
 
-def lines(problem: Problem, unexplained: Array) -> dict[str, list[float]]:
-    """Frequencies (Hz) of `mains_hum` and `vibration` at which the residual's spectrum has a narrow line.
+def lines(problem: Problem, unexplained: Array, settings: CheckSettings = CONFIGURATION.checks) -> dict[str, list[float]]:
+    """Frequencies at which the residual's spectrum has a narrow line.
 
-    unexplained (M,): residual without what the scattered coefficients explain, of all rows. A line of the command's is none,
-    nor a harmonic of a command that is nearly one sine: any nonlinearity has those.
+    A line of the command's is none, nor a harmonic of a command that is nearly one sine: any nonlinearity has those.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and model.
+    unexplained : ndarray, shape (M,)
+        Residual without what the scattered coefficients explain, of all rows, in units of the noise.
+    settings : CheckSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    dict of str to list of float
+        Frequencies (Hz) by the name of each effect that is fitted at lines: those of the mains, and others.
+
     """
-    suggestions: dict[str, list[float]] = {"mains_hum": [], "vibration": []}
+    mains_effect, line_effect = effect_found_by(RecordCheck.MAINS_LINE), effect_found_by(RecordCheck.SPECTRAL_LINE)
+    of_mains, others = [], []
     rows = problem.rows(unexplained)
     commands = [piece.counted(piece.command) for piece in problem.pieces]
     longest = max(commands, key=len)
@@ -177,41 +301,55 @@ def lines(problem: Problem, unexplained: Array) -> dict[str, list[float]]:
         frequency, power = periodogram(signal, rate, "hann")
         _, driven = periodogram(longest[:, axis], rate, "hann", detrend="linear")
         width = rate / count
-        ratio = power / np.maximum(_background(power), 1e-300)
-        for mains in MAINS:
-            near = np.abs(frequency - mains) < max(0.7, 1.2 * width)
-            if near.any() and ratio[near].max(initial=0.0) > LINE_RATIO / 2:
-                suggestions["mains_hum"].append(mains)
-        sure = ratio > LINE_RATIO
-        sure &= (frequency > 4 * width) & ~(driven > 1e-3 * driven.max()) & ~_harmonics(frequency, driven)
-        for mains in MAINS:
-            for harmonic in (1, 2, 3, 5, 7):
-                sure &= np.abs(frequency - harmonic * mains) > max(0.7, 2.0 * width)
+        ratio = power / np.maximum(_background(power, settings.background_bins), 1e-300)
+        mains = _mains(mains_effect, problem)
+        for fundamental in mains:
+            near = np.abs(frequency - fundamental) < max(settings.mains_width, settings.mains_bins * width)
+            if near.any() and ratio[near].max(initial=0.0) > settings.mains_ratio:
+                of_mains.append(fundamental)
+        sure = ratio > settings.line_ratio
+        sure &= (frequency > settings.lowest_line_bins * width) & ~(driven > settings.driven_share * driven.max())
+        sure &= ~_harmonics(frequency, driven, settings)
+        for fundamental in mains:
+            for harmonic in settings.mains_harmonics:
+                reach = max(settings.mains_width, settings.mains_harmonic_bins * width)
+                sure &= np.abs(frequency - harmonic * fundamental) > reach
         if sure.any():
             top = int(np.argmax(np.where(sure, power, 0.0)))
-            suggestions["vibration"].append(_peak(frequency, power, top))
-    return {name: _distinct(values, 2.0 / (count * problem.sample_time)) for name, values in suggestions.items()}
+            others.append(_peak(frequency, power, top))
+    apart = settings.same_line_bins / (count * problem.sample_time)
+    suggested = ((mains_effect, of_mains), (line_effect, others))
+    return {effect.name: _distinct(values, apart) for effect, values in suggested if effect is not None}
 
 
-def _harmonics(frequency: Array, driven: Array) -> Array:
-    """Which frequencies are near a harmonic of a command whose power is near those of one fundamental."""
+def _mains(effect: Effect | None, problem: Problem) -> tuple[float, ...]:
+    """Frequencies (Hz) of the mains: where fits of the effect begin."""
+    if effect is None:
+        return ()
+    return next(parameter.starts for parameter in effect.parameters(problem.surroundings) if parameter.unit == "Hz")
+
+
+def _harmonics(frequency: Array, driven: Array, settings: CheckSettings) -> NDArray[np.bool_]:
+    """Frequencies (N,) that are near a harmonic of a command whose power is near those of one fundamental."""
     fundamental = frequency[int(np.argmax(driven * frequency**2))]  # of the rate: a mean that wanders is none
-    if fundamental < 10.0 * frequency[1]:  # not resolved: everything would be near a harmonic
+    if fundamental < settings.fundamental_bins * frequency[1]:  # not resolved: everything would be near a harmonic
         return np.zeros(len(frequency), bool)
     order = np.round(frequency / fundamental)
     above = driven[frequency > 0.5 * fundamental].sum()
-    for width in HARMONIC_WIDTHS:
-        near = (order >= 1) & (np.abs(frequency - order * fundamental) < max(2.5 * frequency[1], width * fundamental))
-        if driven[near].sum() > 0.9 * above:
-            return near
+    for width in settings.harmonic_widths:
+        reach = max(settings.harmonic_bins * frequency[1], width * fundamental)
+        near = (order >= 1) & (np.abs(frequency - order * fundamental) < reach)
+        if driven[near].sum() > settings.harmonic_power * above:
+            return np.asarray(near, dtype=bool)
     return np.zeros(len(frequency), bool)
 
 
-def _background(power: Array, reach: int = 40) -> Array:
+def _background(power: Array, reach: int) -> Array:
     """Mean power around every bin, from the median, which no line moves."""
     padded = np.pad(power, reach, mode="reflect") if len(power) > reach + 1 else np.pad(power, reach, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
-    return np.median(windows, axis=1) / np.log(2.0)
+    background: Array = np.median(windows, axis=1) / np.log(2.0)
+    return background
 
 
 def _peak(frequency: Array, power: Array, top: int) -> float:
@@ -225,7 +363,3 @@ def _distinct(values: Sequence[float], width: float) -> list[float]:
         if all(abs(value - other) > width for other in kept):
             kept.append(value)
     return kept
-
-
-def _has_quantization(problem: Problem) -> bool:
-    return any(stage.name == "quantization" for stage in problem.model.chain.stages)

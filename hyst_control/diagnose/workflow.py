@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.diagnose.attribution import explain
+from hyst_control.diagnose.attribution import attribute
 from hyst_control.diagnose.augmented_model import augmented as augmented_model
 from hyst_control.diagnose.block_replay import replay
 from hyst_control.diagnose.diagnosis import Diagnosis, diagnose
@@ -39,9 +39,43 @@ def diagnose_bags(
     warm_up: float = 0.0,
     on: str | None = None,
 ) -> str:
-    """Diagnose bags, write what is asked for, and return the report in words. Raises `InputError`.
+    """Diagnose bags and write what is asked for.
 
-    on: a bag or a .npy file with the command (N, A) of a run to come, for which the report then says how far the gap will shrink.
+    Parameters
+    ----------
+    bags : sequence of path
+        Of the plant that the model claims to describe.
+    model : path
+        Nominal model file.
+    json, report, augmented : str, optional
+        Files to write: the report, its page, the model with the effects added.
+    without : sequence of str
+        Effects left out of the catalogue.
+    seed : int
+        Of everything drawn at random.
+    cache : bool
+        Whether the null's threshold is kept between runs.
+    namespace : str, optional
+        Of the topics in the bags.
+    unit : str
+        Of the measurement in bags that do not say it.
+    progress : bool
+        Whether to show on the terminal what is being done.
+    warm_up : float
+        s at the beginning of each record that do not count.
+    on : str, optional
+        A bag or a .npy file with the command (N, A) of a run to come, for which the report then says how far the gap will shrink.
+
+    Returns
+    -------
+    str
+        The report in words.
+
+    Raises
+    ------
+    InputError
+        Where the input cannot be used.
+
     """
     for name in without:
         if name not in EFFECTS:
@@ -79,17 +113,41 @@ def diagnosed(
     progress: bool = False,
     warm_up: float = 0.0,
 ) -> tuple[dict[str, Any], Diagnosis, Model | None]:
-    """The report document, the diagnosis behind it, and the augmented model (None where there is nothing to add).
+    """Diagnose records, with the report.
 
-    augmented: the path that the report names for it.
+    Parameters
+    ----------
+    records : sequence of Record
+        With command and measurement.
+    model : Model
+        Nominal model.
+    seed, without, cache, progress, warm_up
+        As in `diagnose_bags`.
+    augmented : str, optional
+        Path that the report names for the augmented model.
+
+    Returns
+    -------
+    report : dict of str
+        The JSON document.
+    diagnosis : Diagnosis
+        What it is made from.
+    augmented : Model or None
+        None where there is nothing to add.
+
+    Raises
+    ------
+    InputError
+        Where the records cannot be used.
+
     """
     tell = step if progress else (lambda text: None)
     diagnosis = diagnose(records, model, seed, without, cache, progress=tell, warm_up=warm_up)
     tell("shrink on held-out blocks")
-    explanation = explain(diagnosis)
-    better = augmented_model(diagnosis) if explanation.effects else None
-    blocks = [block for record in records for block in replay(record)]
-    document = gap_report(diagnosis, explanation, blocks, str(augmented) if augmented and better is not None else None)
+    attribution = attribute(diagnosis)
+    better = augmented_model(diagnosis) if attribution.effects else None
+    blocks = [block for record in records for block in replay(record, diagnosis.configuration.replay)]
+    document = gap_report(diagnosis, attribution, blocks, str(augmented) if augmented and better is not None else None)
     return document, diagnosis, better
 
 

@@ -43,4 +43,5 @@ EFFECT = Effect(
     "The amplifier is slower than the model says: first-order low-passes, as many as `order`, before the hysteresis.",
     cutoff_parameters,
     lambda values, around: AmplifierLowpass(values["cutoff"], values.get("order", 1)),
+    separating_record="the amplifier's output voltage",
 )

@@ -19,4 +19,5 @@ EFFECT = Effect(
     "Command or measurement come later than the model says; in open loop a skew between the channels is the same.",
     parameters,
     lambda values, around: Delay(values["tau"]),
+    separating_record="the amplifier's output voltage",
 )

@@ -7,12 +7,30 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any
 
 from hyst_control.chain.stage import Stage
 
 PLACES = ("dac", "drive", "hysteresis", "piezo", "mechanics", "motion", "sensor", "adc", "transport")
 """In signal order."""
+
+
+class RecordCheck(Enum):
+    """Check of a record by which an effect is found, or by which the frequencies are found at which it is fitted."""
+
+    REPEATED_VALUES = "repeated_values"
+    VALUE_LATTICE = "value_lattice"
+    WHITE_SPECTRUM = "white_spectrum"
+    FALLING_SPECTRUM = "falling_spectrum"
+    MAINS_LINE = "mains_line"
+    SPECTRAL_LINE = "spectral_line"
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether what it finds is noise: it raises the model's noise, and is no stage of the chain."""
+        return self in (RecordCheck.WHITE_SPECTRUM, RecordCheck.FALLING_SPECTRUM)
+
 
 Values = Mapping[str, Any]
 """Parameter values by name: a number for every axis alike, or a list with one per axis."""
@@ -140,6 +158,11 @@ class Effect:
         What the gap report has of parameters that are not told.
     line
         Of an effect that is one in the spectrum.
+    record_check
+        The check that finds an effect without a waveform, and measures its one parameter; of an effect with a waveform the check
+        that suggests its frequencies.
+    separating_record
+        What to record besides where no excitation tells it from another effect; None: another sensor.
     """
 
     name: str
@@ -154,3 +177,5 @@ class Effect:
     coupled_parameters: Callable[[Surroundings], tuple[Parameter, ...]] | None = None
     summary: Callable[[Values], dict[str, float]] = lambda _: {}
     line: Line | None = None
+    record_check: RecordCheck | None = None
+    separating_record: str | None = None

@@ -10,7 +10,7 @@ from numba import njit
 
 from hyst_control.chain.parameter import Array
 from hyst_control.chain.stage import Filter, Sampling, register
-from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.effects.effect import Effect, Parameter, RecordCheck
 from hyst_control.effects.random_stages import NoiseFilter, NoiseStage
 
 LOWEST = 0.03
@@ -72,4 +72,5 @@ EFFECT = Effect(
     lambda around: (Parameter("rms", "unit", 0.0, (0.002 * around.stroke,), 0.0, 0.2 * around.stroke, 0.01 * around.stroke),),
     lambda values, around: FlickerNoise(values["rms"], values.get("seed", 0)),
     waveform=False,
+    record_check=RecordCheck.FALLING_SPECTRUM,
 )

@@ -9,7 +9,7 @@ import numpy as np
 
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
 from hyst_control.chain.stage import Filter, Sampling, per_axis_scalar, register
-from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.effects.effect import Effect, Parameter, RecordCheck
 from hyst_control.effects.random_stages import RandomStage, seed
 
 
@@ -55,4 +55,5 @@ EFFECT = Effect(
     lambda around: (Parameter("fraction", "", 0.0, (0.02,), 0.0, 0.9, 0.05),),
     lambda values, around: HeldSamples(values["fraction"], values.get("seed", 0)),
     waveform=False,
+    record_check=RecordCheck.REPEATED_VALUES,
 )

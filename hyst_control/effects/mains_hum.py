@@ -10,7 +10,7 @@ import numpy as np
 
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import per_axis_scalars, register
-from hyst_control.effects.effect import Effect, Line, Parameter
+from hyst_control.effects.effect import Effect, Line, Parameter, RecordCheck
 from hyst_control.effects.time_dependent import TimedStage
 
 
@@ -50,4 +50,5 @@ EFFECT = Effect(
     lambda values, around: MainsHum(values["amplitude"], values["frequency"], values.get("phase", 0.0)),
     exercised=lambda around: 0.5 / around.sample_time > 65.0,
     line=Line(harmonics=(1, 3, 5)),
+    record_check=RecordCheck.MAINS_LINE,
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hyst_control.chain.memoryless import Quantization
-from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.effects.effect import Effect, Parameter, RecordCheck
 
 EFFECT = Effect(
     "quantization",
@@ -12,4 +12,5 @@ EFFECT = Effect(
     lambda around: (Parameter("step", "unit", 0.0, (0.003 * around.stroke,), 0.0, 0.1 * around.stroke, 0.003 * around.stroke),),
     lambda values, around: Quantization(values["step"]),
     waveform=False,
+    record_check=RecordCheck.VALUE_LATTICE,
 )

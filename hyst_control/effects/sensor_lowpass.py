@@ -24,4 +24,5 @@ EFFECT = Effect(
     "The sensor is slower than the model says: first-order low-passes, as many as `order`, after the mechanics.",
     cutoff_parameters,
     lambda values, around: SensorLowpass(values["cutoff"], values.get("order", 1)),
+    separating_record="the amplifier's output voltage",
 )

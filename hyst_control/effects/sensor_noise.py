@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from hyst_control.chain.parameter import Array
 from hyst_control.chain.stage import Filter, Sampling, register
-from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.effects.effect import Effect, Parameter, RecordCheck
 from hyst_control.effects.random_stages import NoiseFilter, NoiseStage
 
 
@@ -36,4 +36,5 @@ EFFECT = Effect(
     lambda around: (Parameter("rms", "unit", 0.0, (0.002 * around.stroke,), 0.0, 0.2 * around.stroke, 0.01 * around.stroke),),
     lambda values, around: SensorNoise(values["rms"], values.get("seed", 0)),
     waveform=False,
+    record_check=RecordCheck.WHITE_SPECTRUM,
 )

@@ -10,7 +10,7 @@ import numpy as np
 
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import per_axis_scalars, register
-from hyst_control.effects.effect import Effect, Line, Parameter, Surroundings
+from hyst_control.effects.effect import Effect, Line, Parameter, RecordCheck, Surroundings
 from hyst_control.effects.time_dependent import TimedStage
 
 
@@ -51,4 +51,5 @@ EFFECT = Effect(
     parameters,
     lambda values, around: Vibration(values["amplitude"], values["frequency"], values.get("phase", 0.0)),
     line=Line(swells=24, skirt=0.05),
+    record_check=RecordCheck.SPECTRAL_LINE,
 )

@@ -81,7 +81,7 @@ def test_a_second_effect_is_named_beside_one_that_takes_off_a_thousand_times_as_
     document, found, _ = answer(PEA, (("name", "slew_limit"), ("rate", 34000.0)), (("name", "creep"), ("gamma", 0.032)))
     assert document["verdict"] == "effect"
     assert {row["name"] for row in document["effects"]} == {"slew_limit", "creep"}
-    z = found.parts[0].decision.chosen.solution.z
+    z = found.parts[0].chosen.solution.z
     assert z @ z < len(z) + 4.0 * np.sqrt(2.0 * len(z))
 
 

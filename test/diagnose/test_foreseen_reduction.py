@@ -63,5 +63,5 @@ def test_a_command_of_another_form_is_refused():
     case = Case("case", "fsm_published", "none", "rich", NOISE, 21, ())
     _, diagnosis, _ = diagnosed([record_of(case, run_case(case))], nominal("fsm_published", NOISE))
     for command in (np.zeros((100, 1)), np.zeros(100), np.full((100, 2), np.nan)):
-        with pytest.raises(InputError, match="2 axes are due"):
+        with pytest.raises(InputError, match="must be finite rows of 2 axes"):
             foresee(diagnosis, command)

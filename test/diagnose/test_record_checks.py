@@ -111,8 +111,10 @@ def test_the_sentence_says_why_nothing_known_explains_a_gap():
         "unexplained_share": 0.5,
     }
     assert "offset and gain drift and softening modes, leaves 50 % of it" in sentence(report)
-    told = sentence(report | {"unexplained_share": 0.001})
+    told = sentence(report | {"unexplained_share": 0.001, "reasons": ["too_many_effects"]})
     assert "it would take offset and gain drift and softening modes at once" in told and "leaves" not in told
+    both = sentence(report | {"reasons": ["energy_left", "too_many_effects"]})
+    assert "leaves 50 % of it" in both and "at once" not in both
     assert sentence(report | {"effects": []}).endswith("noise floor 0.1 um).")
 
 

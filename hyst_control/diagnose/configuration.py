@@ -1,0 +1,371 @@
+"""Configuration of the diagnosis: every number that was tuned, by group, with its unit and its meaning.
+
+The values stand in `configuration.yaml`, whose comments are made from the meanings here. What is no matter of tuning stays where it is
+used: difference steps and stopping rules of the fits, guards against division by zero, factors of a window or of an interval's
+quantile.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+import yaml
+
+from hyst_control.errors import InputError
+
+Group = TypeVar("Group")
+
+
+def _setting(unit: str, meaning: str) -> Any:
+    return field(metadata={"unit": unit, "meaning": meaning})
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Thresholds of the policy, which turns evidence into a verdict."""
+
+    practical_size: float = _setting("share of the measurement's range, rms", "least that an effect must take off")
+    stated_excess: float = _setting("1", "the same, as a share of what the stated noise exceeds the measured noise by")
+    rounding_share: float = _setting("1", "the same, as a share of a converter's rounding error")
+    margin: float = _setting("nats", "score above the 99 % quantile of the simulated null that a claim needs")
+    sharpness: float = _setting("1", "factor of the scores before they become probabilities")
+    sure_probability: float = _setting("1", "probability from which one explanation is named alone")
+    listed_probability: float = _setting("1", "probability from which an explanation is listed among what the data cannot separate")
+    unknown_share: float = _setting(
+        "share of the gap's energy", "most that the best explanation may leave before it is called unknown"
+    )
+    most_effects: int = _setting(
+        "effects", "most that may act together on an axis; beyond, an effect outside the catalogue is likelier"
+    )
+    added_share: float = _setting("1", "share of all that a combination takes off which each of its effects must add")
+    least_excess: float = _setting("share of the noise's energy", "energy beyond the noise's under which nothing is called unknown")
+    own_error_share: float = _setting("1", "share of the error that a model states of itself which an effect must take off")
+    own_error_energy: float = _setting("noise energies", "stated energy from which a model is taken to state an error of its own")
+    strain_deviations: float = _setting(
+        "standard deviations", "chi-square of the coefficients above its mean from which they are strained"
+    )
+    repeats: float = _setting("samples", "repeated samples from which the record has held samples")
+    repeated_share: float = _setting("1", "the same, as a share of the samples")
+    repeated_share_on_lattice: float = _setting("1", "the same on a lattice, where neighbors coincide more often")
+    lattice_noise: float = _setting("noise rms", "rounding error from which a lattice is a quantization")
+    excess_ratio: float = _setting("stated rms", "noise from which it exceeds the stated one: that is never stated better")
+    few_outliers: int = _setting("samples", "samples that stand out from which they are outliers")
+    many_outliers: float = _setting("share of the samples", "samples that stand out up to which they are outliers")
+    outliers_share: float = _setting(
+        "share of the excess noise, rms", "size of the outliers from which they are what the excess noise is"
+    )
+    flicker_margin: float = _setting("nats", "gain of 1/f noise above what a claim needs")
+    flicker_size: float = _setting("noise rms", "least 1/f noise that is named")
+    flicker_hides: float = _setting(
+        "share of the power", "1/f noise at the top of the spectrum from which it hides the white noise"
+    )
+    flicker_white: float = _setting("1", "divisor of the white noise beside 1/f noise: what levels off at the top looks white")
+
+
+@dataclass(frozen=True)
+class RecordSettings:
+    """Records that can be used."""
+
+    least_rows: int = _setting("samples", "shortest gapless stretch that is used")
+    memory_part: int = _setting(
+        "1/parts", "first part of a stretch after missing ticks that does not count: the hysteresis' memory fills"
+    )
+
+
+@dataclass(frozen=True)
+class NoiseSettings:
+    """Noise floor."""
+
+    least: float = _setting(
+        "share of the range, rms", "noise under which none is believed: numbers are rounded, models discretized"
+    )
+    band: tuple[float, float] = _setting("share of the Nyquist frequency", "upper part of the spectrum that the noise is read from")
+    rests_below: float = _setting(
+        "1", "share of the whole record's noise below which that of the rests is believed: they are short"
+    )
+    rest_samples: int = _setting("samples", "shortest rest whose spectrum is used; two of them are needed in all")
+    rest_part: int = _setting("1/parts", "first part of a rest that does not count: it still settles")
+
+
+@dataclass(frozen=True)
+class CheckSettings:
+    """Checks of the record without a fit."""
+
+    lattice_levels: int = _setting("levels", "fewest levels of a lattice")
+    lattice_crowding: float = _setting("levels per sample", "most levels of a lattice")
+    lattice_spread: float = _setting("smallest step", "distances of levels up to which they are one step")
+    lattice_off: float = _setting("steps", "distance from the lattice up to which a level lies on it")
+    lattice_share: float = _setting("share of the levels", "levels that must lie on the lattice")
+    repeat_smoothing: int = _setting("samples", "mean that the motion on a lattice is read from")
+    repeat_motion: float = _setting("steps per sample", "motion from which a repeated value on a lattice says something")
+    repeat_reach: int = _setting("samples", "samples around that must move as well")
+    repeat_samples: int = _setting("samples", "fewest samples that repeats are counted on")
+    repeat_chance: float = _setting("1", "times as often as by chance that neighbors must coincide to be held samples")
+    repeat_window: int = _setting("samples", "samples around whose motion says how often neighbors coincide by chance")
+    outlier_deviations: float = _setting(
+        "robust standard deviations", "distance from both neighbors from which a sample stands out"
+    )
+    line_ratio: float = _setting("power of the spectrum around", "power of a line that is suggested (chance: 1 in e^ratio per bin)")
+    mains_ratio: float = _setting("power of the spectrum around", "the same at the mains frequency")
+    mains_width: float = _setting("Hz", "distance from the mains frequency, or a harmonic, that belongs to it")
+    mains_bins: float = _setting("bins", "the same on a short record, at the mains frequency")
+    mains_harmonic_bins: float = _setting(
+        "bins", "the same on a short record, around the harmonics where no other line is suggested"
+    )
+    mains_harmonics: tuple[int, ...] = _setting("orders", "harmonics of the mains that are no other line")
+    lowest_line_bins: float = _setting("bins", "frequency from which a line is suggested")
+    driven_share: float = _setting("share of the command's largest power", "power of the command from which it drives a frequency")
+    fundamental_bins: float = _setting("bins", "frequency from which a fundamental of the command is resolved")
+    harmonic_bins: float = _setting("bins", "distance from a harmonic of the command that belongs to it")
+    harmonic_widths: tuple[float, ...] = _setting("fundamentals", "the same: the first that holds the command's power counts")
+    harmonic_power: float = _setting(
+        "share of the command's power", "power near the harmonics from which the command is nearly one sine"
+    )
+    background_bins: int = _setting("bins", "reach to either side of the spectrum around a line")
+    same_line_bins: float = _setting("bins", "distance up to which two lines are one")
+
+
+@dataclass(frozen=True)
+class FlickerSettings:
+    """Estimation of 1/f noise."""
+
+    segments: int = _setting("segments", "parts of the record compared between rest and motion")
+    bands_per_octave: int = _setting("bands", "bands of the spectrum")
+    shape_misfit: float = _setting("natural logarithm, rms", "most that bands may be off a + b/f beyond what chance does")
+    colored_share: float = _setting("share of the power", "1/f part from which a band counts for the shape")
+    least_bands: int = _setting("bands", "fewest bands that count for the shape")
+    slow_corner: float = _setting("share of the Nyquist frequency", "corner of the low-pass before rest and motion are compared")
+    motion_ratio: float = _setting("1", "most energy in motion over that at rest: more follows the command")
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """Search for explanations."""
+
+    beam: int = _setting("explanations", "explanations that a further effect is added to")
+    depth: int = _setting("effects", "most effects of an explanation")
+    depth_with_own_error: int = _setting(
+        "effects", "the same where the model states an error of its own: finer parts cannot be told"
+    )
+    followed: int = _setting("starts", "starts of an effect that are fitted to the end")
+    screened: int = _setting("starts", "starts of an effect that are looked at on top of another effect")
+    scanned: int = _setting("values", "values of a parameter that are tried, and then as many between the best and its neighbors")
+    refined: int = _setting("fits", "best single effects that go on with columns of their own; of combinations half as many")
+    reach: float = _setting("share of what the best takes off", "distance behind the best fit up to which another goes on")
+    near: float = _setting("nats", "the same, at least")
+    promising: int = _setting("effects", "effects that a linear step makes most of, added to an explanation")
+    promise: float = _setting("share of the threshold", "least that such a step must gain")
+    spent: float = _setting("share of the noise's energy", "energy beyond the noise's under which no further effect is looked for")
+    spent_floor: float = _setting("practical sizes squared", "the same, of what is too small to be named")
+    kept_beams: int = _setting("beams", "combinations kept of every size")
+    inflation: float = _setting("tolerances", "how far nominal coefficients may be off in the explanation by coefficients alone")
+
+
+@dataclass(frozen=True)
+class NullSettings:
+    """Simulated null."""
+
+    records: int = _setting("records", "records without a gap that are simulated")
+    quantile: float = _setting("1", "quantile of the best score in them that a claim must exceed")
+    rounds: int = _setting(
+        "steps", "most steps of the coefficients' fit: what their scatter leaves beyond its linear part is no effect"
+    )
+    starts: int = _setting("starts", "starts of an effect that are tried")
+
+
+@dataclass(frozen=True)
+class ReductionSettings:
+    """Shrink on held-out blocks."""
+
+    blocks: int = _setting("blocks", "blocks of a record, every other of which is held out")
+    resamples: int = _setting("draws", "draws of the bootstrap")
+    rounds: int = _setting("steps", "most steps of a fit on one half")
+
+
+@dataclass(frozen=True)
+class AttributionSettings:
+    """Named effects and their intervals."""
+
+    draws: int = _setting("draws", "draws of the fit's covariance for an interval")
+    interval: float = _setting("share of the value", "least width of an interval on either side: a stage is not the physics")
+    coefficient_deviations: float = _setting("tolerances", "distance from the nominal value from which a coefficient is listed")
+    candidate_probability: float = _setting("1", "least probability of a candidate that is listed")
+
+
+@dataclass(frozen=True)
+class BudgetSettings:
+    """Shares of the gap by kind, band, amplitude, axis and time."""
+
+    blocks: int = _setting("blocks", "stretches that energies are summed over")
+    resamples: int = _setting("draws", "draws of the bootstrap")
+    bands: tuple[float, ...] = _setting("Hz", "upper edges of the frequency bands but the last")
+    spans: int = _setting("spans", "equal spans of time")
+
+
+@dataclass(frozen=True)
+class ExperimentSettings:
+    """Next experiment."""
+
+    rivals: int = _setting("explanations", "explanations that it is to separate")
+    distance: float = _setting("standard deviations", "distance from which two explanations are told apart")
+    duration: float = _setting("s", "duration of an excitation")
+
+
+@dataclass(frozen=True)
+class ReplaySettings:
+    """Replay of recorded software blocks."""
+
+    tolerance: float = _setting("share of the range", "departure within which a sum does what it should")
+    law_tolerance: float = _setting("share of the range", "departure within which a feedback law does what it should")
+    outlying: float = _setting("median departures", "departure from which a tick is at a limit and left out")
+
+
+@dataclass(frozen=True)
+class LiveTwinSettings:
+    """Live twin."""
+
+    noise_error: float = _setting("1", "factor that noise learned from few rows may by chance lie below the stated one")
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """All groups; tuning_seeds: seeds of the blind test on which the values were set."""
+
+    policy: Thresholds
+    record: RecordSettings
+    noise: NoiseSettings
+    checks: CheckSettings
+    flicker: FlickerSettings
+    search: SearchSettings
+    null_distribution: NullSettings
+    reduction: ReductionSettings
+    attribution: AttributionSettings
+    budget: BudgetSettings
+    experiment: ExperimentSettings
+    replay: ReplaySettings
+    live_twin: LiveTwinSettings
+    tuning_seeds: tuple[int, ...]
+
+    def digest(self) -> str:
+        """Hash of all values, for the keys of caches.
+
+        Returns
+        -------
+        str
+            SHA-256, hexadecimal.
+
+        """
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+
+
+def load_configuration(path: str | Path) -> Configuration:
+    """Read a configuration file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A YAML file with every group and every value of `Configuration`.
+
+    Returns
+    -------
+    Configuration
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read, or a value is missing, unknown or of another kind.
+
+    """
+    try:
+        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InputError(f"{path}: cannot be read ({error}): give a YAML file with all groups of the configuration") from None
+    try:
+        return _group(Configuration, document, "")
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def configuration_text(configuration: Configuration) -> str:
+    """Text of a configuration file, with the unit and the meaning of every value as its comment.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        The values.
+
+    Returns
+    -------
+    str
+        YAML that `load_configuration` reads.
+
+    """
+    lines = [
+        "# Configuration of the diagnosis. Set on the tuning seeds of the blind test (0-999) and frozen before scoring.",
+        "# The comments are made by configuration.py: change values here, and meanings there.",
+        f"tuning_seeds: {list(configuration.tuning_seeds)}",
+    ]
+    for group in fields(configuration):
+        values = getattr(configuration, group.name)
+        if not is_dataclass(values):
+            continue
+        lines += ["", f"{group.name}:  # {str(type(values).__doc__).rstrip('.')}"]
+        for one in fields(values):
+            value = getattr(values, one.name)
+            text = _text(value)
+            lines.append(f"  {one.name}: {text}  # {one.metadata['unit']}: {one.metadata['meaning']}")
+    return "\n".join(lines) + "\n"
+
+
+def _text(value: float | tuple[float, ...]) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(_text(one) for one in value)}]"
+    mantissa, exponent, digits = repr(value).partition("e")
+    return mantissa + (".0" if exponent and "." not in mantissa else "") + exponent + digits  # YAML 1.1 takes 1e-06 for text
+
+
+def _group(kind: type[Group], document: object, where: str) -> Group:
+    """A group from its part of a document. where: the path to it, for messages."""
+    name = where or "configuration"
+    if not isinstance(document, Mapping):
+        raise InputError(f"{name}: must be a mapping of names to values, got {document!r}")
+    hints = get_type_hints(kind)
+    due = [one.name for one in fields(kind)]  # type: ignore[arg-type]
+    for unknown in sorted(set(document) - set(due), key=str):
+        raise InputError(f"{name}: has no {unknown!r}: remove it, or use one of {', '.join(due)}")
+    for missing in (one for one in due if one not in document):
+        raise InputError(f"{name}: lacks {missing!r}: add it")
+    found = {}
+    for one in due:
+        path = f"{where}.{one}" if where else one
+        nested = is_dataclass(hints[one])
+        found[one] = _group(hints[one], document[one], path) if nested else _value(hints[one], document[one], path)
+    return kind(**found)
+
+
+def _value(kind: Any, value: object, where: str) -> float | tuple[float, ...]:
+    """A number, or a list of numbers, of the kind that a field declares."""
+    if getattr(kind, "__origin__", None) is tuple:
+        counts = len(kind.__args__) if kind.__args__[-1] is not Ellipsis else None
+        if not isinstance(value, list) or counts not in (None, len(value)):
+            raise InputError(f"{where}: must be a list of {counts or 'some'} numbers, got {value!r}")
+        return tuple(_number(kind.__args__[0], one, where) for one in value)
+    return _number(kind, value, where)
+
+
+def _number(kind: Any, value: object, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or (kind is int and not isinstance(value, int)):
+        raise InputError(f"{where}: must be {'an integer' if kind is int else 'a number'}, got {value!r}")
+    if not abs(value) < float("inf"):
+        raise InputError(f"{where}: must be finite, got {value!r}")
+    return kind(value)  # type: ignore[no-any-return]
+
+
+CONFIGURATION = load_configuration(str(files("hyst_control.diagnose") / "configuration.yaml"))
+"""The committed configuration."""

@@ -1,0 +1,236 @@
+"""Evidence of a diagnosis: numbers only, on which the policy decides.
+
+A further kind of evidence is a further number here, measured by code that decides nothing, and a further rule in the policy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from hyst_control.effects.effect import RecordCheck
+
+
+@dataclass(frozen=True)
+class RecordEvidence:
+    """Record of one axis, looked at without a fit of effects.
+
+    Parameters
+    ----------
+    samples : int
+        Samples that count.
+    repeated : float
+        Share of the samples that repeat the one before exactly, beyond what a lattice explains.
+    repeats_counted : int
+        Samples that this share was counted on.
+    repeated_rms : float
+        Error (rms, measurement unit) that repeated samples bring.
+    step : float
+        Step of the lattice that all values lie on, measurement unit; 0 without a lattice.
+    step_modelled : bool
+        Whether the model has a lattice of its own.
+    noise : float
+        White noise (rms, measurement unit) in what the coefficients leave.
+
+    """
+
+    samples: int
+    repeated: float
+    repeats_counted: int
+    repeated_rms: float
+    step: float
+    step_modelled: bool
+    noise: float
+
+
+@dataclass(frozen=True)
+class FlickerEvidence:
+    """1/f noise beside white noise in a residual, all in the residual's unit.
+
+    Parameters
+    ----------
+    rms : float
+        Size of the 1/f noise.
+    ci90 : tuple of float
+        90 % interval of the size.
+    white : float
+        Size (rms) of the white noise.
+    gain : float
+        Gain in log-likelihood over white noise alone, nats.
+    plausible : bool
+        Whether the spectrum has that shape, and is about the same where the command rests and where it moves.
+    top : float
+        Share of the 1/f noise in the power at the highest frequencies.
+
+    """
+
+    rms: float
+    ci90: tuple[float, float]
+    white: float
+    gain: float
+    plausible: bool
+    top: float
+
+
+@dataclass(frozen=True)
+class ResidualEvidence:
+    """Remainder that a hypothesis leaves.
+
+    Parameters
+    ----------
+    energy : float
+        Mean square in noise energies, without what the hypothesis' effects leave by nature.
+    white : tuple of float
+        White noise (rms, measurement unit) by axis.
+    outliers : tuple of int
+        Single samples that stand out of the noise, by axis.
+    outliers_rms : tuple of float
+        Error (rms, measurement unit) that they bring, by axis.
+    flicker : FlickerEvidence or None
+        1/f noise, in units of the noise; None where it was not looked for.
+
+    """
+
+    energy: float
+    white: tuple[float, ...]
+    outliers: tuple[int, ...]
+    outliers_rms: tuple[float, ...]
+    flicker: FlickerEvidence | None = None
+
+
+@dataclass(frozen=True)
+class HypothesisEvidence:
+    """Fit of a hypothesis: no effect, coefficients alone, or effects.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Effects; none for the nominal model and for coefficients alone.
+    coefficients_alone : bool
+        Whether the coefficients may leave their tolerance, with no effect.
+    score : float
+        Evidence over "no effect", nats.
+    misfit : float
+        Penalized misfit, nats.
+    energy : float
+        Mean square of the residual, noise energies.
+    strain : float
+        Part of the misfit that is the coefficients' distance from the nominal ones, nats.
+    residual : ResidualEvidence or None
+        Only of the hypotheses that the policy may choose.
+
+    """
+
+    names: tuple[str, ...]
+    coefficients_alone: bool
+    score: float
+    misfit: float
+    energy: float
+    strain: float
+    residual: ResidualEvidence | None = None
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Evidence on one problem: an axis, or all axes of a model that mixes them.
+
+    Parameters
+    ----------
+    hypotheses : tuple of HypothesisEvidence
+        "No effect" first.
+    temper : float
+        Weight of a sample, at most 1: less where even the best hypothesis leaves more than noise.
+    coefficients : int
+        Number of uncertain coefficients.
+    null : float
+        Score that the best hypothesis stays under on simulated records without a gap, nats.
+    floor : float
+        Practical size: the rms, in units of the noise, that an effect must take off to be worth naming.
+    stated : float
+        Energy that the model itself says it leaves, noise energies, at least 1.
+    noise : tuple of float
+        Noise floor (rms, measurement unit) by axis.
+    stated_noise : tuple of float
+        Noise (rms, measurement unit) that the model states, by axis; 0 where it states none.
+    rows : int
+        Rows that count, after those that only repeat the one before were left out.
+    noise_bins : float
+        Bins of the spectrum that the noise was read from.
+    record : tuple of RecordEvidence
+        By axis.
+    checks : frozenset of RecordCheck
+        Checks whose effect is in the catalogue.
+
+    """
+
+    hypotheses: tuple[HypothesisEvidence, ...]
+    temper: float
+    coefficients: int
+    null: float
+    floor: float
+    stated: float
+    noise: tuple[float, ...]
+    stated_noise: tuple[float, ...]
+    rows: int
+    noise_bins: float
+    record: tuple[RecordEvidence, ...] = ()
+    checks: frozenset[RecordCheck] = frozenset()
+
+    def with_residuals(self, residuals: Mapping[int, ResidualEvidence]) -> Evidence:
+        """Add what hypotheses leave.
+
+        Parameters
+        ----------
+        residuals : mapping of int to ResidualEvidence
+            By the hypothesis' index.
+
+        Returns
+        -------
+        Evidence
+
+        """
+        return replace(
+            self,
+            hypotheses=tuple(
+                replace(hypothesis, residual=residuals[index]) if index in residuals else hypothesis
+                for index, hypothesis in enumerate(self.hypotheses)
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Effect without a waveform on an axis, measured by a check of the record.
+
+    Parameters
+    ----------
+    check : RecordCheck
+        The check, which tells the effect.
+    axis : int
+        Index in the problem.
+    value : float
+        Value of the effect's one parameter.
+    ci90 : tuple of float
+        90 % interval of the value.
+    rms : float
+        Error that it brings, measurement unit.
+    gain : float
+        Evidence for it, nats.
+
+    """
+
+    check: RecordCheck
+    axis: int
+    value: float
+    ci90: tuple[float, float]
+    rms: float
+    gain: float
+
+
+@dataclass(frozen=True)
+class Outliers:
+    """Single samples on an axis that stand out of the noise: how many, and the error (rms, measurement unit) that they bring."""
+
+    axis: int
+    count: int
+    rms: float

@@ -1,0 +1,213 @@
+"""Collection of the evidence from fits and records; measures, and decides nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NoiseSettings
+from hyst_control.diagnose.evidence import Evidence, Finding, FlickerEvidence, HypothesisEvidence, RecordEvidence, ResidualEvidence
+from hyst_control.diagnose.flicker_estimation import flicker
+from hyst_control.diagnose.hypothesis_search import Found, Scored, strain
+from hyst_control.diagnose.noise_floor import noise_of
+from hyst_control.diagnose.problem import Problem
+from hyst_control.diagnose.record_checks import outliers
+from hyst_control.diagnose.unexplained_residual import leftover
+from hyst_control.effects.effect import RecordCheck
+from hyst_control.model_file import Model
+
+
+@dataclass(frozen=True)
+class Collected:
+    """Hypotheses of a search, in the order of the evidence on them.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Without residuals.
+    hypotheses : tuple of Scored
+        "No effect", single effects, combinations, coefficients alone.
+
+    """
+
+    evidence: Evidence
+    hypotheses: tuple[Scored, ...]
+
+
+def collect(
+    found: Found,
+    null: float,
+    floor: float,
+    stated: Array,
+    record: Sequence[RecordEvidence],
+    checks: frozenset[RecordCheck],
+    configuration: Configuration = CONFIGURATION,
+) -> Collected:
+    """Collect the evidence of a search.
+
+    Parameters
+    ----------
+    found : Found
+        Fits of all hypotheses.
+    null : float
+        Threshold of the simulated null, nats.
+    floor : float
+        Practical size (rms), in units of the noise.
+    stated : ndarray, shape (A,)
+        Noise (rms, measurement unit) that the model states, 0 where it states none.
+    record : sequence of RecordEvidence
+        By axis.
+    checks : frozenset of RecordCheck
+        Checks whose effect is in the catalogue.
+    configuration : Configuration
+        All values.
+
+    Returns
+    -------
+    Collected
+
+    """
+    problem = found.linearised.problem
+    hypotheses = (found.none, *found.singles, *found.combinations, found.parameters)
+    size = len(found.linearised.measured)
+    rows = size // len(problem.model.axes)
+    lower, upper = configuration.noise.band
+    evidence = Evidence(
+        tuple(_hypothesis(scored, size) for scored in hypotheses),
+        found.temper,
+        found.linearised.count,
+        null,
+        floor,
+        stated_energy(stated, problem.sigma),
+        tuple(float(value) for value in problem.sigma),
+        tuple(float(value) for value in stated),
+        rows,
+        0.5 * (upper - lower) * rows,
+        tuple(record),
+        checks,
+    )
+    return Collected(evidence, hypotheses)
+
+
+def residual_evidence(
+    problem: Problem,
+    scored: Scored,
+    findings: Sequence[Finding],
+    checks: frozenset[RecordCheck],
+    configuration: Configuration = CONFIGURATION,
+) -> ResidualEvidence:
+    """Measure what a hypothesis leaves.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and model.
+    scored : Scored
+        Fit of the hypothesis.
+    findings : sequence of Finding
+        Of the record: what a lattice leaves is none of the hypothesis' fault.
+    checks : frozenset of RecordCheck
+        Checks whose effect is in the catalogue.
+    configuration : Configuration
+        All values.
+
+    Returns
+    -------
+    ResidualEvidence
+
+    """
+    steps = np.zeros(len(problem.model.axes))
+    for finding in findings:
+        if finding.check is RecordCheck.VALUE_LATTICE:
+            steps[finding.axis] = finding.value
+    rows = problem.rows(scored.solution.residual)
+    counted = [outliers(rows[:, axis], configuration.checks) for axis in range(len(problem.model.axes))]
+    return ResidualEvidence(
+        float(np.mean(leftover(problem, scored, steps) ** 2)),
+        tuple(white_noise(problem, rows, axis, configuration.noise) for axis in range(len(problem.model.axes))),
+        tuple(count for count, _ in counted),
+        tuple(rms for _, rms in counted),
+        _flicker(problem, scored, configuration) if RecordCheck.FALLING_SPECTRUM in checks else None,
+    )
+
+
+def stated_noise(model: Model) -> Array:
+    """Noise that a model file states.
+
+    Parameters
+    ----------
+    model : Model
+        Nominal model.
+
+    Returns
+    -------
+    ndarray, shape (A,)
+        Rms, measurement unit; 0 where none is stated.
+
+    """
+    stated = np.atleast_1d(np.asarray(model.noise.get("sigma", 0.0), dtype=float))
+    return np.broadcast_to(stated, (len(model.axes),)).copy()
+
+
+def stated_energy(stated: Array, noise: Array) -> float:
+    """Energy that a model itself says it leaves.
+
+    Parameters
+    ----------
+    stated, noise : ndarray, shape (A,)
+        Noise (rms, measurement unit) that it states, and that was measured.
+
+    Returns
+    -------
+    float
+        In noise energies, at least 1.
+
+    """
+    return max(float(np.mean((stated / noise) ** 2)), 1.0)
+
+
+def white_noise(problem: Problem, residuals: Array, axis: int, settings: NoiseSettings, rests: bool = True) -> float:
+    """White noise of an axis in the residuals of all pieces.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and model.
+    residuals : ndarray, shape (M, A)
+        Measurement unit.
+    axis : int
+        Index in the problem.
+    settings : NoiseSettings
+        Values of the configuration.
+    rests : bool
+        Whether stretches at rest count.
+
+    Returns
+    -------
+    float
+        Rms, measurement unit.
+
+    """
+    edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in problem.pieces)])
+    return noise_of(
+        [residuals[a:b, axis] for a, b in zip(edges[:-1], edges[1:], strict=True)],
+        [piece.counted(piece.command)[:, axis] for piece in problem.pieces] if rests else None,
+        settings,
+    )
+
+
+def _hypothesis(scored: Scored, size: int) -> HypothesisEvidence:
+    solution = scored.solution
+    energy = float(solution.residual @ solution.residual) / size
+    return HypothesisEvidence(scored.names, scored.inflated, scored.score, solution.misfit, energy, strain(solution))
+
+
+def _flicker(problem: Problem, scored: Scored, configuration: Configuration) -> FlickerEvidence | None:
+    """1/f noise in what a hypothesis leaves; not of several axes at once, nor where rows are missing."""
+    if len(problem.model.axes) > 1 or any(piece.keep is not None for piece in problem.pieces):
+        return None
+    command = np.concatenate([piece.command[:, 0] for piece in problem.pieces])
+    return flicker(scored.solution.residual, command, configuration.flicker)

@@ -1,0 +1,485 @@
+"""Policy of the diagnosis: from evidence to a verdict with its reasons. Pure functions of numbers; nobody edits their answer.
+
+`decide` judges one problem, `join` the axes of a plant. A hypothesis is a claim where it beats the simulated null and takes off more
+than the practical size; claims become probabilities by their scores. The verdict is the first of these whose rule holds:
+
+    unknown      the best explanation leaves too much, or needs too many effects
+    ambiguous    the data cannot separate several explanations
+    effect       one explanation by effects, or a check of the record found something
+    parameters   the coefficients explain it, further off than their tolerance
+    no_gap       none of these
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.configuration import Thresholds
+from hyst_control.diagnose.evidence import (
+    Evidence,
+    Finding,
+    FlickerEvidence,
+    HypothesisEvidence,
+    Outliers,
+    RecordEvidence,
+    ResidualEvidence,
+)
+from hyst_control.diagnose.record_checks import excess_noise, held_samples, rounding
+from hyst_control.effects.effect import RecordCheck
+
+PARAMETERS = ("parameters",)
+"""Key of the coefficients alone in `Decision.probability`."""
+
+
+class Verdict(str, Enum):
+    """Verdict of a diagnosis, in the order in which they prevail over one another."""
+
+    UNKNOWN = "unknown"
+    AMBIGUOUS = "ambiguous"
+    EFFECT = "effect"
+    PARAMETERS = "parameters"
+    NO_GAP = "no_gap"
+
+
+class Reason(str, Enum):
+    """Reason of a verdict."""
+
+    ENERGY_LEFT = "energy_left"
+    """Unknown: the best explanation leaves more of the gap's energy than it may."""
+
+    OUTLIERS = "outliers"
+    """Unknown: what is left is single samples that stand out."""
+
+    TOO_MANY_EFFECTS = "too_many_effects"
+    """Unknown: the best explanation needs more effects at once than are likely."""
+
+    SEVERAL_EXPLANATIONS = "several_explanations"
+    """Ambiguous: more than one explanation is probable."""
+
+    ONE_EXPLANATION = "one_explanation"
+    """Effect: one explanation is sure."""
+
+    NO_OTHER_EXPLANATION = "no_other_explanation"
+    """Effect: one explanation is not sure, but every other is improbable."""
+
+    RECORD_CHECK = "record_check"
+    """Effect: a check of the record found an effect without a waveform."""
+
+    NOISE_EXPLAINS_MORE = "noise_explains_more"
+    """Effect: 1/f noise explains more than any effect with a waveform."""
+
+    COEFFICIENTS_BEYOND_TOLERANCE = "coefficients_beyond_tolerance"
+    """Parameters: coefficients further off than their tolerance explain the gap."""
+
+    BELOW_PRACTICAL_SIZE = "below_practical_size"
+    """No gap: what beats the simulated null is too small to be worth naming."""
+
+    BELOW_NULL = "below_null"
+    """No gap: nothing beats what records without a gap score by chance."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Decision on one problem.
+
+    Parameters
+    ----------
+    verdict : Verdict
+    reasons : tuple of Reason
+        In the order of the enumeration, at least one.
+    chosen : int
+        Index of the best explanation among the hypotheses.
+    listed : tuple of int
+        Explanations that the data cannot tell from it, best first, itself among them.
+    probability : mapping of tuple of str to float
+        By the names of an explanation.
+    remainder : float
+        Share of the gap's energy that is left unexplained, 0 where that is under the floor.
+    findings : tuple of Finding
+        Effects without a waveform.
+    outliers : tuple of Outliers
+        What excess noise consists of, where it is outliers.
+
+    """
+
+    verdict: Verdict
+    reasons: tuple[Reason, ...]
+    chosen: int
+    listed: tuple[int, ...]
+    probability: Mapping[tuple[str, ...], float]
+    remainder: float
+    findings: tuple[Finding, ...] = ()
+    outliers: tuple[Outliers, ...] = ()
+
+    def of(self, name: str) -> float:
+        """Probability that an effect is at work.
+
+        Parameters
+        ----------
+        name : str
+            Of the effect.
+
+        Returns
+        -------
+        float
+            0 to 1.
+
+        """
+        return float(sum(p for names, p in self.probability.items() if name in names))
+
+
+@dataclass(frozen=True)
+class JointDecision:
+    """Decision over all axes: the verdict that prevails, its reasons, and the largest remainder."""
+
+    verdict: Verdict
+    reasons: tuple[Reason, ...]
+    remainder: float
+
+
+def join(decisions: Sequence[Decision]) -> JointDecision:
+    """Join the decisions on the axes of a plant.
+
+    Parameters
+    ----------
+    decisions : sequence of Decision
+        At least one, in any order.
+
+    Returns
+    -------
+    JointDecision
+        The verdict that prevails on any of them, with the reasons of those that have it.
+
+    """
+    prevailing = min((decision.verdict for decision in decisions), key=list(Verdict).index)
+    reasons = {reason for decision in decisions if decision.verdict is prevailing for reason in decision.reasons}
+    return JointDecision(prevailing, _ordered(reasons), max(decision.remainder for decision in decisions))
+
+
+def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
+    """Judge the evidence on one problem.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        With the residuals of all `contenders`.
+    thresholds : Thresholds
+        Values of the configuration.
+
+    Returns
+    -------
+    Decision
+
+    """
+    claims = _claims(evidence, thresholds)
+    noise = _flicker(evidence, _first(claims), thresholds)
+    outweighed = noise is not None and _outweighs(noise, evidence, _first(claims))
+    if outweighed:
+        claims = _claims(evidence, thresholds, with_effects=False)
+    chosen = _first(claims)
+    probability = _probabilities(evidence, claims, thresholds)
+    findings, outliers = _findings(evidence, chosen, noise, thresholds)
+    left = 0.0 if outweighed else _remainder(evidence, chosen, thresholds)
+    remainder = max([left, *(_share_of_outliers(evidence, one) for one in outliers)])
+    names = evidence.hypotheses[chosen].names
+
+    left_too_much, too_many = left > thresholds.unknown_share, len(names) > thresholds.most_effects
+    listed = (chosen,) if left_too_much or too_many else _listed(evidence, claims, probability, thresholds)
+    effects = any(evidence.hypotheses[index].names for index in listed)
+    reasons: set[Reason] = set()
+    if too_many or remainder > thresholds.unknown_share:
+        verdict = Verdict.UNKNOWN
+        if remainder > thresholds.unknown_share:
+            reasons |= {Reason.ENERGY_LEFT} | ({Reason.OUTLIERS} if remainder > left else set())
+        if too_many:
+            reasons |= {Reason.TOO_MANY_EFFECTS}
+    elif len(listed) > 1:
+        verdict, reasons = Verdict.AMBIGUOUS, {Reason.SEVERAL_EXPLANATIONS}
+    elif effects or findings:
+        verdict = Verdict.EFFECT
+        if effects:
+            sure = probability[key(evidence.hypotheses[chosen])] >= thresholds.sure_probability
+            reasons |= {Reason.ONE_EXPLANATION if sure else Reason.NO_OTHER_EXPLANATION}
+        if findings:
+            reasons |= {Reason.RECORD_CHECK} | ({Reason.NOISE_EXPLAINS_MORE} if outweighed else set())
+    elif listed:
+        verdict, reasons = Verdict.PARAMETERS, {Reason.COEFFICIENTS_BEYOND_TOLERANCE}
+    else:
+        beyond = any(_beats_null(one, evidence, thresholds) for one in evidence.hypotheses)
+        verdict, reasons = Verdict.NO_GAP, {Reason.BELOW_PRACTICAL_SIZE if beyond else Reason.BELOW_NULL}
+    return Decision(verdict, _ordered(reasons), chosen, listed, probability, remainder, findings, outliers)
+
+
+def contenders(evidence: Evidence, thresholds: Thresholds) -> tuple[int, ...]:
+    """Hypotheses whose residuals the policy may ask for: no effect, the best explanation, and the best one without effects.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Residuals are not needed.
+    thresholds : Thresholds
+        Values of the configuration.
+
+    Returns
+    -------
+    tuple of int
+        Indices in `evidence.hypotheses`, ascending.
+
+    """
+    first = _first(_claims(evidence, thresholds))
+    return tuple(sorted({0, first, _first(_claims(evidence, thresholds, with_effects=False))}))
+
+
+def detected(record: Sequence[RecordEvidence], checks: Collection[RecordCheck], thresholds: Thresholds) -> tuple[Finding, ...]:
+    """Repeated samples and lattices of a record, which the fits have to know of.
+
+    Parameters
+    ----------
+    record : sequence of RecordEvidence
+        By axis.
+    checks : collection of RecordCheck
+        Checks whose effect is in the catalogue.
+    thresholds : Thresholds
+        Values of the configuration.
+
+    Returns
+    -------
+    tuple of Finding
+
+    """
+    found = []
+    for axis, seen in enumerate(record):
+        least = thresholds.repeated_share_on_lattice if seen.step else thresholds.repeated_share
+        repeats = seen.repeated * seen.repeats_counted > thresholds.repeats and seen.repeated > least
+        if RecordCheck.REPEATED_VALUES in checks and repeats:
+            found.append(held_samples(seen, axis))
+        coarse = seen.step > 0 and seen.step / np.sqrt(12.0) > thresholds.lattice_noise * seen.noise
+        if RecordCheck.VALUE_LATTICE in checks and coarse and not seen.step_modelled:
+            found.append(rounding(seen, axis))
+    return tuple(found)
+
+
+def practical_floor(spans: Array, steps: Array, stated: Array, noise: Array, thresholds: Thresholds) -> float:
+    """Rms, in units of the noise, that an effect must take off to be worth naming.
+
+    A model's stated noise that exceeds the measured one says how far the model itself was off when it was identified. The
+    rounding of a converter follows the signal: a share of it is no effect.
+
+    Parameters
+    ----------
+    spans, steps, stated, noise : ndarray, shape (A,)
+        Range of the measurement, step of its lattice (0 without), stated and measured noise (rms), all in the measurement's unit.
+    thresholds : Thresholds
+        Values of the configuration.
+
+    Returns
+    -------
+    float
+
+    """
+    size = thresholds.practical_size * spans / noise
+    excess = np.sqrt(np.maximum((stated / noise) ** 2 - 1.0, 0.0))
+    rounded = steps / np.sqrt(12.0) / noise
+    return float(np.sqrt(np.mean(size**2 + (thresholds.stated_excess * excess) ** 2 + (thresholds.rounding_share * rounded) ** 2)))
+
+
+def strained(strain: float, coefficients: int, thresholds: Thresholds) -> bool:
+    """Whether coefficients are further from the nominal ones than chance would have them.
+
+    Parameters
+    ----------
+    strain : float
+        Misfit that is their distance, nats: half their chi-square.
+    coefficients : int
+        Their number, the mean of the chi-square.
+    thresholds : Thresholds
+        Values of the configuration.
+
+    Returns
+    -------
+    bool
+
+    """
+    return 2.0 * strain >= coefficients + thresholds.strain_deviations * float(np.sqrt(2.0 * coefficients))
+
+
+def key(hypothesis: HypothesisEvidence) -> tuple[str, ...]:
+    """Name of a hypothesis in `Decision.probability`.
+
+    Parameters
+    ----------
+    hypothesis : HypothesisEvidence
+        Of the evidence.
+
+    Returns
+    -------
+    tuple of str
+
+    """
+    return PARAMETERS if hypothesis.coefficients_alone else hypothesis.names
+
+
+def _claims(evidence: Evidence, thresholds: Thresholds, with_effects: bool = True) -> tuple[int, ...]:
+    """Hypotheses that claim to explain the gap, best first."""
+    found = [
+        index
+        for index, one in enumerate(evidence.hypotheses)
+        if (one.names and with_effects or one.coefficients_alone)
+        and _beats_null(one, evidence, thresholds)
+        and _worth_naming(one, evidence, thresholds)
+    ]
+    found.sort(key=lambda index: -evidence.hypotheses[index].score)
+    return tuple(index for index in found if not _idle(index, found, evidence, thresholds))
+
+
+def _first(claims: Sequence[int]) -> int:
+    """The best claim, or "no effect" where there is none."""
+    return claims[0] if claims else 0
+
+
+def _beats_null(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
+    if one.coefficients_alone:
+        return one.score > thresholds.margin
+    gain = evidence.temper * (evidence.hypotheses[0].misfit - one.misfit)
+    return bool(one.names) and one.score > 0 and gain > evidence.null + thresholds.margin
+
+
+def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
+    """It takes off more than the practical size, or relieves coefficients that had to leave their tolerance for it."""
+    # A model that states an error of its own leaves all kinds of it: an effect has to take off what goes beyond.
+    least = max(evidence.floor**2, thresholds.own_error_share * (evidence.stated - 1.0))
+    if evidence.hypotheses[0].energy - one.energy > least:
+        return True
+    if evidence.stated >= thresholds.own_error_energy:
+        return False
+    relief = evidence.temper * (evidence.hypotheses[0].strain - one.strain)
+    return one.coefficients_alone or relief > evidence.null + thresholds.margin
+
+
+def _idle(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
+    """Whether a combination is not better than each of its parts by what a claim needs, and by a share of all that it takes off.
+
+    Beside a great effect what its stage and the physics differ by is many times the noise. But the share does not count where the
+    coefficients had to leave their tolerance for a part, and need not for the combination.
+    """
+    one = evidence.hypotheses[index]
+    if len(one.names) < 2:
+        return False
+    parts = [other for other in (evidence.hypotheses[i] for i in claims) if set(other.names) < set(one.names)]
+    if not parts:
+        return False
+    best = min(parts, key=lambda part: part.misfit)
+    better = best.misfit - one.misfit
+    relieved = strained(best.strain, evidence.coefficients, thresholds) and not strained(
+        one.strain, evidence.coefficients, thresholds
+    )
+    small = better <= thresholds.added_share * (evidence.hypotheses[0].misfit - one.misfit)
+    return evidence.temper * better <= evidence.null + thresholds.margin or (small and not relieved)
+
+
+def _probabilities(evidence: Evidence, claims: Sequence[int], thresholds: Thresholds) -> dict[tuple[str, ...], float]:
+    hypotheses = [evidence.hypotheses[index] for index in claims or (0,)]
+    weights = np.exp(thresholds.sharpness * (np.array([one.score for one in hypotheses]) - hypotheses[0].score))
+    weights /= weights.sum()
+    probability: dict[tuple[str, ...], float] = {}
+    for one, weight in zip(hypotheses, weights, strict=True):
+        probability[key(one)] = probability.get(key(one), 0.0) + float(weight)
+    return probability
+
+
+def _listed(
+    evidence: Evidence, claims: Sequence[int], probability: Mapping[tuple[str, ...], float], thresholds: Thresholds
+) -> tuple[int, ...]:
+    """Explanations to be named: one that is sure alone, else all that are probable."""
+    if not claims:
+        return ()
+    first = probability[key(evidence.hypotheses[claims[0]])]
+    if first >= thresholds.sure_probability:
+        return (claims[0],)
+    best: dict[tuple[str, ...], int] = {}
+    for index in claims:
+        best.setdefault(key(evidence.hypotheses[index]), index)
+    least = min(thresholds.listed_probability, first)  # of very many the best is named, though improbable
+    return tuple(index for name, index in best.items() if probability[name] >= least)
+
+
+def _residual(evidence: Evidence, index: int) -> ResidualEvidence:
+    residual = evidence.hypotheses[index].residual
+    if residual is None:
+        raise ValueError(f"hypothesis {index}: collect the evidence on what it leaves before deciding")
+    return residual
+
+
+def _remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
+    """Share of the gap's energy that the chosen explanation leaves, 0 where that is under the floor."""
+    before, after = evidence.hypotheses[0].energy, _residual(evidence, chosen).energy
+    if not after - evidence.stated > max(evidence.floor**2, thresholds.least_excess * evidence.stated):
+        return 0.0
+    return float(np.clip((after - evidence.stated) / max(before - evidence.stated, 1e-12), 0.0, 1.0))
+
+
+def _share_of_outliers(evidence: Evidence, outliers: Outliers) -> float:
+    """Share of the gap's energy that is outliers, which no effect of the catalogue is."""
+    energy = (outliers.rms / evidence.noise[outliers.axis]) ** 2 / len(evidence.noise)
+    return float(np.clip(energy / max(evidence.hypotheses[0].energy - 1.0, 1e-12), 0.0, 1.0))
+
+
+def _flicker(evidence: Evidence, first: int, thresholds: Thresholds) -> FlickerEvidence | None:
+    """1/f noise in what the coefficients leave, if it explains more than the best explanation, else in what that leaves."""
+    if RecordCheck.FALLING_SPECTRUM not in evidence.checks:
+        return None
+    for index in (0, first):
+        seen = _residual(evidence, index).flicker
+        if seen is None or not seen.plausible:
+            continue
+        large = seen.rms > max(evidence.floor, thresholds.flicker_size)
+        if large and seen.gain > evidence.null + thresholds.margin + thresholds.flicker_margin:
+            if index == first or _outweighs(seen, evidence, first):
+                return seen
+    return None
+
+
+def _outweighs(noise: FlickerEvidence, evidence: Evidence, first: int) -> bool:
+    """Whether 1/f noise explains more than the best explanation does."""
+    one = evidence.hypotheses[first]
+    return not one.names or noise.gain > evidence.temper * (evidence.hypotheses[0].misfit - one.misfit)
+
+
+def _findings(
+    evidence: Evidence, chosen: int, noise: FlickerEvidence | None, thresholds: Thresholds
+) -> tuple[tuple[Finding, ...], tuple[Outliers, ...]]:
+    """Effects without a waveform, and excess noise that is outliers."""
+    found = list(detected(evidence.record, evidence.checks, thresholds))
+    outliers: list[Outliers] = []
+    hidden = noise is not None and noise.top > thresholds.flicker_hides
+    if RecordCheck.WHITE_SPECTRUM in evidence.checks and not hidden:
+        residual = _residual(evidence, chosen)
+        for axis, measured in enumerate(residual.white):
+            others = [finding for finding in found if finding.axis == axis]
+            if any(finding.check is RecordCheck.REPEATED_VALUES for finding in others):
+                continue
+            white = measured if noise is None else noise.white * evidence.noise[0] / thresholds.flicker_white
+            more = excess_noise(white, evidence.stated_noise[axis], others, axis, evidence.noise_bins, thresholds.excess_ratio)
+            if more is None:
+                continue
+            count, rms = residual.outliers[axis], residual.outliers_rms[axis]
+            few = thresholds.few_outliers <= count <= thresholds.many_outliers * evidence.rows
+            if few and rms > thresholds.outliers_share * more.rms:
+                outliers.append(Outliers(axis, count, rms))
+            else:
+                found.append(more)
+    if noise is not None:
+        scale = evidence.noise[0]
+        low, high = noise.ci90
+        rms = noise.rms * scale
+        found.append(Finding(RecordCheck.FALLING_SPECTRUM, 0, rms, (low * scale, high * scale), rms, noise.gain))
+    return tuple(found), tuple(outliers)
+
+
+def _ordered(reasons: Collection[Reason]) -> tuple[Reason, ...]:
+    return tuple(reason for reason in Reason if reason in reasons)

@@ -1,0 +1,103 @@
+"""The null's threshold is kept under a key that has all that it depends on, and no more."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hyst_control.chain import Chain
+from hyst_control.chain.linear import TransferFunction
+from hyst_control.diagnose import null_distribution
+from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
+from hyst_control.diagnose.hypothesis import Member, catalogue
+from hyst_control.diagnose.hypothesis_fit import Linearised
+from hyst_control.diagnose.null_distribution import cache_key, threshold
+from hyst_control.diagnose.parameter_uncertainty import scatter_of
+from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.effects import EFFECTS
+from hyst_control.model_file import Model
+
+STEP, COUNT = 1e-3, 600
+FEW = replace(CONFIGURATION, null_distribution=replace(CONFIGURATION.null_distribution, records=4))
+COMMAND = 10.0 * np.random.default_rng(1).standard_normal((COUNT, 1)).cumsum(axis=0) / np.sqrt(COUNT)
+
+
+def linearised(sigma: float = 1e-2, seed: int = 2, step: float = STEP, **pieces: Any) -> Linearised:
+    """A first-order lag with 1 % tolerances, and a measurement of it with noise of this seed."""
+    lag = TransferFunction((2.0,), (0.01, 1.0))
+    model = Model("lag", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain((lag,)), tolerance={"num": 0.01, "den": 0.01})
+    problem = Problem(model, (Piece(COMMAND, np.zeros_like(COMMAND)),), step, "zoh", np.array([sigma]))
+    clean = problem.rows(problem.simulate(model.chain.stages))
+    noisy = clean + sigma * np.random.default_rng(seed).standard_normal(clean.shape)
+    return Linearised(replace(problem, pieces=(Piece(COMMAND, noisy, **pieces),)), scatter_of(model))
+
+
+def members(one: Linearised) -> list[Member]:
+    return [member for member in catalogue(one.problem, {}) if member.name in ("gain", "delay", "offset")]
+
+
+def key(one: Linearised, configuration: Configuration = FEW, seed: int = 0) -> str:
+    return cache_key(one, members(one), seed, configuration)
+
+
+def edited(monkeypatch: pytest.MonkeyPatch, **changes: float) -> None:
+    """The offset's first parameter with another range or prior."""
+    effect = EFFECTS["offset"]
+
+    def parameters(around):
+        first, *others = effect.parameters(around)
+        return (replace(first, **changes), *others)
+
+    monkeypatch.setitem(EFFECTS, "offset", replace(effect, parameters=parameters))
+
+
+@pytest.mark.parametrize("change", [{"scale": 0.77}, {"upper": 0.77}, {"lower": -0.77}, {"starts": (0.077,)}])
+def test_an_edited_prior_reuses_no_threshold(change, monkeypatch):
+    """The same names on the same record: only the number says that it is another catalogue."""
+    before = key(linearised())
+    edited(monkeypatch, **change)
+    assert key(linearised()) != before
+
+
+def test_an_edited_prior_is_simulated_anew(monkeypatch, tmp_path):
+    """Of an offset that is nearly known beforehand no record without a gap makes anything."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+
+    def found(cache: bool = True) -> float:
+        here = linearised()
+        offsets = [member for member in members(here) if member.name == "offset"]
+        return threshold(here, offsets, configuration=FEW, cache=cache)
+
+    wide = found()
+    assert found() == wide > 1e-3 and len(list(tmp_path.rglob("*.json"))) == 1
+    edited(monkeypatch, scale=1e-9)
+    assert found() == found(cache=False) < 1e-3
+    assert len(list(tmp_path.rglob("*.json"))) == 2
+
+
+def test_what_else_it_depends_on(monkeypatch):
+    here = linearised()
+    keep = np.arange(COUNT) >= 100
+    wider = replace(FEW, policy=replace(FEW.policy, margin=FEW.policy.margin + 1.0))
+    others = {
+        "sample time": key(linearised(step=2.0 * STEP)),
+        "noise": key(linearised(sigma=3e-2)),
+        "rows that count": key(linearised(keep=keep)),
+        "configuration": key(here, wider),
+        "seed": key(here, seed=1),
+        "members": cache_key(here, members(here)[:-1], 0, FEW),
+    }
+    monkeypatch.setattr(null_distribution, "_version", lambda: "another")
+    others["version"] = key(here)
+    monkeypatch.undo()
+    assert len({key(here), *others.values()}) == 1 + len(others), others
+
+
+def test_records_of_one_command_share_a_threshold():
+    """Other noise of the same size moves the measurement's range, and with it the effects' ranges on that record."""
+    one, other = linearised(seed=2), linearised(seed=3)
+    assert one.problem.surroundings.measurement != other.problem.surroundings.measurement
+    assert key(one) == key(other)

@@ -1,0 +1,562 @@
+"""The policy as a table: numbers in, verdict and reasons out; and what holds for any numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hyst_control.diagnose.configuration import CONFIGURATION
+from hyst_control.diagnose.evidence import Evidence, FlickerEvidence, HypothesisEvidence, RecordEvidence, ResidualEvidence
+from hyst_control.diagnose.policy import Decision, Reason, Verdict, contenders, decide, detected, join, practical_floor, strained
+from hyst_control.effects.effect import RecordCheck
+
+LIMITS = replace(
+    CONFIGURATION.policy,
+    margin=3.0,
+    sharpness=0.25,
+    sure_probability=0.85,
+    listed_probability=0.05,
+    unknown_share=0.06,
+    most_effects=2,
+    added_share=0.002,
+    least_excess=0.1,
+    own_error_share=0.5,
+    own_error_energy=1.5,
+)
+"""The values that the rows below were made for, so that tuning changes no row."""
+
+NULL, BEFORE, SAMPLES = 10.0, 101.0, 20000
+MISFIT = 0.5 * SAMPLES * BEFORE
+QUIET = ResidualEvidence(1.0, (1.0,), (0,), (0.0,))
+PLAIN = RecordEvidence(SAMPLES, 0.0, SAMPLES, 0.0, 0.0, False, 1.0)
+ALL = frozenset(RecordCheck)
+
+
+def none(**changes) -> HypothesisEvidence:
+    """No effect: it leaves a hundred noise energies beyond the noise's."""
+    return replace(HypothesisEvidence((), False, 0.0, MISFIT, BEFORE, 0.0, replace(QUIET, energy=BEFORE)), **changes)
+
+
+def effect(name: str, score: float = 1000.0, left: float = 1.0, **changes) -> HypothesisEvidence:
+    """Effects by their names joined with "+", which leave so much energy."""
+    found = HypothesisEvidence(tuple(name.split("+")), False, score, 0.5 * SAMPLES * left, left, 0.0, replace(QUIET, energy=left))
+    return replace(found, **changes)
+
+
+def coefficients(score: float = 1000.0, left: float = 1.0, **changes) -> HypothesisEvidence:
+    """Coefficients alone, beyond their tolerance."""
+    return replace(effect("", score, left), names=(), coefficients_alone=True, **changes)
+
+
+def evidence(*others: HypothesisEvidence, base: HypothesisEvidence | None = None, **changes) -> Evidence:
+    """One axis with white noise of the stated size, and these hypotheses beside "no effect"."""
+    found = Evidence(
+        (none() if base is None else base, *others), 1.0, 10, NULL, 0.5, 1.0, (1.0,), (1.0,), SAMPLES, 0.2 * SAMPLES, (PLAIN,), ALL
+    )
+    return replace(found, **changes)
+
+
+def flicker(gain: float, rms: float = 3.0, top: float = 0.1, plausible: bool = True) -> FlickerEvidence:
+    return FlickerEvidence(rms, (0.8 * rms, 1.2 * rms), 1.0, gain, plausible, top)
+
+
+FALLING = replace(QUIET, energy=50.0, flicker=flicker(1e7))
+SPIKES = replace(QUIET, white=(2.0,), outliers=(50,), outliers_rms=(1.7,))
+SMALL = none(misfit=0.5 * SAMPLES * 1.2, energy=1.2, residual=replace(QUIET, energy=1.2))
+OUTLIERS_BASE = none(energy=3.0, residual=replace(SPIKES, energy=1.0))
+
+
+@dataclass(frozen=True)
+class Row:
+    """One rule: evidence, and the verdict, reasons, names listed and checks that found something that are due."""
+
+    rule: str
+    evidence: Evidence
+    verdict: Verdict
+    reasons: tuple[Reason, ...]
+    listed: tuple[str, ...] = ()
+    checks: tuple[RecordCheck, ...] = ()
+    remainder: float | None = field(default=None)
+
+
+V, R, C = Verdict, Reason, RecordCheck
+TABLE = (
+    Row("nothing was tried", evidence(base=SMALL), V.NO_GAP, (R.BELOW_NULL,), remainder=0.0),
+    Row(
+        "an effect at the null's threshold",
+        evidence(effect("a", 1.0, misfit=MISFIT - NULL - 3.0), base=SMALL),
+        V.NO_GAP,
+        (R.BELOW_NULL,),
+    ),
+    Row(
+        "an effect beyond the threshold, of no practical size",
+        evidence(effect("a", 20.0, 1.0, misfit=SMALL.misfit - 14.0), base=SMALL),
+        V.NO_GAP,
+        (R.BELOW_PRACTICAL_SIZE,),
+    ),
+    Row(
+        "an effect of no practical size that relieves the coefficients",
+        evidence(effect("a", 20.0, 1.1, misfit=SMALL.misfit - 14.0), base=replace(SMALL, strain=15.0)),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row("a score that Occam's factor takes away", evidence(effect("a", -1.0), base=SMALL), V.NO_GAP, (R.BELOW_NULL,)),
+    Row("one effect", evidence(effect("a")), V.EFFECT, (R.ONE_EXPLANATION,), ("a",), remainder=0.0),
+    Row("the better of two", evidence(effect("a", 1000.0), effect("b", 1030.0)), V.EFFECT, (R.ONE_EXPLANATION,), ("b",)),
+    Row(
+        "two that cannot be told apart",
+        evidence(effect("a", 999.0), effect("b", 1000.0)),
+        V.AMBIGUOUS,
+        (R.SEVERAL_EXPLANATIONS,),
+        ("b", "a"),
+    ),
+    Row("effect or coefficients", evidence(effect("a"), coefficients(999.0)), V.AMBIGUOUS, (R.SEVERAL_EXPLANATIONS,), ("a", "")),
+    Row(
+        "one that is not sure among many improbable ones",
+        evidence(effect("a", 1000.0), *(effect(name, 987.0) for name in "bcdefg")),
+        V.EFFECT,
+        (R.NO_OTHER_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
+        "one effect by two of its variants",
+        evidence(effect("a", 1000.0), effect("a", 1000.0), effect("b", 990.0)),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row("coefficients", evidence(coefficients()), V.PARAMETERS, (R.COEFFICIENTS_BEYOND_TOLERANCE,), ("",)),
+    Row("coefficients under the margin", evidence(coefficients(3.0), base=SMALL), V.NO_GAP, (R.BELOW_NULL,)),
+    Row("two effects at once", evidence(effect("a+b")), V.EFFECT, (R.ONE_EXPLANATION,), ("a+b",)),
+    Row(
+        "a second effect that adds nothing",
+        evidence(effect("a+b", 1010.0, misfit=1e4 - 12.0), effect("a", 1000.0, misfit=1e4)),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
+        "a second effect that adds less than its share",
+        evidence(effect("a+b", 2000.0, misfit=1e4 - 1900.0), effect("a", 1000.0, misfit=1e4)),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
+        "a second effect that relieves the coefficients, though it adds little",
+        evidence(effect("a+b", 2000.0, misfit=1e4 - 1900.0), effect("a", 1000.0, misfit=1e4, strain=40.0)),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a+b",),
+    ),
+    Row("three effects at once", evidence(effect("a+b+c")), V.UNKNOWN, (R.TOO_MANY_EFFECTS,), ("a+b+c",), remainder=0.0),
+    Row("an effect that leaves a tenth", evidence(effect("a", left=11.0)), V.UNKNOWN, (R.ENERGY_LEFT,), ("a",), remainder=0.1),
+    Row(
+        "three effects that leave a tenth",
+        evidence(effect("a+b+c", left=11.0)),
+        V.UNKNOWN,
+        (R.ENERGY_LEFT, R.TOO_MANY_EFFECTS),
+        ("a+b+c",),
+        remainder=0.1,
+    ),
+    Row(
+        "an effect that leaves a twentieth", evidence(effect("a", left=6.0)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",), remainder=0.05
+    ),
+    Row("a gap that nothing explains", evidence(), V.UNKNOWN, (R.ENERGY_LEFT,), ("",), remainder=1.0),
+    Row("a gap under the practical size", evidence(floor=10.1), V.NO_GAP, (R.BELOW_NULL,), remainder=0.0),
+    Row("a gap that the model states of itself", evidence(stated=95.0), V.NO_GAP, (R.BELOW_NULL,), remainder=0.0),
+    Row(
+        "an effect smaller than the error that the model states",
+        evidence(effect("a", left=60.0), stated=95.0),
+        V.NO_GAP,
+        (R.BELOW_PRACTICAL_SIZE,),
+    ),
+    Row(
+        "held samples",
+        evidence(base=SMALL, record=(replace(PLAIN, repeated=0.1, repeated_rms=0.3),)),
+        V.EFFECT,
+        (R.RECORD_CHECK,),
+        checks=(C.REPEATED_VALUES,),
+    ),
+    Row(
+        "a lattice beside coefficients that are off",
+        evidence(coefficients(), record=(replace(PLAIN, step=1.0),)),
+        V.EFFECT,
+        (R.RECORD_CHECK,),
+        ("",),
+        (C.VALUE_LATTICE,),
+    ),
+    Row(
+        "a lattice beside two effects that cannot be told apart",
+        evidence(effect("a"), effect("b"), record=(replace(PLAIN, step=1.0),)),
+        V.AMBIGUOUS,
+        (R.SEVERAL_EXPLANATIONS,),
+        ("a", "b"),
+        (C.VALUE_LATTICE,),
+    ),
+    Row(
+        "more white noise than stated",
+        evidence(base=replace(SMALL, residual=replace(QUIET, white=(2.0,)))),
+        V.EFFECT,
+        (R.RECORD_CHECK,),
+        checks=(C.WHITE_SPECTRUM,),
+    ),
+    Row(
+        "more white noise than stated, where none is",
+        evidence(base=replace(SMALL, residual=replace(QUIET, white=(2.0,))), stated_noise=(0.0,)),
+        V.NO_GAP,
+        (R.BELOW_NULL,),
+    ),
+    Row(
+        "more white noise than stated, which held samples bring",
+        evidence(base=replace(SMALL, residual=replace(QUIET, white=(2.0,))), record=(replace(PLAIN, repeated=0.1),)),
+        V.EFFECT,
+        (R.RECORD_CHECK,),
+        checks=(C.REPEATED_VALUES,),
+    ),
+    Row(
+        "more white noise than stated, an effect withheld",
+        evidence(base=replace(SMALL, residual=replace(QUIET, white=(2.0,))), checks=ALL - {C.WHITE_SPECTRUM}),
+        V.NO_GAP,
+        (R.BELOW_NULL,),
+    ),
+    Row("outliers", evidence(base=OUTLIERS_BASE), V.UNKNOWN, (R.ENERGY_LEFT, R.OUTLIERS), remainder=1.0),
+    Row(
+        "outliers that are a small part of the gap",
+        evidence(effect("a", residual=SPIKES)),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+        remainder=1.7**2 / 100.0,
+    ),
+    Row(
+        "outliers beside effects that cannot be told apart",
+        evidence(effect("a", residual=SPIKES), effect("b", residual=SPIKES), base=none(energy=5.0)),
+        V.UNKNOWN,
+        (R.ENERGY_LEFT, R.OUTLIERS),
+        ("a", "b"),
+        remainder=1.7**2 / 4.0,
+    ),
+    Row(
+        "too many outliers for outliers",
+        evidence(base=replace(SMALL, residual=replace(SPIKES, outliers=(5000,)))),
+        V.EFFECT,
+        (R.RECORD_CHECK,),
+        checks=(C.WHITE_SPECTRUM,),
+    ),
+    Row(
+        "1/f noise alone",
+        evidence(base=none(residual=FALLING)),
+        V.EFFECT,
+        (R.RECORD_CHECK, R.NOISE_EXPLAINS_MORE),
+        checks=(C.FALLING_SPECTRUM,),
+        remainder=0.0,
+    ),
+    Row(
+        "a falling spectrum of another shape",
+        evidence(base=none(residual=replace(FALLING, flicker=flicker(1e7, plausible=False)))),
+        V.UNKNOWN,
+        (R.ENERGY_LEFT,),
+        ("",),
+        remainder=0.49,
+    ),
+    Row(
+        "1/f noise that explains more than an effect",
+        evidence(effect("a", left=50.0), base=none(residual=FALLING)),
+        V.EFFECT,
+        (R.RECORD_CHECK, R.NOISE_EXPLAINS_MORE),
+        checks=(C.FALLING_SPECTRUM,),
+        remainder=0.0,
+    ),
+    Row(
+        "1/f noise that explains more than an effect, beside coefficients",
+        evidence(effect("a", left=50.0), coefficients(500.0, left=90.0), base=none(residual=FALLING)),
+        V.EFFECT,
+        (R.RECORD_CHECK, R.NOISE_EXPLAINS_MORE),
+        ("",),
+        (C.FALLING_SPECTRUM,),
+        remainder=0.0,
+    ),
+    Row(
+        "1/f noise that explains less than an effect and is gone with it",
+        evidence(effect("a"), base=none(residual=replace(FALLING, flicker=flicker(100.0)))),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
+        "1/f noise beside an effect",
+        evidence(effect("a", residual=replace(QUIET, flicker=flicker(100.0, 0.6)))),
+        V.EFFECT,
+        (R.ONE_EXPLANATION, R.RECORD_CHECK),
+        ("a",),
+        (C.FALLING_SPECTRUM,),
+    ),
+    Row(
+        "1/f noise beside an effect that leaves too much",
+        evidence(effect("a", left=40.0, residual=replace(QUIET, energy=40.0, flicker=flicker(100.0)))),
+        V.UNKNOWN,
+        (R.ENERGY_LEFT,),
+        ("a",),
+        (C.FALLING_SPECTRUM,),
+        remainder=0.39,
+    ),
+    Row(
+        "1/f noise too small to name",
+        evidence(effect("a", residual=replace(QUIET, flicker=flicker(100.0, 0.4)))),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
+        "1/f noise that hides how much white noise there is",
+        evidence(base=none(residual=replace(FALLING, white=(5.0,), flicker=flicker(1e7, top=0.5)))),
+        V.EFFECT,
+        (R.RECORD_CHECK, R.NOISE_EXPLAINS_MORE),
+        checks=(C.FALLING_SPECTRUM,),
+    ),
+)
+
+
+@pytest.mark.parametrize("row", TABLE, ids=lambda row: row.rule)
+def test_rule(row):
+    decision = decide(row.evidence, LIMITS)
+    assert (decision.verdict, decision.reasons) == (row.verdict, row.reasons)
+    assert tuple("+".join(row.evidence.hypotheses[index].names) for index in decision.listed) == row.listed
+    assert tuple(finding.check for finding in decision.findings) == row.checks
+    if row.remainder is not None:
+        assert decision.remainder == pytest.approx(row.remainder, rel=1e-9)
+
+
+def test_every_reason_is_in_the_manual():
+    text = (Path(__file__).resolve().parents[2] / "docs" / "diagnosis.md").read_text(encoding="utf-8")
+    assert not [reason.value for reason in Reason if f"`{reason.value}`" not in text]
+
+
+def test_every_reason_has_a_row():
+    assert {reason for row in TABLE for reason in row.reasons} == set(Reason)
+    assert {row.verdict for row in TABLE} == set(Verdict)
+
+
+NO, EFF, PAR, AMB, UNK = (
+    Decision(Verdict.NO_GAP, (Reason.BELOW_NULL,), 0, (), {}, 0.0),
+    Decision(Verdict.EFFECT, (Reason.ONE_EXPLANATION, Reason.RECORD_CHECK), 1, (1,), {}, 0.01),
+    Decision(Verdict.PARAMETERS, (Reason.COEFFICIENTS_BEYOND_TOLERANCE,), 1, (1,), {}, 0.0),
+    Decision(Verdict.AMBIGUOUS, (Reason.SEVERAL_EXPLANATIONS,), 1, (1, 2), {}, 0.05),
+    Decision(Verdict.UNKNOWN, (Reason.TOO_MANY_EFFECTS,), 1, (1,), {}, 0.02),
+)
+LEFT = Decision(Verdict.UNKNOWN, (Reason.ENERGY_LEFT,), 0, (0,), {}, 0.5)
+
+
+@pytest.mark.parametrize(
+    "decisions, verdict, reasons, remainder",
+    [
+        ((NO, NO), Verdict.NO_GAP, NO.reasons, 0.0),
+        ((NO, PAR), Verdict.PARAMETERS, PAR.reasons, 0.0),
+        ((PAR, EFF), Verdict.EFFECT, EFF.reasons, 0.01),
+        ((AMB, EFF), Verdict.AMBIGUOUS, AMB.reasons, 0.05),
+        ((AMB, UNK, EFF), Verdict.UNKNOWN, UNK.reasons, 0.05),
+        ((UNK, LEFT), Verdict.UNKNOWN, (Reason.ENERGY_LEFT, Reason.TOO_MANY_EFFECTS), 0.5),
+    ],
+)
+def test_the_axis_that_prevails(decisions, verdict, reasons, remainder):
+    for order in (decisions, decisions[::-1]):
+        joint = join(order)
+        assert (joint.verdict, joint.reasons, joint.remainder) == (verdict, reasons, remainder)
+
+
+@pytest.mark.parametrize(
+    "seen, due",
+    [
+        (PLAIN, ()),
+        (replace(PLAIN, repeated=0.003), (C.REPEATED_VALUES,)),
+        (replace(PLAIN, repeated=0.003, repeats_counted=1000), ()),
+        (replace(PLAIN, repeated=0.003, step=0.01), ()),
+        (replace(PLAIN, repeated=0.02, step=0.01), (C.REPEATED_VALUES,)),
+        (replace(PLAIN, step=1.0), (C.VALUE_LATTICE,)),
+        (replace(PLAIN, step=1.0, step_modelled=True), ()),
+        (replace(PLAIN, step=1.0, repeated=0.02), (C.REPEATED_VALUES, C.VALUE_LATTICE)),
+    ],
+)
+def test_what_is_detected_before_a_fit(seen, due):
+    assert tuple(finding.check for finding in detected((seen,), ALL, LIMITS)) == due
+    assert not detected((seen,), (), LIMITS)
+
+
+def test_the_practical_size_adds_up_in_energy():
+    """Range, rounding and what the stated noise exceeds the measured one by; each against its closed form."""
+    one, nought = np.ones(1), np.zeros(1)
+    assert practical_floor(1e4 * one, nought, nought, one, LIMITS) == pytest.approx(1e4 * LIMITS.practical_size)
+    assert practical_floor(nought, nought, np.sqrt(2.0) * one, one, LIMITS) == pytest.approx(LIMITS.stated_excess)
+    assert practical_floor(nought, np.sqrt(12.0) * one, nought, one, LIMITS) == pytest.approx(LIMITS.rounding_share)
+    everything = practical_floor(1e4 * one, np.sqrt(12.0) * one, np.sqrt(2.0) * one, one, LIMITS)
+    assert everything == pytest.approx(
+        np.sqrt((1e4 * LIMITS.practical_size) ** 2 + LIMITS.stated_excess**2 + LIMITS.rounding_share**2)
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 200))
+def test_coefficients_are_strained_beyond_what_their_chi_square_allows(count):
+    """The chi-square has mean n and standard deviation sqrt(2 n)."""
+    least = 0.5 * (count + LIMITS.strain_deviations * np.sqrt(2.0 * count))
+    assert strained(least * (1 + 1e-9), count, LIMITS) and not strained(least * (1 - 1e-9), count, LIMITS)
+
+
+def test_nothing_is_decided_without_the_residual_of_a_contender():
+    bare = evidence(effect("a", residual=None), coefficients(), effect("b", 500.0, residual=None))
+    assert contenders(bare, LIMITS) == (0, 1, 2)
+    with pytest.raises(ValueError, match="hypothesis 1"):
+        decide(bare, LIMITS)
+
+
+ENERGY = st.floats(1.0, 120.0)
+SCORE = st.floats(-20.0, 2000.0)
+
+
+@st.composite
+def any_evidence(draw) -> Evidence:
+    """Evidence of one or two axes with up to six hypotheses whose scores differ."""
+    axes = draw(st.integers(1, 2))
+    names = draw(st.lists(st.sampled_from(("a", "b", "c", "d", "a+b", "a+b+c", "b+d")), unique=True, max_size=6))
+    scores = draw(st.lists(SCORE, min_size=len(names) + 1, max_size=len(names) + 1, unique=True))
+
+    def residual(energy: float) -> ResidualEvidence:
+        count = draw(st.sampled_from((0, 50, 5000)))
+        noise = flicker(draw(st.floats(0.0, 1e6)), draw(st.floats(0.05, 5.0)), draw(st.floats(0.0, 1.0)))
+        spikes = draw(st.floats(0.0, 3.0))
+        white = draw(st.floats(0.5, 3.0))
+        return ResidualEvidence(energy, (white,) * axes, (count,) * axes, (spikes,) * axes, noise if axes == 1 else None)
+
+    def left() -> dict:
+        energy = draw(ENERGY)
+        strain = draw(st.floats(0.0, 60.0))
+        return {"misfit": 0.5 * SAMPLES * energy, "energy": energy, "strain": strain, "residual": residual(energy)}
+
+    others = [replace(effect(name, score), **left()) for name, score in zip(names, scores, strict=False)]
+    if draw(st.booleans()):
+        others.append(replace(coefficients(scores[-1]), **left()))
+    seen = replace(PLAIN, repeated=draw(st.sampled_from((0.0, 0.1))), step=draw(st.sampled_from((0.0, 1.0))))
+    return evidence(
+        *others,
+        base=none(**left()),
+        temper=draw(st.floats(0.01, 1.0)),
+        null=draw(st.floats(0.0, 50.0)),
+        floor=draw(st.floats(0.0, 5.0)),
+        stated=draw(st.floats(1.0, 3.0)),
+        noise=(1.0,) * axes,
+        stated_noise=(draw(st.sampled_from((0.0, 1.0))),) * axes,
+        record=(seen,) * axes,
+        checks=frozenset(draw(st.sets(st.sampled_from(sorted(ALL, key=str))))),
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(any_evidence())
+def test_a_decision_is_consistent(found):
+    decision = decide(found, LIMITS)
+    assert decision.reasons and 0.0 <= decision.remainder <= 1.0
+    assert sum(decision.probability.values()) == pytest.approx(1.0)
+    assert {finding.check for finding in decision.findings} <= found.checks
+    assert join([decision]).verdict is decision.verdict and join([decision]).reasons == decision.reasons
+    assert {0, decision.chosen} <= set(contenders(found, LIMITS))
+    named = any(found.hypotheses[index].names for index in decision.listed) or bool(decision.findings)
+    assert named or decision.verdict is not Verdict.EFFECT
+    assert not named or decision.verdict in (Verdict.EFFECT, Verdict.AMBIGUOUS, Verdict.UNKNOWN)
+
+
+@settings(max_examples=60, deadline=None)
+@given(any_evidence(), st.floats(1e-6, 1e6))
+def test_the_unit_of_the_measurement_does_not_matter(found, scale):
+    """All that is in the measurement's unit times a factor: the same decision, and findings by that factor."""
+
+    def scaled(one: ResidualEvidence) -> ResidualEvidence:
+        return replace(one, white=tuple(scale * v for v in one.white), outliers_rms=tuple(scale * v for v in one.outliers_rms))
+
+    other = replace(
+        found,
+        hypotheses=tuple(replace(one, residual=scaled(one.residual)) for one in found.hypotheses),
+        noise=tuple(scale * v for v in found.noise),
+        stated_noise=tuple(scale * v for v in found.stated_noise),
+        record=tuple(
+            replace(one, repeated_rms=scale * one.repeated_rms, step=scale * one.step, noise=scale * one.noise)
+            for one in found.record
+        ),
+    )
+    here, there = decide(found, LIMITS), decide(other, LIMITS)
+    assert (here.verdict, here.reasons, here.listed) == (there.verdict, there.reasons, there.listed)
+    assert here.remainder == pytest.approx(there.remainder)
+    for one, two in zip(here.findings, there.findings, strict=True):
+        factor = 1.0 if one.check is RecordCheck.REPEATED_VALUES else scale
+        assert two.value == pytest.approx(factor * one.value)
+
+
+@settings(max_examples=60, deadline=None)
+@given(any_evidence(), st.data())
+def test_the_order_of_hypotheses_does_not_matter(found, data):
+    order = [0, *data.draw(st.permutations(range(1, len(found.hypotheses))))]
+    here, there = decide(found, LIMITS), decide(replace(found, hypotheses=tuple(found.hypotheses[i] for i in order)), LIMITS)
+    assert (here.verdict, here.reasons, here.remainder) == (there.verdict, there.reasons, there.remainder)
+    assert here.listed == tuple(order[index] for index in there.listed)
+    assert here.probability == pytest.approx(there.probability)
+
+
+@settings(max_examples=60, deadline=None)
+@given(any_evidence())
+def test_the_order_of_axes_does_not_matter(found):
+    """Two axes of which one has the other's record, stated noise and residuals, and the same the other way round."""
+    quiet = replace(PLAIN, noise=1.0)
+
+    def axes(first: bool) -> Evidence:
+        def pair(one, other) -> tuple:
+            return (one, other) if first else (other, one)
+
+        residuals = {
+            index: replace(
+                one.residual,
+                white=pair(one.residual.white[0], 1.0),
+                outliers=pair(one.residual.outliers[0], 0),
+                outliers_rms=pair(one.residual.outliers_rms[0], 0.0),
+                flicker=None,
+            )
+            for index, one in enumerate(found.hypotheses)
+        }
+        return replace(
+            found, noise=(1.0, 1.0), stated_noise=pair(found.stated_noise[0], 1.0), record=pair(found.record[0], quiet)
+        ).with_residuals(residuals)
+
+    here, there = decide(axes(True), LIMITS), decide(axes(False), LIMITS)
+    assert (here.verdict, here.reasons, here.remainder, here.listed) == (
+        there.verdict,
+        there.reasons,
+        there.remainder,
+        there.listed,
+    )
+    assert {(one.check, one.axis) for one in here.findings} == {(one.check, 1 - one.axis) for one in there.findings}
+
+
+@settings(max_examples=60, deadline=None)
+@given(any_evidence(), st.floats(1.0, 50.0))
+def test_more_energy_left_never_turns_unknown_into_something_known(found, more):
+    """What every hypothesis leaves beyond what its effects leave by nature grows, all else as it is."""
+    worse = found.with_residuals(
+        {i: replace(one.residual, energy=more * one.residual.energy) for i, one in enumerate(found.hypotheses)}
+    )
+    here, there = decide(found, LIMITS), decide(worse, LIMITS)
+    assert there.remainder >= here.remainder
+    assert here.verdict is not Verdict.UNKNOWN or there.verdict is Verdict.UNKNOWN
+
+
+@settings(max_examples=60, deadline=None)
+@given(any_evidence(), st.floats(0.0, 500.0))
+def test_a_higher_null_makes_no_new_claim(found, more):
+    """Without a second effect that is better than the first by what a claim needs, which depends on the null the other way round."""
+    singles = replace(found, hypotheses=tuple(one for one in found.hypotheses if len(one.names) < 2), checks=frozenset())
+    here, there = decide(singles, LIMITS), decide(replace(singles, null=singles.null + more), LIMITS)
+    assert set(there.probability) - {()} <= set(here.probability)
