@@ -22,9 +22,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, qr
+from scipy.linalg import qr
 
 from hyst_control.chain.stage import Array
+from hyst_control.identify import gauss_newton
+from hyst_control.identify.gauss_newton import End, Rules, Trial, solve_damped
 
 CHUNK = 400_000
 """Entries of the matrix W worked on at once: few enough for the cache, enough for the matrix product."""
@@ -495,44 +497,65 @@ class Problem:
         return weights
 
 
-def solve_damped(matrix: Array, vector: Array, chosen: np.ndarray, damping: float) -> Array:
-    """Step (P,) of the damped normal equations over the chosen parameters, scaled by their diagonal; zero elsewhere."""
-    index = np.flatnonzero(chosen)
-    scale = np.sqrt(np.maximum(np.diag(matrix)[index], 1e-300))
-    scaled = matrix[np.ix_(index, index)] / scale / scale[:, None]
-    scaled[np.diag_indices_from(scaled)] += damping
-    step = np.zeros(len(vector))
-    try:
-        step[index] = cho_solve(cho_factor(scaled), vector[index] / scale) / scale
-    except np.linalg.LinAlgError:
-        step[index] = np.linalg.lstsq(scaled, vector[index] / scale, rcond=1e-13)[0] / scale
-    return step
-
-
 def refine(problem: Problem, iterations: int = 40, tolerance: float = 1e-5) -> tuple[float, Array]:
     """Levenberg-Marquardt from the problem's present model; returns rᵀr and the last JᵀJ.
 
     Ends when an accepted step lowers the cost by less than `tolerance` of it.
     """
+    search = _Search(problem)
+    rules = Rules(
+        damping=1e-4,
+        raised=lambda damping: damping * 8,
+        eased=lambda damping: max(damping / 5, 1e-10),
+        small=lambda before, after: before - after <= tolerance * (before - problem.irreducible),
+        steps=iterations,
+        rejections=8,
+    )
     problem.rescale()
-    matrix, vector, cost = problem.normal_equations()
-    damping = 1e-4
-    for _ in range(iterations):
-        best = problem.model, problem.transients
-        gained = 0.0
-        for _ in range(8):
-            problem.apply(solve_damped(matrix, vector, problem.movable(vector), damping))
-            trial = problem.cost()
-            if trial < cost:
-                gained = cost - trial
-                damping = max(damping / 5, 1e-10)
-                break
-            problem.model, problem.transients = best
-            damping *= 8
-        if gained <= tolerance * (cost - problem.irreducible):
-            if gained > 0:
-                matrix, vector, cost = problem.normal_equations()
-            break
-        problem.rescale()
-        matrix, vector, cost = problem.normal_equations()
-    return cost, matrix
+    found = gauss_newton.minimize(search, search.here(), rules)
+    point = found.point
+    if not found.linearized:
+        # After a small gain the modes' sizes stay as the last step left them.
+        search.place(point)
+        point = search.linearize(point) if found.end is End.BUDGET else search.here()
+    search.place(point)
+    return point.cost, point.matrix
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A model with its transients, the cost rᵀr, and JᵀJ and Jᵀr where they were last taken."""
+
+    model: ModalModel
+    transients: Transients
+    cost: float
+    matrix: Array
+    vector: Array
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The search over a problem's models, which is left at the best one."""
+
+    problem: Problem
+
+    def place(self, point: _Point) -> None:
+        self.problem.model, self.problem.transients = point.model, point.transients
+
+    def here(self) -> _Point:
+        matrix, vector, cost = self.problem.normal_equations()
+        return _Point(self.problem.model, self.problem.transients, cost, matrix, vector)
+
+    def cost(self, point: _Point) -> float:
+        return point.cost
+
+    def linearize(self, point: _Point) -> _Point:
+        self.place(point)
+        self.problem.rescale()
+        return self.here()
+
+    def step(self, point: _Point, damping: float) -> Trial[_Point]:
+        problem = self.problem
+        self.place(point)
+        problem.apply(solve_damped(point.matrix, point.vector, problem.movable(point.vector), damping))
+        return Trial(replace(point, model=problem.model, transients=problem.transients, cost=problem.cost()))

@@ -16,9 +16,11 @@ from scipy.optimize import nnls
 
 from hyst_control.chain import Sampling, Stage
 from hyst_control.chain.stage import Array
+from hyst_control.identify import gauss_newton
 from hyst_control.identify.bounded_least_squares import covariance
 from hyst_control.identify.chain_batch import Bundle
 from hyst_control.identify.fit_windows import turning_points
+from hyst_control.identify.gauss_newton import End, Rules, Trial
 from hyst_control.identify.gram_sums import HELD_OUT_BLOCKS, NUISANCES, Grams, Window, gram_product
 
 BLOCK, CHUNK = 4096, 32768
@@ -77,35 +79,57 @@ def minimise(
     With `everything` the rows held out for choosing between structures are fitted too. A pass with derivatives is made at
     every parameter vector that lowered the cost, but for the last; whether one does is tried by a pass without.
     """
-    groups = max(window.group for window in windows) + 1
-    origin = start = parametrisation.limit(np.asarray(start, dtype=float))
-    grams = gram_matrices(windows, parametrisation, start, nuisance, groups, derivatives=True)
-    best = _solution(start, grams, everything, 1, derivatives=True)
-    damping, passed = 1e-3, 1
-    while passed < passes:
-        gram = grams.fitted + grams.held_out if everything else grams.fitted
-        step = _step(gram, parametrisation, best.parameters, origin, damping)
+    origin = parametrisation.limit(np.asarray(start, dtype=float))
+    search = _Search(windows, parametrisation, origin, nuisance, everything)
+    rules = Rules(
+        damping=1e-3,
+        raised=lambda damping: damping * 10.0,
+        eased=lambda damping: max(0.1 * damping, 1e-9),
+        small=lambda before, after: 1.0 - after / before < tolerance,
+        confident=1e-6,
+        steps=passes - 1,
+        highest=1e4,
+        least_move=1e-8,
+    )
+    found = gauss_newton.minimize(search, search.start(), rules)
+    solution = found.point if found.linearized or found.end is End.BUDGET else search.linearize(found.point)
+    return replace(solution, passes=found.steps + 1)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The least-squares problem of `minimise`; a point is a `Solution`, whose Gram matrices hold the derivatives."""
+
+    windows: Sequence[Window]
+    parametrisation: Parametrisation
+    origin: Array
+    nuisance: str
+    everything: bool
+
+    def grams(self, parameters: Array, *, derivatives: bool) -> Grams:
+        groups = max(window.group for window in self.windows) + 1
+        return gram_matrices(self.windows, self.parametrisation, parameters, self.nuisance, groups, derivatives=derivatives)
+
+    def start(self) -> Solution:
+        return _solution(self.origin, self.grams(self.origin, derivatives=True), self.everything, 1, derivatives=True)
+
+    def cost(self, point: Solution) -> float:
+        return point.fitted
+
+    def linearize(self, point: Solution) -> Solution:
+        return replace(point, grams=self.grams(point.parameters, derivatives=True), linearised=point.parameters)
+
+    def step(self, point: Solution, damping: float) -> Trial[Solution]:
+        grams = point.grams
+        gram = grams.fitted + grams.held_out if self.everything else grams.fitted
+        step = _step(gram, self.parametrisation, point.parameters, self.origin, damping)
         # Shortened as a whole, so that it stays between two vectors that satisfy the constraints.
         step /= max(1.0, float(np.max(np.abs(step))))
-        trial = parametrisation.limit(best.parameters + step)
-        trial_grams = gram_matrices(windows, parametrisation, trial, nuisance, groups, derivatives=False)
-        found = _solution(trial, trial_grams, everything, passed, derivatives=False)
-        if not found.fitted < best.fitted:
-            if damping > 1e4 or np.max(np.abs(step)) < 1e-8:
-                break
-            damping *= 10.0
-            continue
-        improvement = 1.0 - found.fitted / best.fitted
-        passed += 1
-        if passed == passes:
-            return replace(found, grams=grams, passes=passed, linearised=best.parameters)
-        grams = gram_matrices(windows, parametrisation, trial, nuisance, groups, derivatives=True)
-        best = replace(found, grams=grams, passes=passed, linearised=trial)
-        damping = max(0.1 * damping, 1e-9)
-        # A short gain under strong damping is no sign of the minimum: the valley may be long.
-        if improvement < tolerance and damping < 1e-6:
-            break
-    return replace(best, grams=grams)
+        parameters = self.parametrisation.limit(point.parameters + step)
+        found = _solution(
+            parameters, self.grams(parameters, derivatives=False), self.everything, point.passes, derivatives=False
+        )
+        return Trial(replace(found, grams=grams, linearised=point.parameters), float(np.max(np.abs(step))))
 
 
 def gram_matrices(

@@ -10,14 +10,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyst_control.chain.softening_modal import SofteningModal
 from hyst_control.chain.stage import Array
+from hyst_control.identify import gauss_newton
 from hyst_control.identify.frequency_response import excited_lines
-from hyst_control.identify.modal_fit import Layout, ModalModel, Problem, Spectra, solve_damped
+from hyst_control.identify.gauss_newton import End, Rules, Trial, solve_damped
+from hyst_control.identify.modal_fit import Layout, ModalModel, Problem, Spectra
 
 
 @dataclass(frozen=True)
@@ -158,15 +161,59 @@ def refine_scheduled(
     size, count = layout.size, len(moving)
     all_free = np.concatenate([free, np.ones(count, dtype=bool)])
 
-    def place(point: Scheduled) -> None:
-        for problem, value in zip(problems, g, strict=True):
+    rules = Rules(
+        damping=1e-4,
+        raised=lambda damping: damping * 8,
+        eased=lambda damping: max(damping / 5, 1e-9),
+        small=lambda before, after: before - after <= tolerance * before,
+        steps=iterations,
+        rejections=8,
+    )
+    search = _Search(problems, g, moving, all_free)
+    found = gauss_newton.minimize(search, search.linearize(_Point(start)), rules)
+    # Errors are those of the last point with derivatives: a step of small gain moves them as little.
+    last = search.linearize(found.point) if not found.linearized and found.end is End.BUDGET else found.point
+    point, matrix, cost = last.scheduled, last.matrix, last.linearized_cost
+    pairs = int(np.count_nonzero(start.centre.poles.imag))
+    # c and b of a mode share one complex (or real) factor that changes nothing.
+    count = int(all_free.sum()) - n - pairs
+    equations = sum(2 * part.measurement.size for part in data)
+    return point, count, _pole_sigma(matrix, all_free, cost / max(equations - count, 1), layout.indices("pole", n, 2))
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Parameters with their cost, and JᵀJ, Jᵀr and the cost where they were last taken."""
+
+    scheduled: Scheduled
+    cost: float = np.inf
+    matrix: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    vector: Array = field(default_factory=lambda: np.zeros(0))
+    linearized_cost: float = np.inf
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The least-squares problem of all levels: parameters of the centre (P,), then the changes of those that are `moving`."""
+
+    problems: Sequence[Problem]
+    g: Sequence[float]
+    moving: NDArray[np.intp]
+    free: NDArray[np.bool_]
+
+    def place(self, point: Scheduled) -> None:
+        for problem, value in zip(self.problems, self.g, strict=True):
             problem.model = point.centre
             problem.apply(value * point.change)
 
-    def normal(point: Scheduled) -> tuple[Array, Array, float]:
-        place(point)
-        matrix, vector, cost = np.zeros((size + count, size + count)), np.zeros(size + count), 0.0
-        for problem, value in zip(problems, g, strict=True):
+    def cost(self, point: _Point) -> float:
+        return point.cost
+
+    def linearize(self, point: _Point) -> _Point:
+        self.place(point.scheduled)
+        moving, size, total = self.moving, self.problems[0].layout.size, len(self.free)
+        matrix, vector, cost = np.zeros((total, total)), np.zeros(total), 0.0
+        for problem, value in zip(self.problems, self.g, strict=True):
             own, gradient, part = problem.normal_equations()
             matrix[:size, :size] += own
             matrix[:size, size:] += value * own[:, moving]
@@ -175,34 +222,18 @@ def refine_scheduled(
             vector[:size] += gradient
             vector[size:] += value * gradient[moving]
             cost += part
-        return matrix, vector, cost
+        return _Point(point.scheduled, cost, matrix, vector, cost)
 
-    point = start
-    matrix, vector, cost = normal(point)
-    damping = 1e-4
-    for _ in range(iterations):
-        gained = 0.0
-        for _ in range(8):
-            step = solve_damped(matrix, vector, all_free, damping)
-            change = point.change.copy()
-            change[moving] += step[size:]
-            problems[0].model = point.centre
-            problems[0].apply(step[:size])
-            trial = _bounded(Scheduled(problems[0].model, change), problems[0], max(abs(value) for value in g))
-            place(trial)
-            gained = cost - sum(problem.cost() for problem in problems)
-            if gained > 0:
-                point, damping = trial, max(damping / 5, 1e-9)
-                break
-            damping *= 8
-        if gained <= tolerance * cost:
-            break
-        matrix, vector, cost = normal(point)
-    pairs = int(np.count_nonzero(start.centre.poles.imag))
-    # c and b of a mode share one complex (or real) factor that changes nothing.
-    count = int(all_free.sum()) - n - pairs
-    equations = sum(2 * part.measurement.size for part in data)
-    return point, count, _pole_sigma(matrix, all_free, cost / max(equations - count, 1), layout.indices("pole", n, 2))
+    def step(self, point: _Point, damping: float) -> Trial[_Point]:
+        first = self.problems[0]
+        step = solve_damped(point.matrix, point.vector, self.free, damping)
+        change = point.scheduled.change.copy()
+        change[self.moving] += step[first.layout.size :]
+        first.model = point.scheduled.centre
+        first.apply(step[: first.layout.size])
+        trial = _bounded(Scheduled(first.model, change), first, max(abs(value) for value in self.g))
+        self.place(trial)
+        return Trial(replace(point, scheduled=trial, cost=sum(problem.cost() for problem in self.problems)))
 
 
 def _pole_sigma(matrix: Array, free: np.ndarray, variance: float, at: Array) -> Array:
