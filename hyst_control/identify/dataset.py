@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from hyst_control.chain.stage import Array
+from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 
 
@@ -45,6 +47,44 @@ class Dataset:
             self.hold,
             self.start if begin == 0 else "unknown",
         )
+
+
+def check_records(datasets: Sequence[Dataset], least: int = 50) -> None:
+    """Check that records belong to one plant and can tell something about it.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+    least
+        Samples that each of them must have at least.
+
+    Raises
+    ------
+    InputError
+        There is no record, or one differs in axes or unit, is too short or holds values that are no finite numbers; or the command or
+        the measurement of an axis moves in none of them.
+    """
+    if not datasets:
+        raise InputError("no record: give at least one bag with command and measurement")
+    first = datasets[0]
+    for data in datasets:
+        if data.axes != first.axes or data.unit != first.unit:
+            raise InputError(
+                f"{data.name}: axes {', '.join(data.axes)} in {data.unit}, but {first.name} has "
+                f"{', '.join(first.axes)} in {first.unit}: give records of one plant"
+            )
+        if len(data.command) < least:
+            raise InputError(f"{data.name}: {len(data.command)} samples, at least {least} are needed")
+        for topic, values in (("command", data.command), ("measurement", data.measurement)):
+            if not np.all(np.isfinite(values)):
+                row = int(np.flatnonzero(~np.all(np.isfinite(values), axis=1))[0])
+                raise InputError(f"{data.name}: {topic}: not a finite number in sample {row}: cut it out first")
+    for axis, name in enumerate(first.axes):
+        if all(np.ptp(data.command[:, axis]) == 0 for data in datasets):
+            raise InputError(f"{first.name}: the command of axis {name} never moves: record an excitation")
+        if all(np.ptp(data.measurement[:, axis]) == 0 for data in datasets):
+            raise InputError(f"{first.name}: the measurement of axis {name} never moves: check the sensor and the topic")
 
 
 @dataclass(frozen=True)

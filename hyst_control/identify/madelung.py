@@ -17,10 +17,13 @@ from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
-from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.dataset import Dataset, Fit, check_records
+from hyst_control.identify.estimator import Estimator, register
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.fit_windows import whole_records
 from hyst_control.identify.gram_sums import NUISANCES, Window
+from hyst_control.identify.options import INTEGER, NUMBER, NUMBERS, Options, option
+from hyst_control.identify.shared_options import nuisance_option
 from hyst_control.identify.simulation_error import Parametrisation, Solution, minimise
 from hyst_control.model_file import Model
 
@@ -43,12 +46,12 @@ class Curves:
 
     def __post_init__(self) -> None:
         if self.knots is None and not 1 <= self.degree <= 12:
-            raise InputError(f"degree: {self.degree}, 1 to 12 is due")
+            raise InputError(f"degree: must be from 1 to 12, got {self.degree}")
         if self.knots is not None:
             knots = np.array(self.knots, dtype=float)
             object.__setattr__(self, "knots", tuple(knots.ravel().tolist()))
             if knots.ndim != 1 or len(knots) < 3 or knots[0] != 0 or knots[-1] != 1 or np.any(np.diff(knots) <= 0):
-                raise InputError("knots: at least three, strictly increasing from 0 to 1, are due")
+                raise InputError(f"knots: must be at least three, strictly increasing from 0 to 1, got {knots.ravel().tolist()}")
 
     @property
     def count(self) -> int:
@@ -119,24 +122,55 @@ class Curves:
         return np.concatenate([up, down]) - LEAST_SLOPE * full
 
 
-def fit(
-    datasets: Sequence[Dataset],
-    *,
-    degree: int = 5,
-    knots: Sequence[float] | None = None,
-    input_scale: float | None = None,
-    nuisance: str = "offset",
-) -> Fit:
-    """Identify `madelung` and the sensor's zero from slow records, all together, each axis on its own.
+@dataclass(frozen=True)
+class CurveOptions(Options):
+    """Form of the curves."""
 
-    degree of the polynomials, or knots of the piecewise cubics; input_scale in V, the largest command unless given. nuisance:
-    what each record may add, "none", "offset" or "linear"; the mean offset becomes the model's `offset` stage.
-    Raises `InputError` when the records cannot tell a model.
-    """
-    check(datasets)
-    curves = Curves(degree, knots)
-    axes = [fit_axis(whole_records(datasets, axis), curves, input_scale, nuisance) for axis in range(len(datasets[0].axes))]
-    return assemble(datasets, axes, "joint")
+    degree: int = option(
+        5, INTEGER, "degree of the curves' polynomials, where `knots` does not make them piecewise", lower=1, upper=12
+    )
+    knots: tuple[float, ...] | None = option(
+        None,
+        NUMBERS,
+        "knots of piecewise cubics in place of polynomials, increasing from 0 to 1 of the input scale",
+        lower=0.0,
+        upper=1.0,
+    )
+    input_scale: float | None = option(
+        None, NUMBER, "command at the upper end of the curves, in place of the largest one of the records", unit="V", lower=0.0
+    )
+
+    @property
+    def curves(self) -> Curves:
+        """The form of the curves."""
+        return Curves(self.degree, self.knots)
+
+    def check(self) -> None:
+        if self.input_scale == 0.0:
+            raise InputError("input_scale: must be > 0 V, got 0")
+        _ = self.curves
+
+
+@dataclass(frozen=True)
+class MadelungOptions(CurveOptions):
+    """Choices of a fit of Madelung curves."""
+
+    nuisance: str = nuisance_option("offset")
+
+
+@register
+class MadelungCurves(Estimator[MadelungOptions]):
+    """Madelung hysteresis without dynamics."""
+
+    name = "madelung"
+    sentence = "Madelung hysteresis without dynamics, and the sensor's zero: rising curves from slow loops, nested ones included"
+    Options = MadelungOptions
+
+    def fit(self, datasets: Sequence[Dataset], options: MadelungOptions) -> Fit:
+        check(datasets)
+        windows = [whole_records(datasets, axis) for axis in range(len(datasets[0].axes))]
+        axes = [fit_axis(each, options.curves, options.input_scale, options.nuisance) for each in windows]
+        return assemble(datasets, axes, options.method)
 
 
 @dataclass(frozen=True)
@@ -202,8 +236,6 @@ def fit_inverse(stage: Madelung, curves: Curves | None = None) -> Madelung:
 
 def check(datasets: Sequence[Dataset]) -> None:
     """Raise `InputError` unless the records share their axes and unit, something moves, and no command is negative."""
-    from hyst_control.identify.hammerstein import check as check_records
-
     check_records(datasets)
     for data in datasets:
         lowest = float(data.command.min())
@@ -218,8 +250,6 @@ def full_scale(windows: Sequence[Window], given: float | None) -> float:
     largest = max(float(window.command.max()) for window in windows)
     if given is None:
         return largest
-    if not given > 0:
-        raise InputError(f"input_scale: {given!r} V, a positive voltage is due")
     return float(given)
 
 

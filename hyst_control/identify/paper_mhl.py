@@ -21,7 +21,7 @@ from hyst_control.identify.fit_report import command_bandwidth
 from hyst_control.identify.fit_windows import turning_points, whole_records
 from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.madelung import fit_axis, fit_inverse, full_scale, response_sign
-from hyst_control.identify.mhl import K2_UNIT, Axis, AxisFit, Options
+from hyst_control.identify.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
 from hyst_control.identify.simulation_error import Parametrisation, Solution, minimise, short_stretches, surviving_turns
 from hyst_control.identify.stable_dynamics import TAU_UNIT, Structure
 
@@ -46,12 +46,12 @@ class Pieces:
     fast: list[Window]
 
 
-def fit_axes(datasets: Sequence[Dataset], options: Options) -> list[AxisFit]:
+def fit_axes(datasets: Sequence[Dataset], options: MhlOptions) -> list[AxisFit]:
     """Identify every axis in the paper's steps. Raises `InputError` naming the experiment that the records lack."""
     return [_fit_axis(datasets, index, options) for index in range(len(datasets[0].axes))]
 
 
-def _fit_axis(datasets: Sequence[Dataset], index: int, options: Options) -> AxisFit:
+def _fit_axis(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> AxisFit:
     everything = whole_records(datasets, index)
     sign = response_sign(everything)
     pieces = sorted_pieces(datasets, index, sign)

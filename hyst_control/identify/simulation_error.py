@@ -126,9 +126,7 @@ class _Search:
         # Shortened as a whole, so that it stays between two vectors that satisfy the constraints.
         step /= max(1.0, float(np.max(np.abs(step))))
         parameters = self.parametrisation.limit(point.parameters + step)
-        found = _solution(
-            parameters, self.grams(parameters, derivatives=False), self.everything, point.passes, derivatives=False
-        )
+        found = _solution(parameters, self.grams(parameters, derivatives=False), self.everything, point.passes, derivatives=False)
         return Trial(replace(found, grams=grams, linearised=point.parameters), float(np.max(np.abs(step))))
 
 

@@ -158,8 +158,7 @@ def refine_scheduled(
     n, m = start.centre.inputs.shape
     moving = np.concatenate([layout.indices("pole", n, 2).ravel(), layout.indices("b", 2, n, m)[:, :, :inputs].ravel()])
     moving = moving[free[moving]]
-    size, count = layout.size, len(moving)
-    all_free = np.concatenate([free, np.ones(count, dtype=bool)])
+    all_free = np.concatenate([free, np.ones(len(moving), dtype=bool)])
 
     rules = Rules(
         damping=1e-4,
