@@ -124,7 +124,7 @@ class Linear(Estimator[LinearOptions]):
         model = replace(model, noise={"sigma": noise_sigma(residuals)})
         notes = (
             []
-            if any(np.isfinite(row["held_out"]) for row in table)
+            if any(row["held_out"] is not None for row in table)
             else [
                 "No part of the records could be held out: the number of states was chosen by an information criterion. "
                 "A second record, or a longer one with the same kind of excitation, would test it."
@@ -132,13 +132,14 @@ class Linear(Estimator[LinearOptions]):
         )
         report = {
             "family": "linear",
-            "method": "joint",
+            "method": options.method,
+            "unit": first.unit,
             "records": rows,
             "notes": notes,
             "orders": table,
             "states": sum(candidate.model.states for candidate in found),
             "parameters": [
-                row
+                {**row, "axis": ", ".join(first.axes) if len(found) == 1 else first.axes[index]}
                 for index, candidate in enumerate(found)
                 for row in parameter_rows(candidate, first.sample_time, first.axes[index] if len(found) > 1 else "")
             ],
@@ -231,13 +232,13 @@ def choose(
     direct: bool = True,
     free_delay: bool = False,
     iterations: int = 12,
-) -> tuple[Candidate, list[dict[str, float]]]:
+) -> tuple[Candidate, list[dict[str, Any]]]:
     """The smallest model that is as good as any on held-out data, of the given numbers of states and starting delays.
 
     Also returns a row per model tried. Without held-out data Schwarz's information criterion decides. Stops growing
     after three orders without a gain.
     """
-    rows: list[dict[str, float]] = []
+    rows: list[dict[str, Any]] = []
     tried: list[tuple[float, Candidate]] = []
     starts = {tuple(delay): subspace(train, orders, delay, hold, direct) for delay in delays}
     stale = 0
@@ -253,7 +254,7 @@ def choose(
                     "states": candidate.model.states,
                     "parameters": candidate.model.parameters,
                     "fitted": candidate.fitted,
-                    "held_out": candidate.held_out,
+                    "held_out": candidate.held_out if held_out else None,
                     "seconds": candidate.seconds,
                     "delay_samples": [float(value) for value in candidate.model.delay],
                 }

@@ -1,5 +1,7 @@
 """The family "linear": known systems, simulated by scipy's own discretisation, are found again from any excitation."""
 
+import json
+
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, dlsim, dlti
@@ -115,6 +117,13 @@ def test_every_pole_is_stable_even_from_noise_alone():
     found = identify([data], "linear", order=6, delay=0.0)
     den = next(stage for stage in found.model.chain.stages if stage.name == "transfer_function").den
     assert np.all(np.roots(den).real < 0)
+
+
+def test_the_report_of_a_record_with_nothing_to_hold_out_is_json():
+    """One step: the errors on held-out data were not a number, which no JSON document may hold."""
+    found = identify([dataset(step())], "linear", order=2, delay=2e-4)
+    report = json.loads(json.dumps(found.report, allow_nan=False))
+    assert [row["held_out"] for row in report["orders"]] == [None] and "held out" in report["notes"][0]
 
 
 @pytest.mark.parametrize(
