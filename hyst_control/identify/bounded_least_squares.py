@@ -22,9 +22,11 @@ def solve_bounded(gram: Array, target: Array, lower: Array, upper: Array) -> Arr
     right = (vectors.T @ (target / scale)) / root
     low, high = lower * scale, upper * scale
     if not (np.any(np.isfinite(low)) or np.any(np.isfinite(high))):
-        return np.linalg.lstsq(design, right, rcond=None)[0] / scale
+        free: Array = np.linalg.lstsq(design, right, rcond=None)[0] / scale
+        return free
     solution = lsq_linear(design, right, (low, high), method="bvls", tol=1e-12, max_iter=200)
-    return np.clip(solution.x / scale, lower, upper)
+    bounded: Array = np.clip(solution.x / scale, lower, upper)
+    return bounded
 
 
 def cost(gram: Array, solution: Array) -> float:
@@ -45,4 +47,5 @@ def covariance(blocks: Array, solution: Array) -> Array:
     values, vectors = np.linalg.eigh(gram / scale[:, None] / scale)
     inverse = (vectors / np.maximum(values, 1e-13 * values[-1])) @ vectors.T
     spread = (scores / scale).T @ (scores / scale) * len(blocks) / max(len(blocks) - 1, 1)
-    return (inverse @ spread @ inverse) / scale[:, None] / scale
+    found: Array = (inverse @ spread @ inverse) / scale[:, None] / scale
+    return found

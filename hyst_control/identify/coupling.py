@@ -62,7 +62,7 @@ def fit_coupling(model: Model, datasets: Sequence[Dataset], near: Coupling | Non
     """
     simulated = [simulated_rows(model, data) for data in datasets]
     count = len(model.axes)
-    corners = CORNERS if near is None else (near.corner,)
+    corners: tuple[float | None, ...] = CORNERS if near is None else (near.corner,)
     if near is not None and near.corner is not None:
         corners = tuple(near.corner * factor for factor in (0.85, 1.0, 1.18))
     fastest = 0.4 / max(data.sample_time for data in datasets)

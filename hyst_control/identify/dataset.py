@@ -33,7 +33,8 @@ class Dataset:
     @property
     def range(self) -> Array:
         """Range (A,) of the measurement, the norm of NRMSE and NME."""
-        return np.ptp(self.measurement, axis=0)
+        span: Array = np.ptp(self.measurement, axis=0)
+        return span
 
     def rows(self, begin: int, end: int) -> Dataset:
         """A cut of the record; unless it begins at row 0 its start is unknown."""

@@ -105,12 +105,13 @@ def register(estimator: E) -> E:
         It has no name or sentence, its name is another's, or its options are not declared by `option`.
     """
     name = estimator.name
-    if not name or not estimator.sentence or not hasattr(estimator, "Options"):
+    made = estimator()
+    if not name or not estimator.sentence or not hasattr(made, "Options"):
         raise InputError(f"{estimator.__module__}.{estimator.__qualname__}: an estimator needs name, sentence and Options")
     if name in _ESTIMATORS:
         raise InputError(f"{name}: {type(_ESTIMATORS[name]).__module__} has a family of this name: choose another one")
-    declared(estimator.Options)
-    _ESTIMATORS[name] = estimator()
+    declared(made.Options)
+    _ESTIMATORS[name] = made
     return estimator
 
 

@@ -49,7 +49,8 @@ def balanced_weights(data: Dataset, axis: int) -> Array | None:
     mean = np.mean([stretch.end - stretch.begin for stretch in motions])
     for stretch in motions:
         weight[stretch.begin : stretch.end] = np.clip(mean / (stretch.end - stretch.begin), 0.2, 5.0)
-    return weight / weight.mean()
+    balanced: Array = weight / weight.mean()
+    return balanced
 
 
 def before(data: Dataset) -> tuple[Array | None, int]:

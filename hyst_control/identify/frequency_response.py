@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from hyst_control.chain.stage import Array
@@ -46,7 +47,8 @@ class FrequencyResponse:
         (P&S 2.4).
         """
         variance = self.noise_variance if self.total_variance is None else self.total_variance
-        return np.sqrt(variance * chi2.ppf(confidence, 2) / 2.0)
+        radius: Array = np.sqrt(variance * chi2.ppf(confidence, 2) / 2.0)
+        return radius
 
 
 def robust_bla(command: Array, measurement: Array, sample_time: float) -> FrequencyResponse:
@@ -117,7 +119,7 @@ def local_polynomial(
         u, y = np.diff(u, axis=0), np.diff(y, axis=0)
     n, m, records = u.shape
     spectrum_u, spectrum_y = np.fft.rfft(u, axis=0) / np.sqrt(n), np.fft.rfft(y, axis=0) / np.sqrt(n)
-    lines = np.arange(1, len(spectrum_u))
+    lines: NDArray[np.intp] = np.arange(1, len(spectrum_u))
     if kind == "periodic":
         lines = excited_lines(np.sum(np.abs(spectrum_u) ** 2, axis=(1, 2)))
     if highest is not None:
@@ -161,7 +163,7 @@ def local_polynomial(
     return FrequencyResponse(frequency, response, variance, None, records)
 
 
-def excited_lines(power: Array) -> Array:
+def excited_lines(power: Array) -> NDArray[np.intp]:
     """Indices of the lines whose power (F,) is over `EXCITED` of the mean; never the static one."""
     chosen = np.flatnonzero(power > EXCITED * power[1:].mean())
     return chosen[chosen > 0]

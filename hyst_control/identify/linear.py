@@ -202,7 +202,8 @@ def held_out_split(datasets: Sequence[Dataset]) -> tuple[list[Dataset], list[Dat
         kept, held = [data.rows(0, cut)], [data.rows(cut, len(data.command))]
 
     def motion(records: list[Dataset]) -> Array:
-        return np.sqrt(sum(np.mean(np.diff(data.command, axis=0) ** 2, axis=0) for data in records) / len(records))
+        found: Array = np.sqrt(sum(np.mean(np.diff(data.command, axis=0) ** 2, axis=0) for data in records) / len(records))
+        return found
 
     everything = motion(datasets)
     if np.any(motion(kept) < 0.2 * everything) or np.any(motion(held) < 0.2 * everything) or min(map(_length, held)) < 64:
@@ -243,7 +244,7 @@ def choose(
     starts = {tuple(delay): subspace(train, orders, delay, hold, direct) for delay in delays}
     stale = 0
     for index, order in enumerate(orders):
-        best: tuple[float, Candidate] | None = None
+        scored: list[tuple[float, Candidate]] = []
         for models in starts.values():
             candidate = refined(train, models[index], direct, free_delay, iterations)
             candidate = replace(candidate, held_out=error_of(candidate.model, held_out) if held_out else np.nan)
@@ -259,8 +260,8 @@ def choose(
                     "delay_samples": [float(value) for value in candidate.model.delay],
                 }
             )
-            if best is None or score < best[0]:
-                best = score, candidate
+            scored.append((score, candidate))
+        best = min(scored, key=lambda each: each[0])
         gain = NO_BETTER if held_out else 0.0
         lowest = min((score for score, _ in tried), default=np.inf)
         stale = 0 if best[0] < lowest * (1.0 - np.sign(lowest) * gain) or not np.isfinite(lowest) else stale + 1

@@ -274,8 +274,13 @@ def merged(stages: Sequence[Madelung]) -> Madelung:
     """The hysteresis of several axes as one stage."""
     if len(stages) == 1:
         return stages[0]
-    fields = ("ascending", "descending", "input_scale", "output_scale")
-    return Madelung(*([getattr(stage, field) for stage in stages] for field in fields), knots=stages[0].knots)
+    return Madelung(
+        [stage.ascending for stage in stages],
+        [stage.descending for stage in stages],
+        [stage.input_scale for stage in stages],
+        [stage.output_scale for stage in stages],
+        knots=stages[0].knots,
+    )
 
 
 def curve_errors(curves: Curves, vector: Array, covariance: Array) -> tuple[list[dict[str, Any]], float]:

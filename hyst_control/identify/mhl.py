@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyst_control.chain import Chain, Parallel, Stage
 from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
@@ -280,7 +281,7 @@ def lead_and_delay(old: Structure, new: Structure, dynamics: Array) -> Array:
     return with_numerator(parts, np.polymul(old.rational(dynamics)[0], [time, 1.0]))
 
 
-def with_numerator(parts: dict[str, Array], num: Array) -> Array:
+def with_numerator(parts: dict[str, Array], num: NDArray[np.floating[Any]]) -> Array:
     """A dynamics vector from its factors, with the zeros' coefficients those of a numerator (descending powers of s)."""
     scale = np.exp(np.concatenate([parts["modes"][:, 0], parts["lags"]])).min()
     rising = (num / num[-1])[::-1]

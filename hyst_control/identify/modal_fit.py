@@ -94,12 +94,13 @@ class ModalModel:
     def parameters(self) -> int:
         """Number of free parameters: n (m + p) + m p, and the delays that are not zero."""
         outputs, inputs = self.feedthrough.shape
-        return self.states * (outputs + inputs) + int(np.count_nonzero(self.feedthrough)) + int(np.count_nonzero(self.delay))
+        count: int = self.states * (outputs + inputs) + int(np.count_nonzero(self.feedthrough)) + int(np.count_nonzero(self.delay))
+        return count
 
     def response(self, angle: Array) -> np.ndarray:
         """Frequency response (F, p, m) of the sampled system at `angle` (F,), radian per sample."""
         z = np.exp(1j * np.asarray(angle, dtype=float))
-        total = np.einsum("kj,oj->koj", self._direct(z), self.feedthrough.astype(complex))
+        total: np.ndarray = np.einsum("kj,oj->koj", self._direct(z), self.feedthrough.astype(complex))
         for pole, c, b in zip(self.poles, self.outputs, self.inputs, strict=True):
             pairs = [(pole, c, b)] if pole.imag == 0 else [(pole, c, b), (np.conj(pole), np.conj(c), np.conj(b))]
             for value, left, right in pairs:
@@ -146,13 +147,15 @@ def taps(pole: complex, late: float, hold: str) -> tuple[complex, complex, compl
     """Input taps of dx/dt = λ x + u sampled at 1, u held and late by 0 <= late < 1: x[k] = e^λ x[k-1] + Σ taps[i] w[k-i]."""
 
     def step(time: float) -> complex:
-        return np.expm1(pole * time) / pole
+        value: complex = np.expm1(pole * time) / pole
+        return value
 
     def ramp(time: float) -> complex:
         x = pole * time
         if abs(x) < 1e-3:
             return time * (0.5 + x / 6 + x * x / 24 + x**3 / 120)
-        return (np.expm1(x) - x) / (pole * x)
+        value: complex = (np.expm1(x) - x) / (pole * x)
+        return value
 
     rest = 1.0 - late
     carry = np.exp(pole * rest)
@@ -173,7 +176,8 @@ def mode_response(pole: complex, delay: Array, hold: str, z: np.ndarray) -> np.n
         whole = int(np.floor(late + 1e-12))
         t0, t1, t2 = taps(pole, late - whole, hold)
         columns.append((t0 + back * (t1 + back * t2)) * back ** (whole + (hold == "zoh")))
-    return np.stack(columns, axis=-1) / (1.0 - np.exp(pole) * back)[:, None]
+    found: np.ndarray = np.stack(columns, axis=-1) / (1.0 - np.exp(pole) * back)[:, None]
+    return found
 
 
 def direct_response(delay: Array, hold: str, z: np.ndarray) -> np.ndarray:

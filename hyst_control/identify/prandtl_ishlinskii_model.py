@@ -108,11 +108,8 @@ def merge_axes(chains: Sequence[Sequence[Stage]]) -> tuple[Stage, ...]:
         key: [stage.parameters().get(key, getattr(stage, key)) for stage in hysteresis]
         for key in {name for stage in hysteresis for name in stage.parameters()} - {"one_sided"}
     }
-    merged.append(
-        type(hysteresis[0])(**values, one_sided=hysteresis[0].one_sided)
-        if hasattr(hysteresis[0], "one_sided")
-        else type(hysteresis[0])(**values)
-    )
+    shared = {key: value for key, value in hysteresis[0].parameters().items() if key == "one_sided"}
+    merged.append(type(hysteresis[0])(**values, **shared))
     delays = [next((stage.tau for stage in chain if isinstance(stage, Delay)), 0.0) for chain in chains]
     if any(delays):
         merged.append(Delay(delays))

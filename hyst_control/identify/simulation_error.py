@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
@@ -19,9 +20,9 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify import gauss_newton
 from hyst_control.identify.bounded_least_squares import covariance
 from hyst_control.identify.chain_batch import Bundle
-from hyst_control.identify.fit_windows import turning_points
 from hyst_control.identify.gauss_newton import End, Rules, Trial
 from hyst_control.identify.gram_sums import HELD_OUT_BLOCKS, NUISANCES, Grams, Window, gram_product
+from hyst_control.identify.reversal_points import turning_points
 
 BLOCK, CHUNK = 4096, 32768
 """Rows of a Gram matrix of its own, at most, and rows simulated at a time."""
@@ -190,7 +191,9 @@ def _solution(parameters: Array, grams: Grams, everything: bool, passes: int, *,
     first = len(parameters) if derivatives else 0
     chosen = grams.fitted + grams.held_out if everything else grams.fitted
     inner = chosen[first:-1, first:-1]
-    nuisances = np.linalg.lstsq(inner, chosen[first:-1, -1], rcond=1e-12)[0] if len(inner) else np.zeros(0)
+    nuisances: Array = np.zeros(0)
+    if len(inner):
+        nuisances = np.asarray(np.linalg.lstsq(inner, chosen[first:-1, -1], rcond=1e-12)[0], dtype=float)
     vector = np.append(nuisances, -1.0)
 
     def mean_square(gram: Array, rows: int) -> float:
@@ -228,7 +231,8 @@ def constrained_minimum(normal: Array, gradient: Array, lhs: Array, rhs: Array) 
     free = solve_triangular(lower.T, solve_triangular(lower, gradient, lower=True))
     missing = rhs - lhs @ free
     if not len(missing) or np.all(missing <= 1e-14):
-        return free * scale
+        unbounded: Array = free * scale
+        return unbounded
     g = solve_triangular(lower, lhs.T, lower=True).T
     size = np.linalg.norm(g, axis=1)
     g, missing = g / size[:, None], missing / size
@@ -237,11 +241,12 @@ def constrained_minimum(normal: Array, gradient: Array, lhs: Array, rhs: Array) 
     weights, _ = nnls(matrix, target, maxiter=50 * matrix.shape[1])
     residual = matrix @ weights - target
     move = -residual[:-1] / residual[-1]
-    return (free + solve_triangular(lower.T, move)) * scale
+    found: Array = (free + solve_triangular(lower.T, move)) * scale
+    return found
 
 
 @njit(cache=True)
-def surviving_turns(values):
+def surviving_turns(values: Array) -> NDArray[np.int64]:
     """What Madelung's rules remember of a signal (N,): the indices of the turning points that no later excursion has passed."""
     kept = np.empty(values.size, dtype=np.int64)
     count = 0

@@ -143,7 +143,8 @@ def _strain(model: ModalModel, level: Level, elongation: Array, inputs: int) -> 
     spectrum = np.zeros((samples // 2 + 1, *level.measurement.shape[1:]), dtype=complex)
     response = model.response(2 * np.pi * lines / samples)[:, :, :inputs]
     spectrum[lines] = response @ np.fft.rfft(level.command, axis=0)[lines]
-    return np.einsum("ij,njr->nir", elongation, np.fft.irfft(spectrum, samples, axis=0))
+    found: Array = np.einsum("ij,njr->nir", elongation, np.fft.irfft(spectrum, samples, axis=0))
+    return found
 
 
 def refine_scheduled(
@@ -243,11 +244,13 @@ def _pole_sigma(matrix: Array, free: np.ndarray, variance: float, at: Array) -> 
     scaled = matrix[np.ix_(index, index)] / scale / scale[:, None] + 1e-9 * np.eye(len(index))
     sigma = np.zeros(len(free))
     sigma[index] = np.sqrt(variance * np.maximum(np.diag(np.linalg.inv(scaled)), 0.0)) / scale
-    return sigma[at]
+    found: Array = sigma[at]
+    return found
 
 
 def _per_second(sigma: Array, sample_time: float) -> Array:
-    return sigma * np.array([1.0, 1.0 / sample_time])
+    found: Array = sigma * np.array([1.0, 1.0 / sample_time])
+    return found
 
 
 def spectra(command: Array, measurement: Array, weight: float, every_line: bool = False) -> Spectra:

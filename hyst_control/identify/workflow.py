@@ -93,7 +93,8 @@ def identify_bags(
         check_writable(json_path)
     given = {name: value for name, value in options.items() if value is not None}
     chosen = chosen_families(family, method, given)
-    datasets, notes = [], []
+    datasets: list[Dataset] = []
+    notes: list[str] = []
     for bag in bags:
         progress.step(f"read {bag}")
         record = read_bag(bag, namespace, unit)
