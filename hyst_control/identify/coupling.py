@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear import CrossCoupling, TransferFunction
 from hyst_control.chain.stage import Array
-from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.dataset import Dataset, ParameterRow
 from hyst_control.identify.fit_windows import before
 from hyst_control.model_file import Model, simulate
 from hyst_control.parallel import forked
@@ -39,7 +38,7 @@ class Coupling:
         """The stage at the end of the chain."""
         return CrossCoupling(self.matrix, self.corner)
 
-    def rows(self, axes: Sequence[str]) -> list[dict[str, Any]]:
+    def rows(self, axes: Sequence[str]) -> list[ParameterRow]:
         """Report rows of the entries off the diagonal."""
         return [
             {

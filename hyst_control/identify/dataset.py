@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -88,13 +88,74 @@ def check_records(datasets: Sequence[Dataset], least: int = 50) -> None:
             raise InputError(f"{first.name}: the measurement of axis {name} never moves: check the sensor and the topic")
 
 
-@dataclass(frozen=True)
-class Fit:
-    """An identified model, and the report that says how good it is and how sure its parameters are.
+class RecordRow(TypedDict):
+    """Error of a model on one axis of a record: rmse in the unit, nrmse and nme in % of the measured range."""
 
-    `report` is JSON-ready: {"family", "method", "records": [{"name", "nrmse", "nme", "rmse", "unit", …}], "parameters":
-    [{"name", "value", "standard_error", "unit"}], "notes": [sentences], …}.
+    name: str
+    axis: str
+    samples: int
+    rmse: float
+    nrmse: float
+    nrmse_centered: float
+    nme: float
+    unit: str
+    whiteness: float
+
+
+class _Parameter(TypedDict):
+    name: str
+    value: float
+    standard_error: float | None
+    unit: str
+
+
+class ParameterRow(_Parameter, total=False):
+    """A parameter with its standard error (None where the data cannot give one)."""
+
+    axis: str
+    threshold: float
+
+
+class OrderRow(TypedDict, total=False):
+    """A linear model that was tried; errors relative to the measurement, held_out None where nothing was held out."""
+
+    axis: str
+    order: int
+    states: int
+    parameters: int
+    fitted: float
+    held_out: float | None
+    seconds: float
+    delay_samples: list[float]
+
+
+class _Report(TypedDict):
+    family: str
+    method: str
+    unit: str
+    records: list[RecordRow]
+    parameters: list[ParameterRow]
+    notes: list[str]
+
+
+class Report(_Report, total=False):
+    """How good a fit is and how sure its parameters are, ready for JSON.
+
+    held_out_nrmse: % of range per axis on rows that were not fitted; structure: G(s) of each axis in words; steps: what the paper's
+    sequence found on its way, per axis; orders, states: linear models that were tried, and the chosen one's size; bags: their paths.
     """
 
+    held_out_nrmse: list[float]
+    structure: list[str]
+    steps: list[dict[str, dict[str, Any]]]
+    orders: list[OrderRow]
+    states: int
+    bags: list[str]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """An identified model, and the report that says how good it is and how sure its parameters are."""
+
     model: Model
-    report: dict[str, Any] = field(default_factory=dict)
+    report: Report

@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from hyst_control.chain.linear import Delay, StateSpace, TransferFunction
 from hyst_control.chain.memoryless import Offset
 from hyst_control.chain.stage import Array, Stage
 from hyst_control.errors import InputError
-from hyst_control.identify.dataset import Dataset, Fit, check_records
+from hyst_control.identify.dataset import Dataset, Fit, OrderRow, ParameterRow, Report, check_records
 from hyst_control.identify.estimator import Estimator, register
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.modal_fit import Layout, ModalModel, Problem, Spectra, refine, subspace
@@ -91,6 +90,7 @@ class Linear(Estimator[LinearOptions]):
         first = checked(datasets)
         axes = len(first.axes)
         coupled = axes > 1 if options.coupled is None else options.coupled
+        table: list[OrderRow]
         if coupled or axes == 1:
             chosen, table = _search(datasets, options, COUPLED_ORDERS if axes > 1 else SINGLE_ORDERS)
             found = [chosen]
@@ -98,7 +98,7 @@ class Linear(Estimator[LinearOptions]):
         else:
             searches = [_search([_axis(data, axis) for data in datasets], options, SINGLE_ORDERS) for axis in range(axes)]
             found = [candidate for candidate, _ in searches]
-            table = [row for axis, (_, rows) in enumerate(searches) for row in ({"axis": first.axes[axis], **row} for row in rows)]
+            table = [{"axis": name, **row} for name, (_, rows) in zip(first.axes, searches, strict=True) for row in rows]
             stages = diagonal_stages([candidate.model for candidate in found], first.sample_time)
         command = np.concatenate([data.command for data in datasets])
         model = Model(
@@ -130,7 +130,7 @@ class Linear(Estimator[LinearOptions]):
                 "A second record, or a longer one with the same kind of excitation, would test it."
             ]
         )
-        report = {
+        report: Report = {
             "family": "linear",
             "method": options.method,
             "unit": first.unit,
@@ -233,13 +233,13 @@ def choose(
     direct: bool = True,
     free_delay: bool = False,
     iterations: int = 12,
-) -> tuple[Candidate, list[dict[str, Any]]]:
+) -> tuple[Candidate, list[OrderRow]]:
     """The smallest model that is as good as any on held-out data, of the given numbers of states and starting delays.
 
     Also returns a row per model tried. Without held-out data Schwarz's information criterion decides. Stops growing
     after three orders without a gain.
     """
-    rows: list[dict[str, Any]] = []
+    rows: list[OrderRow] = []
     tried: list[tuple[float, Candidate]] = []
     starts = {tuple(delay): subspace(train, orders, delay, hold, direct) for delay in delays}
     stale = 0
@@ -290,7 +290,7 @@ def information(candidate: Candidate, data: Sequence[Spectra]) -> float:
     return 2 * equations * float(np.log(candidate.fitted)) + candidate.model.parameters * float(np.log(equations))
 
 
-def _search(datasets: Sequence[Dataset], options: LinearOptions, orders: Sequence[int]) -> tuple[Candidate, list[dict[str, Any]]]:
+def _search(datasets: Sequence[Dataset], options: LinearOptions, orders: Sequence[int]) -> tuple[Candidate, list[OrderRow]]:
     first = datasets[0]
     inputs = len(first.axes)
     kept, held = held_out_split(datasets)
@@ -384,14 +384,14 @@ def polynomials(model: ModalModel, sample_time: float) -> tuple[Array, Array]:
     return np.trim_zeros(num, "f") if np.any(num) else np.zeros(1), den
 
 
-def parameter_rows(candidate: Candidate, sample_time: float, axis: str) -> list[dict[str, Any]]:
+def parameter_rows(candidate: Candidate, sample_time: float, axis: str) -> list[ParameterRow]:
     """Frequency and damping of every pole, the static gain and the delay, with standard errors."""
     model, layout = candidate.model, candidate.layout.slices
     sigma = candidate.standard_errors(*layout)
     n = len(model.poles)
     pole_sigma = sigma[layout["pole"]].reshape(n, 2)
     suffix = f"[{axis}]" if axis else ""
-    rows = []
+    rows: list[ParameterRow] = []
     for i, pole in enumerate(model.poles):
         size = abs(pole)
         # λ = -e^a + j w: errors of a and w, to first order those of |λ| and of the damping ratio.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
-from hyst_control.identify.dataset import Dataset, Fit, check_records
+from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report, check_records
 from hyst_control.identify.estimator import Estimator, register
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.fit_windows import whole_records
@@ -283,7 +283,7 @@ def merged(stages: Sequence[Madelung]) -> Madelung:
     )
 
 
-def curve_errors(curves: Curves, vector: Array, covariance: Array) -> tuple[list[dict[str, Any]], float]:
+def curve_errors(curves: Curves, vector: Array, covariance: Array) -> tuple[list[ParameterRow], float]:
     """Rows {"name", "value", "standard_error"} of the curves' coefficients, and the tolerance of the curves as a whole.
 
     Coefficients of a polynomial are known together far better than one by one. The tolerance is the relative error which,
@@ -299,7 +299,7 @@ def curve_errors(curves: Curves, vector: Array, covariance: Array) -> tuple[list
     errors = np.sqrt(np.maximum(np.diag(spread), 0.0))
     half = len(nominal) // 2
     names = [f"{name}[{i}]" for name in ("ascending", "descending") for i in range(half)]
-    rows = [
+    rows: list[ParameterRow] = [
         {"name": name, "value": float(value), "standard_error": float(error), "unit": ""}
         for name, value, error in zip(names, nominal, errors, strict=True)
     ]
@@ -333,7 +333,8 @@ def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) 
         },
     )
     rows, residuals = record_rows(model, datasets)
-    parameters, tolerances = [], []
+    parameters: list[ParameterRow] = []
+    tolerances = []
     for axis, name in zip(axes, first.axes, strict=True):
         found, tolerance = curve_errors(axis.curves, axis.solution.parameters, axis.solution.covariance)
         parameters += [{**row, "axis": name} for row in found]
@@ -345,7 +346,7 @@ def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) 
         tolerance={"ascending": tolerance, "descending": tolerance},
         noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
     )
-    report = {
+    report: Report = {
         "family": "madelung",
         "method": method,
         "unit": first.unit,
@@ -356,7 +357,15 @@ def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) 
     return Fit(model, report)
 
 
-def range_notes(datasets: Sequence[Dataset], axes: Sequence[Any]) -> list[str]:
+class Scaled(Protocol):
+    """One axis whose curves end at some command."""
+
+    @property
+    def input_scale(self) -> float:
+        """The command (V) at the end of the curves."""
+
+
+def range_notes(datasets: Sequence[Dataset], axes: Sequence[Scaled]) -> list[str]:
     """What of the curves the records do not reach, with the excitation that would show it."""
     notes = []
     for index, (axis, name) in enumerate(zip(axes, datasets[0].axes, strict=True)):

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.stage import Array
 from hyst_control.identify import paper_mhl
 from hyst_control.identify.coupling import Coupling, fit_coupling, without_coupling
-from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report
 from hyst_control.identify.estimator import Estimator, register
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.fit_windows import whole_records
@@ -44,6 +44,7 @@ from hyst_control.identify.stable_dynamics import TAU_UNIT, Structure
 from hyst_control.model_file import Model
 from hyst_control.parallel import forked
 
+T = TypeVar("T")
 SELECTION_ROWS, FINAL_ROWS = 20_000, 100_000
 STRETCH, SETTLE = 0.06, 0.015
 """Length (s) of the stretches that stand for a long record, and of their beginning that does not count."""
@@ -305,7 +306,7 @@ def extensions(structure: Structure) -> list[Structure]:
 def chain_stages(axes: Sequence[AxisFit]) -> list[Stage]:
     """The axes' chains side by side as one chain with per-axis parameters."""
 
-    def per_axis(values: Sequence[Any]) -> Any:
+    def per_axis(values: Sequence[T]) -> T | list[T]:
         return values[0] if len(values) == 1 else list(values)
 
     chains = [axis.axis.stages(axis.vector, axis.offset) for axis in axes]
@@ -347,7 +348,7 @@ def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], 
     if coupling is not None:
         model = model.with_stages([*model.chain.stages, coupling.stage])
     rows, residuals = record_rows(model, datasets)
-    parameters: list[dict[str, Any]] = []
+    parameters: list[ParameterRow] = []
     relative: dict[str, list[float]] = {}
     for axis, name in zip(axes, datasets[0].axes, strict=True):
         for row in [*curve_rows(axis, relative), *other_rows(axis, datasets[0].unit, relative)]:
@@ -362,7 +363,7 @@ def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], 
     )
     travel = [max(float(data.range[i]) for data in datasets) for i in range(len(axes))]
     notes = range_notes(datasets, axes) + told_apart(parameters)
-    report: dict[str, Any] = {
+    report: Report = {
         "family": "mhl",
         "method": method,
         "unit": datasets[0].unit,
@@ -378,7 +379,7 @@ def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], 
     return Fit(model, report)
 
 
-def curve_rows(axis: AxisFit, relative: dict[str, list[float]]) -> list[dict[str, Any]]:
+def curve_rows(axis: AxisFit, relative: dict[str, list[float]]) -> list[ParameterRow]:
     """The curves' coefficients with their errors; their tolerance goes into `relative`."""
     rows, tolerance = curve_errors(axis.axis.curves, axis.axis.split(axis.vector)[0], axis.covariance)
     for name in ("ascending", "descending"):
@@ -386,7 +387,7 @@ def curve_rows(axis: AxisFit, relative: dict[str, list[float]]) -> list[dict[str
     return rows
 
 
-def other_rows(axis: AxisFit, unit: str, relative: dict[str, list[float]]) -> list[dict[str, Any]]:
+def other_rows(axis: AxisFit, unit: str, relative: dict[str, list[float]]) -> list[ParameterRow]:
     """Scale, rate part, delay and G(s) with errors carried over from the search; relative ones by parameter name."""
     structure, n = axis.axis.structure, axis.axis.curves.size
 
@@ -401,7 +402,7 @@ def other_rows(axis: AxisFit, unit: str, relative: dict[str, list[float]]) -> li
     num, den = structure.rational(axis.vector[n + 2 :])
     names = ["output_scale", "k1", "k2", "tau", *(f"num[{i}]" for i in range(len(num))), *(f"den[{i}]" for i in range(1, len(den)))]
     units = [unit, f"{unit} s/V", "s", "s"] + [""] * (len(names) - 4)
-    rows = []
+    rows: list[ParameterRow] = []
     for name, value, error, given in zip(names, nominal, errors, units, strict=True):
         if name == "tau" and not structure.delay:
             continue
@@ -412,7 +413,7 @@ def other_rows(axis: AxisFit, unit: str, relative: dict[str, list[float]]) -> li
     return rows
 
 
-def told_apart(parameters: Sequence[dict[str, Any]]) -> list[str]:
+def told_apart(parameters: Sequence[ParameterRow]) -> list[str]:
     """What the data could not tell, with the excitation that would."""
     remedies = {
         "k1": "record loops of full amplitude between 20 and 200 Hz",

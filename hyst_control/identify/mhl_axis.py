@@ -101,7 +101,7 @@ class AxisFit:
     covariance: Array
     offset: float
     held_out: float
-    extra: dict[str, Any] = field(default_factory=dict)
+    extra: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
     def input_scale(self) -> float:

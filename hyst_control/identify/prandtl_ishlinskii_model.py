@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, Pra
 from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.stage import Array
 from hyst_control.identify.bounded_least_squares import covariance
-from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.gram_sums import Operators
 from hyst_control.identify.variable_projection import Solution
@@ -46,7 +45,8 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
         valid={"command": [lower, upper], "frequency": [0.0, max(command_bandwidth(data) for data in datasets)]},
     )
     rows, residuals = record_rows(model, datasets)
-    parameters, notes = [], []
+    parameters: list[ParameterRow] = []
+    notes: list[str] = []
     relative: dict[str, list[float]] = {}
     for axis, name in zip(axes, first.axes, strict=True):
         for row in parameter_rows(family, axis, first):
@@ -60,7 +60,7 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
     sigma = noise_sigma(residuals)
     model = Model(**{**model.__dict__, "tolerance": tolerance, "noise": {"sigma": sigma if len(sigma) > 1 else sigma[0]}})
     travel = [max(float(data.range[i]) for data in datasets) for i in range(len(first.axes))]
-    report: dict[str, Any] = {
+    report: Report = {
         "family": family,
         "method": method,
         "unit": first.unit,
@@ -121,14 +121,14 @@ def merge_axes(chains: Sequence[Sequence[Stage]]) -> tuple[Stage, ...]:
     return tuple(merged)
 
 
-def parameter_rows(family: str, axis: AxisFit, data: Dataset) -> list[dict[str, Any]]:
+def parameter_rows(family: str, axis: AxisFit, data: Dataset) -> list[ParameterRow]:
     """Every parameter with its value, unit and standard error (None where the data cannot give one)."""
     solution, operators = axis.solution, axis.operators
     size = solution.structure.size
     spread = covariance(solution.grams.blocks, np.concatenate([solution.theta, np.zeros(size), solution.nuisances]))
     errors = np.sqrt(np.maximum(np.diag(spread), 0.0))
     count, columns = len(operators.thresholds), operators.columns
-    rows = [
+    rows: list[ParameterRow] = [
         {
             "name": f"weights[{i}]",
             "value": float(solution.theta[i]),
@@ -164,7 +164,7 @@ def parameter_rows(family: str, axis: AxisFit, data: Dataset) -> list[dict[str, 
     return rows
 
 
-def dynamics_rows(solution: Solution, spread: Array) -> list[dict[str, Any]]:
+def dynamics_rows(solution: Solution, spread: Array) -> list[ParameterRow]:
     """Coefficients of G and the delay with errors carried over from the parameters of the search."""
     structure, parameters = solution.structure, solution.parameters
 
@@ -188,7 +188,7 @@ def dynamics_rows(solution: Solution, spread: Array) -> list[dict[str, Any]]:
     ]
 
 
-def told_apart(family: str, axis: AxisFit, name: str, parameters: Sequence[dict[str, Any]]) -> list[str]:
+def told_apart(family: str, axis: AxisFit, name: str, parameters: Sequence[ParameterRow]) -> list[str]:
     """What the data could not tell, with the excitation that would."""
     notes = []
     own = [row for row in parameters if row["axis"] == name]
@@ -213,6 +213,7 @@ def told_apart(family: str, axis: AxisFit, name: str, parameters: Sequence[dict[
     if family == "hampi":
         rates = {row["name"]: row for row in own if row["name"] in ("m1", "m2")}
         for key, row in rates.items():
-            if row["value"] == 0.0 or row["standard_error"] > abs(row["value"]):
+            error = row["standard_error"]
+            if row["value"] == 0.0 or (error is not None and error > abs(row["value"])):
                 notes.append(f"axis {name}: {key} cannot be told from 0: record loops at 100 Hz and above")
     return notes

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from hyst_control import progress
 from hyst_control.errors import InputError
 from hyst_control.files import check_writable, write_json
 from hyst_control.identify import estimator_of, estimators, identify
-from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.dataset import Dataset, Fit, Report
 from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, save_model
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.record import Record
@@ -29,7 +28,7 @@ class Result:
     def text(self) -> str:
         """The fit in a few lines."""
         report = self.fit.report
-        lines = [f"{report['family']} ({report['method']}), {', '.join(report.get('structure', []))}"]
+        lines = [", ".join([f"{report['family']} ({report['method']})", *report.get("structure", [])])]
         for row in report["records"]:
             lines.append(
                 f"  {row['name']}  {row['axis']}: NRMSE {row['nrmse']:.3f} % of range ({row['nrmse_centered']:.3f} % with the "
@@ -40,7 +39,7 @@ class Result:
         lines += [f"  note: {note}" for note in report["notes"]]
         return "\n".join([*lines, f"  written: {self.output}"])
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> Report:
         """The fit report."""
         return self.fit.report
 
