@@ -22,6 +22,12 @@ O = TypeVar("O", bound=Options)  # noqa: E741
 E = TypeVar("E", bound="type[Estimator[Any]]")
 
 
+TAKEN = frozenset(
+    {"allow_gaps", "bags", "family", "help", "hold", "json", "model", "namespace", "once", "output", "quiet", "start", "unit"}
+)
+"""Names that options may not have: `hyst identify` and the node use them."""
+
+
 class Estimator(Generic[O]):
     """Identification of one model family.
 
@@ -110,7 +116,9 @@ def register(estimator: E) -> E:
         raise InputError(f"{estimator.__module__}.{estimator.__qualname__}: an estimator needs name, sentence and Options")
     if name in _ESTIMATORS:
         raise InputError(f"{name}: {type(_ESTIMATORS[name]).__module__} has a family of this name: choose another one")
-    declared(made.Options)
+    for each in declared(made.Options):
+        if each.name in TAKEN:
+            raise InputError(f"{name}: {each.name}: is an option of the command or a parameter of the node: choose another name")
     _ESTIMATORS[name] = made
     return estimator
 
