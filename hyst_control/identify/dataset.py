@@ -1,4 +1,4 @@
-"""What every identification works on: records cut into gapless pieces of command and measurement."""
+"""Records cut into gapless pieces of command and measurement, and the model and report that come of them."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ class _Report(TypedDict):
 
 
 class Report(_Report, total=False):
-    """How good a fit is and how sure its parameters are, ready for JSON.
+    """Errors of a fit and standard errors of its parameters, ready for JSON.
 
     held_out_nrmse: % of range per axis on rows that were not fitted; structure: G(s) of each axis in words; steps: what the paper's
     sequence found on its way, per axis; orders, states: linear models that were tried, and the chosen one's size; bags: their paths.

@@ -38,7 +38,7 @@ class Estimator(Generic[O]):
     name: ClassVar[str] = ""
     sentence: ClassVar[str] = ""
     suggested: ClassVar[bool] = False
-    """Whether the family is among those that are compared on held-out data when none is named: its report has `held_out_nrmse`."""
+    """Mark of the families that are compared on held-out data when none is named: its report has `held_out_nrmse`."""
     Options: type[O]
 
     def fit(self, datasets: Sequence[Dataset], options: O) -> Fit:
@@ -74,7 +74,7 @@ class Estimator(Generic[O]):
         return next(each.choices for each in self.declared if each.name == "method")
 
     def has(self, values: Iterable[str]) -> bool:
-        """Whether the family has options of all these names."""
+        """Tell whether the family has options of all these names."""
         return set(values) <= {each.name for each in self.declared}
 
     def options(self, **values: object) -> O:

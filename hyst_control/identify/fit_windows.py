@@ -1,4 +1,4 @@
-"""Which rows of the records a fit looks at: everything, or stretches of it while the structure is being chosen."""
+"""Rows of the records that a fit looks at: everything, or stretches of it while the structure is being chosen."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def balanced_weights(data: Dataset, axis: int) -> Array | None:
 
 
 def before(data: Dataset) -> tuple[Array | None, int]:
-    """What a record was preceded by, as commands (M, A) or None for rest, and the first row that counts.
+    """Return the commands before a record (M, A), None for rest, and its first row that counts.
 
     A record of unknown start that is a closed loop (it ends where it began) is taken to have been preceded by itself. Any other
     counts from where its command has met both its extremes, which wipes out all earlier memory.

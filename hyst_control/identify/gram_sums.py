@@ -219,7 +219,7 @@ class Window:
     skip: int
     group: int
     begin: float = 0.0
-    """Where the window begins within its record, as a share of it: the drift nuisance runs over the whole record."""
+    """Begin of the window within its record, as a share of it: the drift nuisance runs over the whole record."""
     share: float = 1.0
     """The window's length as a share of its record."""
     memory: Array | None = None

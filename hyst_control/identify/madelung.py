@@ -30,7 +30,7 @@ from hyst_control.model_file import Model
 LEAST_SLOPE = 5e-3
 """Smallest slope of a curve relative to its mean slope: what rises this much everywhere has an inverse."""
 GRID = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 65))
-"""Where a polynomial's slope is held above the least one: closest together at the ends, as its turns are."""
+"""Points at which a polynomial's slope is held above the least one: closest together at the ends, as its turns are."""
 
 
 @dataclass(frozen=True)
@@ -366,7 +366,7 @@ class Scaled(Protocol):
 
 
 def range_notes(datasets: Sequence[Dataset], axes: Sequence[Scaled]) -> list[str]:
-    """What of the curves the records do not reach, with the excitation that would show it."""
+    """Name the part of the curves that the records do not reach, with the excitation that would show it."""
     notes = []
     for index, (axis, name) in enumerate(zip(axes, datasets[0].axes, strict=True)):
         low = min(float(data.command[:, index].min()) for data in datasets) / axis.input_scale

@@ -414,7 +414,7 @@ def other_rows(axis: AxisFit, unit: str, relative: dict[str, list[float]]) -> li
 
 
 def told_apart(parameters: Sequence[ParameterRow]) -> list[str]:
-    """What the data could not tell, with the excitation that would."""
+    """Name the parameters that the data cannot tell, with the excitation that would."""
     remedies = {
         "k1": "record loops of full amplitude between 20 and 200 Hz",
         "k2": "record loops of full amplitude between 20 and 200 Hz",

@@ -75,7 +75,7 @@ class Axis:
         return np.concatenate([curves, rate, self.structure.limit(dynamics, self.sample_time)])
 
     def parametrisation(self) -> Parametrisation:
-        """What the search needs to know."""
+        """Chains, constraints and bounds of the search."""
         lhs = np.zeros((len(self.curves.constraints()), self.size))
         lhs[:, : self.curves.size] = self.curves.constraints()
         return Parametrisation(self.stages, lhs, np.zeros(len(lhs)), self.limit)

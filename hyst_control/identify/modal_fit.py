@@ -253,7 +253,7 @@ def subspace(data: Sequence[Spectra], orders: Sequence[int], delay: Array, hold:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each kind of parameter stands in the vector: n poles, m inputs, p outputs, `records` with transients.
+    """Places of each kind of parameter in the vector: n poles, m inputs, p outputs, `records` with transients.
 
     Complex parameters have their real parts first, then their imaginary ones: "c" (2, n, p), "b" (2, n, m), "t"
     (records, 2, n). "pole" (n, 2) is a and w of λ = -e^a + j w.

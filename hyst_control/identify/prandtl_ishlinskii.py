@@ -40,7 +40,7 @@ class _Hammerstein(Estimator[HammersteinOptions]):
     Options = HammersteinOptions
     suggested = True
     dynamic = False
-    """Whether the weights follow the command's rate and level."""
+    """Weights that follow the command's rate and level."""
 
     def fit(self, datasets: Sequence[Dataset], options: HammersteinOptions) -> Fit:
         check_records(datasets)

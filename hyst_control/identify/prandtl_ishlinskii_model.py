@@ -189,7 +189,7 @@ def dynamics_rows(solution: Solution, spread: Array) -> list[ParameterRow]:
 
 
 def told_apart(family: str, axis: AxisFit, name: str, parameters: Sequence[ParameterRow]) -> list[str]:
-    """What the data could not tell, with the excitation that would."""
+    """Name the parameters that the data cannot tell, with the excitation that would."""
     notes = []
     own = [row for row in parameters if row["axis"] == name]
     unsure = [

@@ -34,7 +34,7 @@ PRIOR = 1e-10
 
 @dataclass(frozen=True)
 class Parametrisation:
-    """What is fitted: the chain of a parameter vector (P,) of order one, and lhs · parameters >= rhs.
+    """Chain of a parameter vector (P,) of order one, and the constraints lhs · parameters >= rhs.
 
     `limit` moves a vector to the nearest one that makes sense, for bounds that are not linear.
     """
@@ -75,10 +75,32 @@ def minimise(
     tolerance: float = 1e-4,
     everything: bool = False,
 ) -> Solution:
-    """Damped Gauss-Newton from `start`, which must satisfy the constraints. Never worse than the start.
+    """Fit a chain's parameters to records by damped Gauss-Newton. Never worse than the start.
 
-    With `everything` the rows held out for choosing between structures are fitted too. A pass with derivatives is made at
-    every parameter vector that lowered the cost, but for the last; whether one does is tried by a pass without.
+    A pass with derivatives is made at every parameter vector that lowered the cost, but for the last; whether one does is tried by a
+    pass without.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records of one axis.
+    parametrisation
+        Chain and constraints of a parameter vector.
+    start
+        Parameters (P,) to begin with, which satisfy the constraints.
+    nuisance
+        Addition of each record: "none", "offset" or "linear".
+    passes
+        Most passes with derivatives, the first one included.
+    tolerance
+        Share of the cost that a step must gain for the search to go on.
+    everything
+        Fit also the rows held out for choosing between structures.
+
+    Returns
+    -------
+    Solution
+        Parameters, nuisances, errors, and the Gram matrices that the covariance comes from.
     """
     origin = parametrisation.limit(np.asarray(start, dtype=float))
     search = _Search(windows, parametrisation, origin, nuisance, everything)
@@ -175,7 +197,7 @@ def gram_matrices(
 
 
 def driving_signal(window: Window) -> tuple[Array, int]:
-    """What drives a chain (M, 1), memory first, so that its output row for row is the measurement; and the window's first row.
+    """Return the input of a chain (M, 1), memory first, whose output row for row is the measurement, and the window's first row.
 
     Under zoh the measurement at a tick answers the command of the interval before, under foh that of the same instant.
     """
@@ -247,7 +269,7 @@ def constrained_minimum(normal: Array, gradient: Array, lhs: Array, rhs: Array) 
 
 @njit(cache=True)
 def surviving_turns(values: Array) -> NDArray[np.int64]:
-    """What Madelung's rules remember of a signal (N,): the indices of the turning points that no later excursion has passed."""
+    """Return the indices of the turning points of a signal (N,) that no later excursion has passed: Madelung's rules remember no other."""
     kept = np.empty(values.size, dtype=np.int64)
     count = 0
     for k in range(values.size):

@@ -28,7 +28,7 @@ TAU_UNIT = 1e-4
 
 @dataclass(frozen=True)
 class Structure:
-    """Which factors G(s) has: modes (second order), lags (first order), zeros of the numerator, a slow pair, a delay."""
+    """Factors of G(s): modes (second order), lags (first order), zeros of the numerator, a slow pair, a delay."""
 
     modes: int = 0
     lags: int = 0
@@ -43,7 +43,7 @@ class Structure:
 
     @property
     def static(self) -> bool:
-        """Whether there are no dynamics at all."""
+        """Absence of any dynamics."""
         return self.size == 0
 
     def describe(self) -> str:

@@ -96,10 +96,31 @@ def solve(
     tolerance: float = 1e-4,
     everything: bool = False,
 ) -> Solution:
-    """Fit G's parameters from `start` by Levenberg-Marquardt steps, at most `passes` passes over the records.
+    """Fit G's parameters by damped Gauss-Newton, everything else by linear least squares.
 
-    With `everything` the held-out rows are fitted too, for the final model. The derivatives by G's parameters are taken at the
-    linear parameters of the pass before; without any (`theta` None) the first pass only finds them.
+    The derivatives by G's parameters are taken at the linear parameters of the pass before.
+
+    Parameters
+    ----------
+    problem
+        One axis of all records.
+    structure
+        Factors of G(s).
+    start
+        G's parameters (P,) to begin with.
+    theta
+        Linear parameters (J,) to begin with; None: a first pass finds them.
+    passes
+        Most passes over the records.
+    tolerance
+        Share of the cost that a step must gain for the search to go on.
+    everything
+        Fit also the held-out rows, for the final model.
+
+    Returns
+    -------
+    Solution
+        The best parameters met, and their Gram matrices.
     """
     search = _Search(problem, structure, everything)
     present = structure.limit(start, search.sample_time)

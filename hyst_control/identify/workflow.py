@@ -20,7 +20,7 @@ NEED = ("command", "measurement")
 
 @dataclass(frozen=True)
 class Result:
-    """What was identified, and where it was written."""
+    """Identified model and the file it was written to."""
 
     fit: Fit
     output: Path
@@ -128,18 +128,37 @@ def chosen_families(family: str | None, method: str, options: Mapping[str, objec
 
 
 def datasets_of(record: Record, hold: str | None = None, start: str = "settled", allow_gaps: bool = False) -> list[Dataset]:
-    """The gapless stretches of a record as datasets. Raises `InputError` when topics, units or samples are unusable.
+    """Cut a record into its gapless stretches.
 
-    start: "settled" at the first command, reached from 0 V on the virgin curve, or "unknown"; what follows a gap is unknown.
+    Parameters
+    ----------
+    record
+        Command and measurement, and whatever else.
+    hold
+        "zoh" or "foh"; None: what the record says.
+    start
+        "settled" at the first command, reached from 0 V on the virgin curve, or "unknown"; what follows a gap is unknown.
+    allow_gaps
+        Use the stretches between lost samples in place of refusing them.
+
+    Returns
+    -------
+    list of Dataset
+        A dataset a stretch.
+
+    Raises
+    ------
+    InputError
+        Topics, units or samples are unusable: names the record and the remedy.
     """
     command, measurement = (record.signal(topic) for topic in NEED)
     if command.unit not in COMMAND_UNITS:
         raise InputError(
-            f"{record.source}: command: unit {command.unit!r}, {' or '.join(COMMAND_UNITS)} is due: import it with its unit"
+            f"{record.source}: command: unit {command.unit!r}, {' or '.join(COMMAND_UNITS)} is needed: import it with its unit"
         )
     if measurement.unit not in MEASUREMENT_UNITS:
         raise InputError(
-            f"{record.source}: measurement: unit {measurement.unit!r}, {' or '.join(MEASUREMENT_UNITS)} is due: import it "
+            f"{record.source}: measurement: unit {measurement.unit!r}, {' or '.join(MEASUREMENT_UNITS)} is needed: import it "
             "with its unit, or name the unit of a bag without a layout"
         )
     if command.axes != measurement.axes:
