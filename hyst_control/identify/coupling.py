@@ -55,9 +55,21 @@ class Coupling:
 
 
 def fit_coupling(model: Model, datasets: Sequence[Dataset], near: Coupling | None = None) -> Coupling | None:
-    """The coupling between the axes of a model without one, or None where the records show none.
+    """Look for coupling between the axes of a model that has none.
 
-    `near` is an earlier estimate: the corner is then looked for in its neighbourhood only.
+    Parameters
+    ----------
+    model
+        The axes side by side.
+    datasets
+        Records of all axes.
+    near
+        An earlier estimate: the corner is then looked for in its neighborhood only.
+
+    Returns
+    -------
+    Coupling or None
+        None where the records show none.
     """
     simulated = [simulated_rows(model, data) for data in datasets]
     count = len(model.axes)

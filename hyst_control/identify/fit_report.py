@@ -21,10 +21,22 @@ def residual(model: Model, data: Dataset) -> Array:
 
 
 def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordRow], list[Array]]:
-    """One row per record and axis, and the residuals (N, A).
+    """Score a model on records.
 
-    rmse in the measurement unit; nrmse and nme in % of the measured range (HAMPI paper Eq. 26, MHL paper Eq. 10);
-    nrmse_centered the same with the means removed.
+    Parameters
+    ----------
+    model
+        The model.
+    datasets
+        The records.
+
+    Returns
+    -------
+    rows : list of RecordRow
+        One row per record and axis: rmse in the measurement unit; nrmse and nme in % of the measured range (HAMPI paper Eq. 26, MHL
+        paper Eq. 10); nrmse_centered the same with the means removed.
+    residuals : list of Array
+        Measured minus simulated (N, A) per record.
     """
     rows: list[RecordRow] = []
     residuals = []

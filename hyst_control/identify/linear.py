@@ -234,10 +234,29 @@ def choose(
     free_delay: bool = False,
     iterations: int = 12,
 ) -> tuple[Candidate, list[OrderRow]]:
-    """The smallest model that is as good as any on held-out data, of the given numbers of states and starting delays.
+    """Choose the smallest model that is as good as any on held-out data. Growing ends after three orders without a gain.
 
-    Also returns a row per model tried. Without held-out data Schwarz's information criterion decides. Stops growing
-    after three orders without a gain.
+    Parameters
+    ----------
+    train, held_out
+        Spectra to fit and to judge by; without the latter Schwarz's information criterion decides.
+    orders
+        Numbers of states that may be.
+    hold
+        Hold of the command.
+    delays
+        Delays (m,) in samples that a search begins with.
+    direct, free_delay
+        Whether there is a direct path, and whether the delay is estimated.
+    iterations
+        Most steps of a refinement.
+
+    Returns
+    -------
+    chosen : Candidate
+        The model.
+    rows : list of OrderRow
+        A row per model tried.
     """
     rows: list[OrderRow] = []
     tried: list[tuple[float, Candidate]] = []
@@ -274,7 +293,24 @@ def choose(
 
 
 def refined(data: Sequence[Spectra], start: ModalModel, direct: bool, free_delay: bool, iterations: int) -> Candidate:
-    """Output-error refinement of a model, with what tells how sure its parameters are."""
+    """Refine a model by its output error.
+
+    Parameters
+    ----------
+    data
+        Spectra to fit.
+    start
+        The model to begin with.
+    direct, free_delay
+        Whether there is a direct path, and whether the delay is estimated.
+    iterations
+        Most steps.
+
+    Returns
+    -------
+    Candidate
+        The model, its error, and the normal matrix that the standard errors come from.
+    """
     began = time.perf_counter()
     problem = Problem(data, start, direct, free_delay)
     cost, matrix = refine(problem, iterations)

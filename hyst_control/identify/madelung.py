@@ -199,7 +199,28 @@ def fit_axis(
     inverse: bool = False,
     passes: int = 40,
 ) -> AxisFit:
-    """Identify one axis. With `inverse` command and measurement have changed places, and so has the start."""
+    """Identify the curves of one axis.
+
+    Parameters
+    ----------
+    windows
+        Stretches of its records.
+    curves
+        Form of the curves.
+    input_scale
+        Command (V) at their upper end; None: the largest one.
+    nuisance
+        Addition of each record: "none", "offset" or "linear".
+    inverse
+        Command and measurement have changed places, and so has the start.
+    passes
+        Most passes with derivatives.
+
+    Returns
+    -------
+    AxisFit
+        Curves, scales, sign and zero.
+    """
     scale = full_scale(windows, input_scale)
     sign = response_sign(windows)
     travel = (

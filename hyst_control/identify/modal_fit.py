@@ -192,10 +192,28 @@ def direct_response(delay: Array, hold: str, z: np.ndarray) -> np.ndarray:
 
 
 def subspace(data: Sequence[Spectra], orders: Sequence[int], delay: Array, hold: str, direct: bool = True) -> list[ModalModel]:
-    """Models of the given orders (states) from one singular value decomposition; McKelvey et al. 1996, algorithm 2.
+    """Estimate models of several orders from one singular value decomposition; McKelvey et al. 1996, algorithm 2.
 
     The unit circle is warped by the bilinear map that takes the highest line to three quarters of the circle, so that
     a band far below the sampling rate is as well conditioned as a full one. Unstable poles are reflected.
+
+    Parameters
+    ----------
+    data
+        Spectra of commands and measurements.
+    orders
+        Numbers of states.
+    delay
+        Delay (m,) of each input in samples.
+    hold
+        Hold of the command.
+    direct
+        Allow a direct path.
+
+    Returns
+    -------
+    list of ModalModel
+        A model an order.
     """
     outputs = data[0].measurement.shape[1]
     top = max(float(spectra.angle.max()) for spectra in data)
@@ -502,9 +520,23 @@ class Problem:
 
 
 def refine(problem: Problem, iterations: int = 40, tolerance: float = 1e-5) -> tuple[float, Array]:
-    """Levenberg-Marquardt from the problem's present model; returns rᵀr and the last JᵀJ.
+    """Lower the cost of a problem by damped Gauss-Newton from its present model, and leave it at the best one.
 
-    Ends when an accepted step lowers the cost by less than `tolerance` of it.
+    Parameters
+    ----------
+    problem
+        The problem.
+    iterations
+        Most steps.
+    tolerance
+        Share of the cost that a step must gain for the search to go on.
+
+    Returns
+    -------
+    cost : float
+        rᵀr.
+    matrix : Array
+        The last JᵀJ (P, P).
     """
     search = _Search(problem)
     rules = Rules(

@@ -89,10 +89,33 @@ def fit_softening(
     iterations: tuple[int, int] = (14, 7),
     rounds: int = 2,
 ) -> SofteningFit:
-    """Fit `SofteningModal` from a linear model of the level whose amplitude is `reference` (V).
+    """Fit `SofteningModal` to several levels of a periodic experiment.
 
-    `force` False leaves the softening force out: the model is then linear at each amplitude. A fit without it may be
-    the start of one with it.
+    Parameters
+    ----------
+    levels
+        Steady periods at each level.
+    start
+        Linear model of the level whose amplitude is the reference, or an earlier fit without the softening force.
+    reference
+        Amplitude (V rms) at which the changes are nil.
+    sample_time
+        Sample time in s.
+    exponent
+        Of the softening force's terms.
+    memory
+        Time constant (s) of the slow amplitude.
+    force
+        False leaves the softening force out: the model is then linear at each amplitude.
+    iterations
+        Most steps without and with the force.
+    rounds
+        Fits with the force, each from the elongation of the one before.
+
+    Returns
+    -------
+    SofteningFit
+        The stage, how it was found, and how sure its poles are.
     """
     began = time.perf_counter()
     g = [schedule(level.amplitude, reference) for level in levels]
@@ -150,9 +173,29 @@ def _strain(model: ModalModel, level: Level, elongation: Array, inputs: int) -> 
 def refine_scheduled(
     data: Sequence[Spectra], g: Sequence[float], start: Scheduled, inputs: int, iterations: int, tolerance: float = 2e-5
 ) -> tuple[Scheduled, int, Array]:
-    """Levenberg-Marquardt over the centre and over the changes of the poles and of the first `inputs` inputs' gains.
+    """Fit the center, and the changes of the poles and of the first `inputs` inputs' gains, by damped Gauss-Newton.
 
-    Returns the fitted parameters, how many are free, and what `_pole_sigma` says.
+    Parameters
+    ----------
+    data, g
+        Spectra of each level, and its g.
+    start
+        Parameters to begin with.
+    inputs
+        Inputs whose gains change.
+    iterations
+        Most steps.
+    tolerance
+        Share of the cost that a step must gain for the search to go on.
+
+    Returns
+    -------
+    point : Scheduled
+        The fitted parameters.
+    count : int
+        How many of them are free.
+    sigma : Array
+        Standard deviations (n, 2) of the poles' decay and frequency.
     """
     problems = [Problem([part], start.centre) for part in data]
     layout, free = problems[0].layout, problems[0].free
