@@ -75,7 +75,8 @@ def fit_static(problem: Problem) -> AxisFit:
     """Identify the weights of one axis without dynamics."""
     structure = Structure()
     chosen = solve(problem, structure, structure.start(1.0))
-    return AxisFit(solve(problem, structure, structure.start(1.0), everything=True), problem.operators, chosen.held_out)
+    final = solve(problem, structure, structure.start(1.0), everything=True)
+    return AxisFit(final, problem.operators, chosen.held_out, dynamics=False)
 
 
 def fit_dynamic(problem: Problem, structure: Structure | None) -> AxisFit:
@@ -170,4 +171,4 @@ def fit_rate_dependent(problem: Problem) -> AxisFit:
     operators = replace(problem.operators, rate_gain=0.5 * (low + high))
     held_out = trial(operators.rate_gain).held_out
     final = solve(replace(problem, operators=operators), structure, np.zeros(0), everything=True)
-    return AxisFit(final, operators, held_out)
+    return AxisFit(final, operators, held_out, rate_dependent=True, dynamics=False)

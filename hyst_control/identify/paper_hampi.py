@@ -28,17 +28,17 @@ PAPER_STRUCTURE = Structure(modes=1, zeros=1, slow_pair=True)
 """The factors of the paper's Eq. 7."""
 
 
-def fit(datasets: Sequence[Dataset], family: str, options: HammersteinOptions) -> Fit:
-    """Identify hapi or hampi in the paper's three steps.
+def fit(datasets: Sequence[Dataset], family: str, options: HammersteinOptions, *, dynamic: bool) -> Fit:
+    """Identify a model in the paper's three steps; `dynamic` for weights that follow the rate, else the last step is left out.
 
     Raises `InputError` naming the experiment that the records lack.
     """
     check_records(datasets)
-    axes = [_fit_axis(datasets, axis, family, options) for axis in range(len(datasets[0].axes))]
+    axes = [_fit_axis(datasets, axis, dynamic, options) for axis in range(len(datasets[0].axes))]
     return assemble(datasets, family, "paper", axes)
 
 
-def _fit_axis(datasets: Sequence[Dataset], axis: int, family: str, options: HammersteinOptions) -> AxisFit:
+def _fit_axis(datasets: Sequence[Dataset], axis: int, dynamic: bool, options: HammersteinOptions) -> AxisFit:
     step = _windows(datasets, axis, "step", "a step from rest that is then held")
     slow = _windows(datasets, axis, "quasi_static", "loops at 5 Hz or slower")
     everything = whole_records(datasets, axis)
@@ -55,7 +55,7 @@ def _fit_axis(datasets: Sequence[Dataset], axis: int, family: str, options: Hamm
     # Step 2: the static weights, G(s) as it is.
     static = solve(Problem(slow, operators, "offset", len(datasets), mean_slope), structure, parameters, passes=2, everything=True)
     static = replace(static, parameters=parameters, held_out=static.fitted)
-    if family == "hapi":
+    if not dynamic:
         return AxisFit(static, operators, static.fitted)
 
     # Step 3: the dynamic weights, everything else as it is.

@@ -45,7 +45,7 @@ class _Hammerstein(Estimator[HammersteinOptions]):
     def fit(self, datasets: Sequence[Dataset], options: HammersteinOptions) -> Fit:
         check_records(datasets)
         if options.method == "paper":
-            return paper_hampi.fit(datasets, self.name, options)
+            return paper_hampi.fit(datasets, self.name, options, dynamic=self.dynamic)
         axes = range(len(datasets[0].axes))
         problems = (axis_problem(datasets, axis, options, one_sided=options.one_sided, dynamic=self.dynamic) for axis in axes)
         return assemble(datasets, self.name, options.method, [fit_dynamic(problem, options.structure) for problem in problems])
