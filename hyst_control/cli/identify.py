@@ -3,12 +3,13 @@
 examples:
   hyst identify demo_out/excitation --model hampi --output hampi.yaml --json fit.json
   hyst identify loops.bag sweeps.bag --model hapi --method paper --output hapi.yaml
+  hyst identify loops.bag --model madelung --degree 7 --output madelung.yaml
 """
 
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hyst_control.identify.workflow import Result
@@ -20,15 +21,8 @@ JSON = "fit report"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bags", nargs="+", metavar="BAG", help="rosbag2 directories, or .mcap or .db3 files")
-    parser.add_argument(
-        "--model",
-        metavar="NAME",
-        help="model family: pi, hapi, rdpi, hampi, madelung, mhl or linear; without it the best of the first four on held-out data",
-    )
+    parser.add_argument("--model", metavar="NAME", help="model family; without it the best on held-out data of several")
     parser.add_argument("--output", metavar="MODEL.yaml", required=True, help="model file to write")
-    parser.add_argument(
-        "--method", choices=("joint", "paper"), default="joint", help="all records together, or the paper's sequence"
-    )
     parser.add_argument(
         "--hold",
         choices=("zoh", "foh"),
@@ -44,25 +38,58 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--allow-gaps", action="store_true", help="use the stretches between lost samples")
     parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
-    parser.add_argument("--operators", type=int, help="number of play operators (default 10)")
-    parser.add_argument("--thresholds", help="thresholds in V, separated by commas, instead of the default ones")
-    parser.add_argument("--one-sided", action="store_true", help="one-sided play operators")
+    _add_when_needed(parser)
+
+
+def _add_when_needed(parser: argparse.ArgumentParser) -> None:
+    """Add the families' options as soon as this command is parsed or explained: to know them takes seconds of imports."""
+    plain = parser.parse_known_args
+    added: list[str] = []
+
+    def parse(*arguments: Any, **keywords: Any) -> Any:
+        if not added:
+            added.extend(add_options(parser))
+        return plain(*arguments, **keywords)
+
+    parser.parse_known_args = parse  # type: ignore[method-assign]
+
+
+def add_options(parser: argparse.ArgumentParser) -> list[str]:
+    """Add the options of every family, none of them given by default; their names."""
+    from textwrap import fill
+
+    from hyst_control.identify.estimator import described, estimators, every_option
+    from hyst_control.identify.options import TRUTH
+
+    families = "\n".join(fill(f"{name}: {each.sentence}", 78, subsequent_indent="  ") for name, each in estimators().items())
+    group = parser.add_argument_group(
+        "model families and their options", f"{families}\n\nAn option that the family does not have is refused."
+    )
+    options = every_option()
+    for name, having in options.items():
+        text = described(having).replace("%", "%%")
+        flag = f"--{name.replace('_', '-')}"
+        if all(option.kind is TRUTH for option in having.values()):
+            group.add_argument(flag, action=argparse.BooleanOptionalAction, default=None, help=text)
+        else:
+            group.add_argument(flag, metavar=name.upper(), help=text)
+    return list(options)
 
 
 def run(arguments: argparse.Namespace) -> Result:
+    from hyst_control.identify.estimator import every_option
     from hyst_control.identify.workflow import identify_bags
 
+    given = {name: getattr(arguments, name) for name in every_option()}
     return identify_bags(
         arguments.bags,
         arguments.model,
         arguments.output,
-        method=arguments.method,
+        method=given.pop("method") or "joint",
         hold=arguments.hold,
         start=arguments.start,
         allow_gaps=arguments.allow_gaps,
         namespace=arguments.namespace,
         unit=arguments.unit,
-        operators=arguments.operators,
-        thresholds=arguments.thresholds,
-        one_sided=arguments.one_sided,
+        **given,
     )

@@ -9,9 +9,21 @@ from hyst_control.chain.stage import Array
 
 
 def solve_bounded(gram: Array, target: Array, lower: Array, upper: Array) -> Array:
-    """Minimise x' gram x - 2 target' x within bounds; gram (K, K), target (K,). Unbounded entries have infinite bounds.
+    """Minimize x' gram x - 2 target' x within bounds.
 
     Columns are scaled to unit length first; directions that the data do not show are left at their smallest.
+
+    Parameters
+    ----------
+    gram, target
+        Normal equations (K, K) and (K,).
+    lower, upper
+        Bounds (K,), infinite where there are none.
+
+    Returns
+    -------
+    Array
+        The minimum x (K,).
     """
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     scaled = gram / scale[:, None] / scale
@@ -22,22 +34,36 @@ def solve_bounded(gram: Array, target: Array, lower: Array, upper: Array) -> Arr
     right = (vectors.T @ (target / scale)) / root
     low, high = lower * scale, upper * scale
     if not (np.any(np.isfinite(low)) or np.any(np.isfinite(high))):
-        return np.linalg.lstsq(design, right, rcond=None)[0] / scale
+        free: Array = np.linalg.lstsq(design, right, rcond=None)[0] / scale
+        return free
     solution = lsq_linear(design, right, (low, high), method="bvls", tol=1e-12, max_iter=200)
-    return np.clip(solution.x / scale, lower, upper)
+    bounded: Array = np.clip(solution.x / scale, lower, upper)
+    return bounded
 
 
 def cost(gram: Array, solution: Array) -> float:
-    """Sum of squared residuals; gram is that of [columns, y]."""
+    """Return the sum of squared residuals of a solution (K,); gram (K + 1, K + 1) is that of [columns, y]."""
     vector = np.append(solution, -1.0)
     return max(float(vector @ gram @ vector), 0.0)
 
 
 def covariance(blocks: Array, solution: Array) -> Array:
-    """Covariance of a least-squares solution (K,) from the Gram matrices (B, K + 1, K + 1) of blocks of [columns, y].
+    """Estimate the covariance of a least-squares solution from blocks of rows.
 
     The sandwich estimate with blocks as clusters (Liang and Zeger, Biometrika 73, 1986): residuals may be correlated within a
     block, as those of a model error are, without making the parameters look surer than they are.
+
+    Parameters
+    ----------
+    blocks
+        Gram matrices (B, K + 1, K + 1) of the blocks of [columns, y].
+    solution
+        Least-squares solution (K,).
+
+    Returns
+    -------
+    Array
+        Covariance (K, K).
     """
     gram = blocks.sum(axis=0)[:-1, :-1]
     scores = blocks[:, :-1, -1] - blocks[:, :-1, :-1] @ solution
@@ -45,4 +71,5 @@ def covariance(blocks: Array, solution: Array) -> Array:
     values, vectors = np.linalg.eigh(gram / scale[:, None] / scale)
     inverse = (vectors / np.maximum(values, 1e-13 * values[-1])) @ vectors.T
     spread = (scores / scale).T @ (scores / scale) * len(blocks) / max(len(blocks) - 1, 1)
-    return (inverse @ spread @ inverse) / scale[:, None] / scale
+    found: Array = (inverse @ spread @ inverse) / scale[:, None] / scale
+    return found

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear import CrossCoupling, TransferFunction
 from hyst_control.chain.stage import Array
-from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.dataset import Dataset, ParameterRow
 from hyst_control.identify.fit_windows import before
 from hyst_control.model_file import Model, simulate
 from hyst_control.parallel import forked
@@ -39,7 +38,7 @@ class Coupling:
         """The stage at the end of the chain."""
         return CrossCoupling(self.matrix, self.corner)
 
-    def rows(self, axes: Sequence[str]) -> list[dict[str, Any]]:
+    def rows(self, axes: Sequence[str]) -> list[ParameterRow]:
         """Report rows of the entries off the diagonal."""
         return [
             {
@@ -56,13 +55,25 @@ class Coupling:
 
 
 def fit_coupling(model: Model, datasets: Sequence[Dataset], near: Coupling | None = None) -> Coupling | None:
-    """The coupling between the axes of a model without one, or None where the records show none.
+    """Look for coupling between the axes of a model that has none.
 
-    `near` is an earlier estimate: the corner is then looked for in its neighbourhood only.
+    Parameters
+    ----------
+    model
+        The axes side by side.
+    datasets
+        Records of all axes.
+    near
+        An earlier estimate: the corner is then looked for in its neighborhood only.
+
+    Returns
+    -------
+    Coupling or None
+        None where the records show none.
     """
     simulated = [simulated_rows(model, data) for data in datasets]
     count = len(model.axes)
-    corners = CORNERS if near is None else (near.corner,)
+    corners: tuple[float | None, ...] = CORNERS if near is None else (near.corner,)
     if near is not None and near.corner is not None:
         corners = tuple(near.corner * factor for factor in (0.85, 1.0, 1.18))
     fastest = 0.4 / max(data.sample_time for data in datasets)

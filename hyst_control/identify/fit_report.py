@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from hyst_control.chain.stage import Array
-from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.dataset import Dataset, RecordRow
 from hyst_control.identify.fit_windows import before
 from hyst_control.model_file import Model, simulate
 
@@ -21,13 +20,26 @@ def residual(model: Model, data: Dataset) -> Array:
     return data.measurement[begin:] - simulated[begin:]
 
 
-def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[dict[str, Any]], list[Array]]:
-    """One row per record and axis, and the residuals (N, A).
+def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordRow], list[Array]]:
+    """Score a model on records.
 
-    rmse in the measurement unit; nrmse and nme in % of the measured range (HAMPI paper Eq. 26, MHL paper Eq. 10);
-    nrmse_centered the same with the means removed.
+    Parameters
+    ----------
+    model
+        The model.
+    datasets
+        The records.
+
+    Returns
+    -------
+    rows : list of RecordRow
+        One row per record and axis: rmse in the measurement unit; nrmse and nme in % of the measured range (HAMPI paper Eq. 26, MHL
+        paper Eq. 10); nrmse_centered the same with the means removed.
+    residuals : list of Array
+        Measured minus simulated (N, A) per record.
     """
-    rows, residuals = [], []
+    rows: list[RecordRow] = []
+    residuals = []
     for data in datasets:
         error = residual(model, data)
         residuals.append(error)

@@ -1,4 +1,4 @@
-"""Which rows of the records a fit looks at: everything, or stretches of it while the structure is being chosen."""
+"""Rows of the records that a fit looks at: everything, or stretches of it while the structure is being chosen."""
 
 from __future__ import annotations
 
@@ -49,11 +49,12 @@ def balanced_weights(data: Dataset, axis: int) -> Array | None:
     mean = np.mean([stretch.end - stretch.begin for stretch in motions])
     for stretch in motions:
         weight[stretch.begin : stretch.end] = np.clip(mean / (stretch.end - stretch.begin), 0.2, 5.0)
-    return weight / weight.mean()
+    balanced: Array = weight / weight.mean()
+    return balanced
 
 
 def before(data: Dataset) -> tuple[Array | None, int]:
-    """What a record was preceded by, as commands (M, A) or None for rest, and the first row that counts.
+    """Return the commands before a record (M, A), None for rest, and its first row that counts.
 
     A record of unknown start that is a closed loop (it ends where it began) is taken to have been preceded by itself. Any other
     counts from where its command has met both its extremes, which wipes out all earlier memory.

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from hyst_control.chain.stage import Array
@@ -46,25 +47,41 @@ class FrequencyResponse:
         (P&S 2.4).
         """
         variance = self.noise_variance if self.total_variance is None else self.total_variance
-        return np.sqrt(variance * chi2.ppf(confidence, 2) / 2.0)
+        radius: Array = np.sqrt(variance * chi2.ppf(confidence, 2) / 2.0)
+        return radius
 
 
 def robust_bla(command: Array, measurement: Array, sample_time: float) -> FrequencyResponse:
     """Best linear approximation from periodic random-phase multisines, by the robust method (P&S, section 4.3.1).
 
-    command (N, m, R, P) in V and measurement (N, p, R, P): one period of N samples, R realisations, P >= 2 steady
-    periods. R is a multiple of the number of inputs m; m neighbouring realisations form a group whose command matrix
-    is inverted per line, best conditioned for orthogonal multisines (Dobrowiecki, Schoukens, Guillaume, IEEE Trans.
-    Instrum. Meas. 55 (2006) 1555-1566). The scatter over the periods is the noise, that over the groups noise and
-    nonlinear distortion; with one group only the latter is unknown. Raises `InputError` for shapes that do not fit or
-    fewer than two periods.
+    m neighboring realizations form a group whose command matrix is inverted per line, best conditioned for orthogonal multisines
+    (Dobrowiecki, Schoukens, Guillaume, IEEE Trans. Instrum. Meas. 55 (2006) 1555-1566). The scatter over the periods is the noise, that
+    over the groups noise and nonlinear distortion; with one group only the latter is unknown.
+
+    Parameters
+    ----------
+    command, measurement
+        (N, m, R, P) in V and (N, p, R, P): one period of N samples, R realizations, a multiple of the number of inputs m, and P >= 2
+        steady periods.
+    sample_time
+        Sample time in s.
+
+    Returns
+    -------
+    FrequencyResponse
+        At the excited lines, with the variances of noise and distortion.
+
+    Raises
+    ------
+    InputError
+        The shapes do not fit, or there are fewer than two periods.
     """
     n, m, realisations, periods = command.shape
     p = measurement.shape[1]
     if measurement.shape != (n, p, realisations, periods) or realisations % m or periods < 2:
         raise InputError(
             f"multisines: command {command.shape} and measurement {measurement.shape}: (samples, channels, "
-            f"realisations, periods) with a multiple of {m} realisations and at least 2 periods are due"
+            f"realizations, periods): must have a multiple of {m} realizations and at least 2 periods"
         )
     u = np.fft.rfft(command, axis=0) / n
     y = np.fft.rfft(measurement, axis=0) / n
@@ -100,24 +117,44 @@ def local_polynomial(
 ) -> FrequencyResponse:
     """Frequency response by the local polynomial method (P&S, sections 7.2.2 and 7.3.2).
 
-    commands, measurements: records (N, m) and (N, p) of equal length N. In a window of 2 `half_width` + 1 lines the
-    response, and each record's transient, is a polynomial of `degree` in the line number; what the polynomials leave
-    is the noise.
+    In a window of 2 `half_width` + 1 lines the response, and each record's transient, is a polynomial in the line number; what the
+    polynomials leave is the noise.
 
-    kind: "arbitrary", a transient at both ends is estimated along (the command's spectrum must be rough, as a random
-    or a swept one is); "periodic", whole periods in steady state, no transient; "settled", at rest at both ends, a
-    step or a pulse: the records are differenced first, which makes them periodic without a transient. highest: last
-    frequency (Hz) of interest. Raises `InputError` when the window holds fewer equations than unknowns, or the records
-    do not tell the inputs apart.
+    Parameters
+    ----------
+    commands, measurements
+        Records (N, m) and (N, p) of equal length N.
+    sample_time
+        Sample time in s.
+    kind
+        "arbitrary": a transient at both ends is estimated along (the command's spectrum must be rough, as a random or a swept one is);
+        "periodic": whole periods in steady state, no transient; "settled": at rest at both ends, a step or a pulse: the records are
+        differenced first, which makes them periodic without a transient.
+    half_width
+        Lines on either side; None: as few as the unknowns need.
+    degree
+        Degree of the polynomials.
+    highest
+        Last frequency (Hz) of interest.
+
+    Returns
+    -------
+    FrequencyResponse
+        At the lines of interest, with the noise's variance.
+
+    Raises
+    ------
+    InputError
+        The window holds fewer equations than unknowns, or the records do not tell the inputs apart.
     """
     if kind not in ("arbitrary", "periodic", "settled"):
-        raise InputError(f"kind: {kind!r}, one of arbitrary, periodic, settled is due")
+        raise InputError(f"kind: must be one of arbitrary, periodic, settled, got {kind!r}")
     u, y = np.stack(commands, axis=2), np.stack(measurements, axis=2)
     if kind == "settled":
         u, y = np.diff(u, axis=0), np.diff(y, axis=0)
     n, m, records = u.shape
     spectrum_u, spectrum_y = np.fft.rfft(u, axis=0) / np.sqrt(n), np.fft.rfft(y, axis=0) / np.sqrt(n)
-    lines = np.arange(1, len(spectrum_u))
+    lines: NDArray[np.intp] = np.arange(1, len(spectrum_u))
     if kind == "periodic":
         lines = excited_lines(np.sum(np.abs(spectrum_u) ** 2, axis=(1, 2)))
     if highest is not None:
@@ -161,7 +198,7 @@ def local_polynomial(
     return FrequencyResponse(frequency, response, variance, None, records)
 
 
-def excited_lines(power: Array) -> Array:
+def excited_lines(power: Array) -> NDArray[np.intp]:
     """Indices of the lines whose power (F,) is over `EXCITED` of the mean; never the static one."""
     chosen = np.flatnonzero(power > EXCITED * power[1:].mean())
     return chosen[chosen > 0]

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from hyst_control.chain.linear import Discretised
 from hyst_control.chain.stage import Array, Sampling
@@ -27,35 +28,35 @@ NUISANCES = {"none": 0, "offset": 1, "linear": 2}
 
 @njit(cache=True, error_model="numpy")
 def filtered_regressors(
-    command,
-    shift,
-    rate_factor,
-    center,
-    thresholds,
-    release,
-    rate_gain,
-    dynamic,
-    a,
-    b,
-    c,
-    d,
-    whole,
-    theta,
-    pa,
-    pb,
-    pc,
-    pd,
-    pwhole,
-    operators,
-    previous,
-    ring,
-    combined,
-    position,
-    state,
-    scratch,
-    tangent,
-    output,
-):
+    command: Array,
+    shift: int,
+    rate_factor: float,
+    center: float,
+    thresholds: Array,
+    release: Array,
+    rate_gain: float,
+    dynamic: bool,
+    a: Array,
+    b: Array,
+    c: Array,
+    d: Array,
+    whole: int,
+    theta: Array,
+    pa: Array,
+    pb: Array,
+    pc: Array,
+    pd: Array,
+    pwhole: NDArray[np.int64],
+    operators: Array,
+    previous: Array,
+    ring: Array,
+    combined: Array,
+    position: int,
+    state: Array,
+    scratch: Array,
+    tangent: Array,
+    output: Array,
+) -> int:
     """Rows of G[φ_j] (J columns) and of G_i[Σ θ_j φ_j] for P neighbouring dynamics G_i (P columns).
 
     command (N,) V; `shift` 1 when the sample sees the command of the interval before (zoh), else 0; rate_factor 1 / sample_time;
@@ -132,7 +133,7 @@ def filtered_regressors(
 
 
 @njit(cache=True, error_model="numpy")
-def gram_product(block):
+def gram_product(block: Array) -> Array:
     """block' block of a tall block (N, K): without BLAS, whose threads spin for longer than such a product takes."""
     rows, columns = block.shape
     product = np.zeros((columns, columns))
@@ -153,7 +154,17 @@ def gram_product(block):
 
 
 @njit(cache=True, error_model="numpy")
-def weighed_columns(raw, theta, step, first, share, extra, measurement, weight, block):
+def weighed_columns(
+    raw: Array,
+    theta: Array,
+    step: float,
+    first: int,
+    share: Array,
+    extra: int,
+    measurement: Array,
+    weight: Array,
+    block: Array,
+) -> None:
     """Rows of [θ columns, derivatives, nuisances, y] (N, K) from those of `filtered_regressors`, times the roots of their weights.
 
     share (N,): where a row lies within its record, from 0 to 1, less a half; weight (N,), or (0,) where all rows weigh 1.
@@ -208,7 +219,7 @@ class Window:
     skip: int
     group: int
     begin: float = 0.0
-    """Where the window begins within its record, as a share of it: the drift nuisance runs over the whole record."""
+    """Begin of the window within its record, as a share of it: the drift nuisance runs over the whole record."""
     share: float = 1.0
     """The window's length as a share of its record."""
     memory: Array | None = None

@@ -1,4 +1,4 @@
-"""Identification of the Prandtl-Ishlinskii family: pi, hapi, rdpi and hampi, all records together.
+"""Joint identification of Prandtl-Ishlinskii models, static or in front of dynamics: all records together.
 
 For given thresholds and G(s) the output is linear in the weights and the dynamic weights (HAMPI paper Eq. 2-6), so the search
 is over G's few parameters alone (`varpro`). G's structure is chosen on held-out stretches of the records.
@@ -12,15 +12,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hyst_control.errors import InputError
-from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.fit_windows import largest_drift, stretches, whole_records
 from hyst_control.identify.gram_sums import Operators, Window
-from hyst_control.identify.prandtl_ishlinskii_model import AxisFit, assemble
+from hyst_control.identify.options import INTEGER, NUMBERS, TRUTH, Options, methods_option, option
+from hyst_control.identify.prandtl_ishlinskii_model import AxisFit
+from hyst_control.identify.shared_options import nuisance_option, structure_option
 from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.identify.variable_projection import Problem, Solution, solve
 from hyst_control.parallel import forked
 
-FAMILIES = ("pi", "hapi", "rdpi", "hampi")
 SELECTION_ROWS = 60_000
 FEW = 6
 """Operators, below which none is spent on the first loading."""
@@ -29,76 +30,68 @@ WORTHWHILE = 0.03
 
 
 @dataclass(frozen=True)
-class Options:
-    """Choices of the fit.
+class OperatorOptions(Options):
+    """Choices of a fit of play operators."""
 
-    operators: number of play operators, where `thresholds` (V, increasing) does not list them. nuisance: what each record may
-    add to the model, "none", "offset" or "linear" (an offset and a slow drift, so that creep does not bend the loop).
-    structure: G's, where it is not to be chosen.
-    """
+    operators: int = option(10, INTEGER, "number of play operators, where `thresholds` does not list them", lower=3)
+    thresholds: tuple[float, ...] | None = option(
+        None, NUMBERS, "increasing thresholds of the play operators, in place of the default ones", unit="V", lower=0.0
+    )
+    nuisance: str = nuisance_option("linear", methods=("joint",))
 
-    operators: int = 10
-    thresholds: Sequence[float] | None = None
-    one_sided: bool = False
-    nuisance: str = "linear"
-    structure: Structure | None = None
-
-
-def fit(datasets: Sequence[Dataset], family: str, options: Options | None = None) -> Fit:
-    """Identify a model of `family` from all records at once; one-axis models side by side where there are several axes.
-
-    Raises `InputError` when the records cannot tell a model: no motion, or fewer samples than parameters.
-    """
-    options = options or Options()
-    check(datasets)
-    axes = [fit_axis(datasets, axis, family, options) for axis in range(len(datasets[0].axes))]
-    return assemble(datasets, family, "joint", axes)
+    def check(self) -> None:
+        if self.thresholds is not None and (not self.thresholds or np.any(np.diff(self.thresholds) <= 0)):
+            raise InputError(f"thresholds: must be strictly increasing, got {list(self.thresholds)}")
 
 
-def check(datasets: Sequence[Dataset]) -> None:
-    """Raise `InputError` unless the records share their axes and unit, and something moves in them."""
-    if not datasets:
-        raise InputError("no record: give at least one bag with command and measurement")
-    first = datasets[0]
-    for data in datasets:
-        if data.axes != first.axes or data.unit != first.unit:
-            raise InputError(
-                f"{data.name}: axes {', '.join(data.axes)} in {data.unit}, but {first.name} has "
-                f"{', '.join(first.axes)} in {first.unit}: records of one plant are due"
-            )
-        if len(data.command) < 50:
-            raise InputError(f"{data.name}: {len(data.command)} samples, at least 50 are needed")
-    for axis, name in enumerate(first.axes):
-        if all(np.ptp(data.command[:, axis]) == 0 for data in datasets):
-            raise InputError(f"{first.name}: the command of axis {name} never moves: record an excitation")
-        if all(np.ptp(data.measurement[:, axis]) == 0 for data in datasets):
-            raise InputError(f"{first.name}: the measurement of axis {name} never moves: check the sensor and the topic")
+@dataclass(frozen=True)
+class PlayOptions(OperatorOptions):
+    """Choices of a fit of play operators of either kind."""
+
+    one_sided: bool = option(False, TRUTH, "one-sided play operators")
 
 
-def fit_axis(datasets: Sequence[Dataset], axis: int, family: str, options: Options) -> AxisFit:
-    """Identify one axis."""
+@dataclass(frozen=True)
+class HammersteinOptions(PlayOptions):
+    """Choices of a fit of play operators in front of dynamics."""
+
+    method: str = methods_option("joint", "paper")
+    structure: Structure | None = structure_option()
+
+
+def axis_problem(
+    datasets: Sequence[Dataset], axis: int, options: OperatorOptions, *, one_sided: bool = False, dynamic: bool = False
+) -> Problem:
+    """Set up the fit of one axis to all its records; `dynamic` for weights that follow the rate."""
     windows = whole_records(datasets, axis)
-    operators = default_operators(windows, family, options)
+    operators = default_operators(windows, options, one_sided=one_sided, dynamic=dynamic)
     travel = max(np.ptp(window.measurement) for window in windows)
     drive = max(np.ptp(window.command) for window in windows)
-    problem = Problem(
-        windows, operators, options.nuisance, len(datasets), travel / drive, [largest_drift(data, axis) for data in datasets]
-    )
-    if family == "rdpi":
-        return AxisFit(*rate_dependent(problem))
-    if family == "pi":
-        structure = Structure()
-        chosen = solve(problem, structure, structure.start(1.0))
-        return AxisFit(solve(problem, structure, structure.start(1.0), everything=True), operators, chosen.held_out)
-    selection = replace(problem, windows=stretches(windows, SELECTION_ROWS))
-    chosen = choose_structure(selection, options.structure)
+    drift = [largest_drift(data, axis) for data in datasets]
+    return Problem(windows, operators, options.nuisance, len(datasets), travel / drive, drift)
+
+
+def fit_static(problem: Problem) -> AxisFit:
+    """Identify the weights of one axis without dynamics."""
+    structure = Structure()
+    chosen = solve(problem, structure, structure.start(1.0))
+    final = solve(problem, structure, structure.start(1.0), everything=True)
+    return AxisFit(final, problem.operators, chosen.held_out, dynamics=False)
+
+
+def fit_dynamic(problem: Problem, structure: Structure | None) -> AxisFit:
+    """Identify the weights of one axis and G(s) behind them; its structure is chosen on held-out stretches unless given."""
+    selection = replace(problem, windows=stretches(problem.windows, SELECTION_ROWS))
+    chosen = choose_structure(selection, structure)
     chosen = solve(selection, chosen.structure, chosen.parameters, chosen.theta, passes=20)
     final = solve(problem, chosen.structure, chosen.parameters, chosen.theta, passes=3, everything=True)
-    return AxisFit(final, operators, chosen.held_out)
+    return AxisFit(final, problem.operators, chosen.held_out)
 
 
-def default_operators(windows: Sequence[Window], family: str, options: Options) -> Operators:
-    """Thresholds from 0, closer together where most reversals engage them; up to half the drive, and two for the first loading.
+def default_operators(
+    windows: Sequence[Window], options: OperatorOptions, *, one_sided: bool = False, dynamic: bool = False
+) -> Operators:
+    """Choose thresholds from 0, closer together where most reversals engage them; up to half the drive, and two for the first loading.
 
     Few operators are all for the reversals.
     """
@@ -106,19 +99,15 @@ def default_operators(windows: Sequence[Window], family: str, options: Options) 
     span = max(float(np.ptp(window.command)) for window in windows)
     if options.thresholds is not None:
         thresholds = np.array(options.thresholds, dtype=float)
-        if thresholds.ndim != 1 or not len(thresholds) or thresholds[0] < 0 or np.any(np.diff(thresholds) <= 0):
-            raise InputError("thresholds: a strictly increasing list of voltages, none negative, is due")
     else:
-        if options.operators < 3:
-            raise InputError(f"operators: {options.operators}, at least 3 are due")
-        reach = span if options.one_sided else span / 2
+        reach = span if one_sided else span / 2
         loading = np.array([0.5, 0.85]) * highest if highest > 1.4 * reach else reach * np.array([0.9, 0.97])
         inner = options.operators - len(loading) if options.operators >= FEW else options.operators
         thresholds = np.concatenate(
             [0.98 * reach * (np.arange(inner) / (inner - 0.5)) ** 1.4, loading[: options.operators - inner]]
         )
         thresholds = np.unique(np.round(thresholds, 9))
-    return Operators(thresholds, options.one_sided, family == "hampi", center=0.5 * highest)
+    return Operators(thresholds, one_sided, dynamic, center=0.5 * highest)
 
 
 def choose_structure(problem: Problem, given: Structure | None) -> Solution:
@@ -159,8 +148,8 @@ def _start_frequency(problem: Problem) -> float:
     return grid[int(np.argmin(list(trials)))]
 
 
-def rate_dependent(problem: Problem) -> tuple[Solution, Operators, float]:
-    """RDPI: no dynamics, thresholds r_i + β |du/dt|; β by golden-section search on the error."""
+def fit_rate_dependent(problem: Problem) -> AxisFit:
+    """Identify one axis whose thresholds are r_i + β |du/dt|, without dynamics; β by golden-section search on the error."""
     structure = Structure()
     fastest = max(float(np.max(np.abs(np.diff(window.command)))) / window.sample_time for window in problem.windows)
     largest = 2.0 * float(problem.operators.thresholds[-1]) / fastest
@@ -182,4 +171,4 @@ def rate_dependent(problem: Problem) -> tuple[Solution, Operators, float]:
     operators = replace(problem.operators, rate_gain=0.5 * (low + high))
     held_out = trial(operators.rate_gain).held_out
     final = solve(replace(problem, operators=operators), structure, np.zeros(0), everything=True)
-    return final, operators, held_out
+    return AxisFit(final, operators, held_out, rate_dependent=True, dynamics=False)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -19,9 +18,11 @@ from hyst_control.chain.linear import Delay, StateSpace, TransferFunction
 from hyst_control.chain.memoryless import Offset
 from hyst_control.chain.stage import Array, Stage
 from hyst_control.errors import InputError
-from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.dataset import Dataset, Fit, OrderRow, ParameterRow, Report, check_records
+from hyst_control.identify.estimator import Estimator, register
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.modal_fit import Layout, ModalModel, Problem, Spectra, refine, subspace
+from hyst_control.identify.options import INTEGER, NUMBER, TRUTH, Options, option
 from hyst_control.model_file import Model
 
 MOST_LINES = 6000
@@ -35,19 +36,20 @@ COUPLED_ORDERS = (2, 4, 6, 8, 12, 16, 20, 26, 32, 40)
 
 
 @dataclass(frozen=True)
-class Options:
-    """What a linear fit may be told.
+class LinearOptions(Options):
+    """Choices of a linear fit."""
 
-    order: number of states, None: chosen on held-out data; coupled: whether axes drive each other (a `state_space`,
-    the default for several axes) or not (a `transfer_function` per axis); delay: "estimate", or a fixed time in s, 0
-    for none; direct: allow a direct path D besides; iterations: of the refinement.
-    """
-
-    order: int | None = None
-    coupled: bool | None = None
-    delay: float | str = "estimate"
-    direct: bool = True
-    iterations: int = 60
+    order: int | None = option(None, INTEGER, "number of states, where it is not to be chosen on held-out data", lower=1)
+    coupled: bool | None = option(
+        None,
+        TRUTH,
+        "whether axes drive each other (a state_space, the default for several axes) or not (a transfer_function per axis)",
+    )
+    delay: float | str = option(
+        "estimate", NUMBER, "delay, where it is not to be estimated", unit="s", lower=0.0, choices=("estimate",)
+    )
+    direct: bool = option(True, TRUTH, "allow a direct path D besides the states")
+    iterations: int = option(60, INTEGER, "most steps of the refinement", lower=0)
 
 
 @dataclass(frozen=True)
@@ -73,96 +75,93 @@ class Candidate:
         return errors
 
 
-def fit(datasets: Sequence[Dataset], **options: Any) -> Fit:
-    """Identify a linear model from all records together; options are those of `Options`.
+@register
+class Linear(Estimator[LinearOptions]):
+    """Stable linear dynamics with a delay."""
 
-    Raises `InputError` when records differ in axes or sample time, are too short, or do not excite every axis.
-    """
-    settings = Options(**options)
-    first = checked(datasets)
-    axes = len(first.axes)
-    coupled = axes > 1 if settings.coupled is None else settings.coupled
-    if coupled or axes == 1:
-        chosen, table = _search(datasets, settings, COUPLED_ORDERS if axes > 1 else SINGLE_ORDERS)
-        found = [chosen]
-        stages = stages_of(chosen.model, first.sample_time)
-    else:
-        searches = [_search([_axis(data, axis) for data in datasets], settings, SINGLE_ORDERS) for axis in range(axes)]
-        found = [candidate for candidate, _ in searches]
-        table = [row for axis, (_, rows) in enumerate(searches) for row in ({"axis": first.axes[axis], **row} for row in rows)]
-        stages = diagonal_stages([candidate.model for candidate in found], first.sample_time)
-    command = np.concatenate([data.command for data in datasets])
-    model = Model(
-        name="linear",
-        axes=tuple(first.axes),
-        units={"command": "V", "measurement": first.unit},
-        sample_time=first.sample_time,
-        chain=Chain(tuple(stages)),
-        hold=first.hold,
-        valid={
-            "command": [float(command.min()), float(command.max())],
-            "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
-        },
-        tolerance=tolerance_of(found, stages),
+    name = "linear"
+    sentence = (
+        "stable linear dynamics with a sub-sample delay, in the frequency domain: transients are estimated along, the number of states is "
+        "chosen on held-out data; one axis or several"
     )
-    # The static line took no part in the fit, so a common offset of the sensor comes last.
-    _, residuals = record_rows(model, datasets)
-    offset = np.concatenate(residuals).mean(axis=0)
-    spread = np.concatenate(residuals).std(axis=0) / np.sqrt(sum(map(len, residuals)))
-    if np.any(np.abs(offset) > 3.0 * spread):
-        model = model.with_stages([*stages, Offset(_alike(offset))])
-    rows, residuals = record_rows(model, datasets)
-    model = replace(model, noise={"sigma": noise_sigma(residuals)})
-    notes = (
-        []
-        if any(np.isfinite(row["held_out"]) for row in table)
-        else [
-            "No part of the records could be held out: the number of states was chosen by an information criterion. "
-            "A second record, or a longer one with the same kind of excitation, would test it."
-        ]
-    )
-    report = {
-        "family": "linear",
-        "method": "joint",
-        "records": rows,
-        "notes": notes,
-        "orders": table,
-        "states": sum(candidate.model.states for candidate in found),
-        "parameters": [
-            row
-            for index, candidate in enumerate(found)
-            for row in parameter_rows(candidate, first.sample_time, first.axes[index] if len(found) > 1 else "")
-        ],
-    }
-    return Fit(model, report)
+    Options = LinearOptions
+
+    def fit(self, datasets: Sequence[Dataset], options: LinearOptions) -> Fit:
+        first = checked(datasets)
+        axes = len(first.axes)
+        coupled = axes > 1 if options.coupled is None else options.coupled
+        table: list[OrderRow]
+        if coupled or axes == 1:
+            chosen, table = _search(datasets, options, COUPLED_ORDERS if axes > 1 else SINGLE_ORDERS)
+            found = [chosen]
+            stages = stages_of(chosen.model, first.sample_time)
+        else:
+            searches = [_search([_axis(data, axis) for data in datasets], options, SINGLE_ORDERS) for axis in range(axes)]
+            found = [candidate for candidate, _ in searches]
+            table = [{"axis": name, **row} for name, (_, rows) in zip(first.axes, searches, strict=True) for row in rows]
+            stages = diagonal_stages([candidate.model for candidate in found], first.sample_time)
+        command = np.concatenate([data.command for data in datasets])
+        model = Model(
+            name="linear",
+            axes=tuple(first.axes),
+            units={"command": "V", "measurement": first.unit},
+            sample_time=first.sample_time,
+            chain=Chain(tuple(stages)),
+            hold=first.hold,
+            valid={
+                "command": [float(command.min()), float(command.max())],
+                "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
+            },
+            tolerance=tolerance_of(found, stages),
+        )
+        # The static line took no part in the fit, so a common offset of the sensor comes last.
+        _, residuals = record_rows(model, datasets)
+        offset = np.concatenate(residuals).mean(axis=0)
+        spread = np.concatenate(residuals).std(axis=0) / np.sqrt(sum(map(len, residuals)))
+        if np.any(np.abs(offset) > 3.0 * spread):
+            model = model.with_stages([*stages, Offset(_alike(offset))])
+        rows, residuals = record_rows(model, datasets)
+        model = replace(model, noise={"sigma": noise_sigma(residuals)})
+        notes = (
+            []
+            if any(row["held_out"] is not None for row in table)
+            else [
+                "No part of the records could be held out: the number of states was chosen by an information criterion. "
+                "A second record, or a longer one with the same kind of excitation, would test it."
+            ]
+        )
+        report: Report = {
+            "family": "linear",
+            "method": options.method,
+            "unit": first.unit,
+            "records": rows,
+            "notes": notes,
+            "orders": table,
+            "states": sum(candidate.model.states for candidate in found),
+            "parameters": [
+                {**row, "axis": ", ".join(first.axes) if len(found) == 1 else first.axes[index]}
+                for index, candidate in enumerate(found)
+                for row in parameter_rows(candidate, first.sample_time, first.axes[index] if len(found) > 1 else "")
+            ],
+        }
+        return Fit(model, report)
 
 
 def checked(datasets: Sequence[Dataset]) -> Dataset:
-    """The first record, after all were found to agree in axes, units, hold and sample time and to move on every axis."""
-    if not datasets:
-        raise InputError("records: none given: a linear fit needs at least one with command and measurement")
-    first = datasets[0]
+    """Return the first record, after all were found to agree in axes, units, hold and sample time and to move on every axis."""
     for data in datasets:
-        if data.axes != first.axes or data.unit != first.unit or data.hold != first.hold:
+        first = datasets[0]
+        if data.hold != first.hold:
             raise InputError(
-                f"{data.name}: axes {data.axes}, unit {data.unit}, hold {data.hold} differ from those of {first.name} "
-                f"({first.axes}, {first.unit}, {first.hold}): fit records of one system at a time"
+                f"{data.name}: hold {data.hold}, {first.name} has {first.hold}: a linear fit takes records of one hold"
             )
         if abs(data.sample_time - first.sample_time) > 1e-9 * first.sample_time:
             raise InputError(
                 f"{data.name}: sample time {data.sample_time:g} s, {first.name} has {first.sample_time:g} s: "
                 "a linear fit takes records of one sample time"
             )
-        if len(data.command) < 32:
-            raise InputError(f"{data.name}: {len(data.command)} samples are too few for a linear fit, 32 or more are due")
-        if not (np.all(np.isfinite(data.command)) and np.all(np.isfinite(data.measurement))):
-            raise InputError(f"{data.name}: holds values that are not finite numbers: cut them out first")
-    moving = np.concatenate([data.command - data.command.mean(axis=0) for data in datasets])
-    scale = np.linalg.norm(moving, axis=0)
-    if np.any(scale == 0):
-        still = first.axes[int(np.flatnonzero(scale == 0)[0])]
-        raise InputError(f"command of axis {still}: never moves: a record that excites every axis is needed")
-    return first
+    check_records(datasets, 32)
+    return datasets[0]
 
 
 def spectra_of(data: Dataset, period: int | None = None) -> Spectra:
@@ -203,7 +202,8 @@ def held_out_split(datasets: Sequence[Dataset]) -> tuple[list[Dataset], list[Dat
         kept, held = [data.rows(0, cut)], [data.rows(cut, len(data.command))]
 
     def motion(records: list[Dataset]) -> Array:
-        return np.sqrt(sum(np.mean(np.diff(data.command, axis=0) ** 2, axis=0) for data in records) / len(records))
+        found: Array = np.sqrt(sum(np.mean(np.diff(data.command, axis=0) ** 2, axis=0) for data in records) / len(records))
+        return found
 
     everything = motion(datasets)
     if np.any(motion(kept) < 0.2 * everything) or np.any(motion(held) < 0.2 * everything) or min(map(_length, held)) < 64:
@@ -233,18 +233,37 @@ def choose(
     direct: bool = True,
     free_delay: bool = False,
     iterations: int = 12,
-) -> tuple[Candidate, list[dict[str, float]]]:
-    """The smallest model that is as good as any on held-out data, of the given numbers of states and starting delays.
+) -> tuple[Candidate, list[OrderRow]]:
+    """Choose the smallest model that is as good as any on held-out data. Growing ends after three orders without a gain.
 
-    Also returns a row per model tried. Without held-out data Schwarz's information criterion decides. Stops growing
-    after three orders without a gain.
+    Parameters
+    ----------
+    train, held_out
+        Spectra to fit and to judge by; without the latter Schwarz's information criterion decides.
+    orders
+        Numbers of states that may be.
+    hold
+        Hold of the command.
+    delays
+        Delays (m,) in samples that a search begins with.
+    direct, free_delay
+        Whether there is a direct path, and whether the delay is estimated.
+    iterations
+        Most steps of a refinement.
+
+    Returns
+    -------
+    chosen : Candidate
+        The model.
+    rows : list of OrderRow
+        A row per model tried.
     """
-    rows: list[dict[str, float]] = []
+    rows: list[OrderRow] = []
     tried: list[tuple[float, Candidate]] = []
     starts = {tuple(delay): subspace(train, orders, delay, hold, direct) for delay in delays}
     stale = 0
     for index, order in enumerate(orders):
-        best: tuple[float, Candidate] | None = None
+        scored: list[tuple[float, Candidate]] = []
         for models in starts.values():
             candidate = refined(train, models[index], direct, free_delay, iterations)
             candidate = replace(candidate, held_out=error_of(candidate.model, held_out) if held_out else np.nan)
@@ -255,13 +274,13 @@ def choose(
                     "states": candidate.model.states,
                     "parameters": candidate.model.parameters,
                     "fitted": candidate.fitted,
-                    "held_out": candidate.held_out,
+                    "held_out": candidate.held_out if held_out else None,
                     "seconds": candidate.seconds,
                     "delay_samples": [float(value) for value in candidate.model.delay],
                 }
             )
-            if best is None or score < best[0]:
-                best = score, candidate
+            scored.append((score, candidate))
+        best = min(scored, key=lambda each: each[0])
         gain = NO_BETTER if held_out else 0.0
         lowest = min((score for score, _ in tried), default=np.inf)
         stale = 0 if best[0] < lowest * (1.0 - np.sign(lowest) * gain) or not np.isfinite(lowest) else stale + 1
@@ -274,7 +293,24 @@ def choose(
 
 
 def refined(data: Sequence[Spectra], start: ModalModel, direct: bool, free_delay: bool, iterations: int) -> Candidate:
-    """Output-error refinement of a model, with what tells how sure its parameters are."""
+    """Refine a model by its output error.
+
+    Parameters
+    ----------
+    data
+        Spectra to fit.
+    start
+        The model to begin with.
+    direct, free_delay
+        Whether there is a direct path, and whether the delay is estimated.
+    iterations
+        Most steps.
+
+    Returns
+    -------
+    Candidate
+        The model, its error, and the normal matrix that the standard errors come from.
+    """
     began = time.perf_counter()
     problem = Problem(data, start, direct, free_delay)
     cost, matrix = refine(problem, iterations)
@@ -290,24 +326,24 @@ def information(candidate: Candidate, data: Sequence[Spectra]) -> float:
     return 2 * equations * float(np.log(candidate.fitted)) + candidate.model.parameters * float(np.log(equations))
 
 
-def _search(datasets: Sequence[Dataset], settings: Options, orders: Sequence[int]) -> tuple[Candidate, list[dict[str, Any]]]:
+def _search(datasets: Sequence[Dataset], options: LinearOptions, orders: Sequence[int]) -> tuple[Candidate, list[OrderRow]]:
     first = datasets[0]
     inputs = len(first.axes)
     kept, held = held_out_split(datasets)
     train, test = [spectra_of(data) for data in kept], [spectra_of(data) for data in held]
-    orders = [settings.order] if settings.order else orders
+    orders = [options.order] if options.order else orders
     lines = sum(len(spectra.angle) * inputs for spectra in train)
     orders = [order for order in orders if order * 2 * inputs + inputs * inputs < lines] or [1]
-    if settings.delay == "estimate":
+    if options.delay == "estimate":
         # The delay is told from the modes' own lag where the model is strictly proper; the direct path would take its
         # place.
         late = dead_time(train, first.hold)
         variants = [
-            ([np.zeros(inputs)], settings.direct, False),
+            ([np.zeros(inputs)], options.direct, False),
             ([late, 0.5 * late] if np.any(late) else [late + 0.25], False, True),
         ]
     else:
-        variants = [([np.full(inputs, float(settings.delay) / first.sample_time)], settings.direct, False)]
+        variants = [([np.full(inputs, float(options.delay) / first.sample_time)], options.direct, False)]
     results = [choose(train, test, orders, first.hold, delays, direct=direct, free_delay=free) for delays, direct, free in variants]
     rows = [row for _, table in results for row in table]
 
@@ -320,7 +356,7 @@ def _search(datasets: Sequence[Dataset], settings: Options, orders: Sequence[int
     index = min(good)[1]
     delays, direct, free = variants[index]
     everything = [spectra_of(data) for data in datasets]
-    final = refined(everything, results[index][0].model, direct, free, settings.iterations)
+    final = refined(everything, results[index][0].model, direct, free, options.iterations)
     return replace(final, held_out=results[index][0].held_out), rows
 
 
@@ -384,14 +420,14 @@ def polynomials(model: ModalModel, sample_time: float) -> tuple[Array, Array]:
     return np.trim_zeros(num, "f") if np.any(num) else np.zeros(1), den
 
 
-def parameter_rows(candidate: Candidate, sample_time: float, axis: str) -> list[dict[str, Any]]:
+def parameter_rows(candidate: Candidate, sample_time: float, axis: str) -> list[ParameterRow]:
     """Frequency and damping of every pole, the static gain and the delay, with standard errors."""
     model, layout = candidate.model, candidate.layout.slices
     sigma = candidate.standard_errors(*layout)
     n = len(model.poles)
     pole_sigma = sigma[layout["pole"]].reshape(n, 2)
     suffix = f"[{axis}]" if axis else ""
-    rows = []
+    rows: list[ParameterRow] = []
     for i, pole in enumerate(model.poles):
         size = abs(pole)
         # λ = -e^a + j w: errors of a and w, to first order those of |λ| and of the damping ratio.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
@@ -17,17 +17,20 @@ from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
-from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report, check_records
+from hyst_control.identify.estimator import Estimator, register
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.fit_windows import whole_records
 from hyst_control.identify.gram_sums import NUISANCES, Window
+from hyst_control.identify.options import INTEGER, NUMBER, NUMBERS, Options, option
+from hyst_control.identify.shared_options import nuisance_option
 from hyst_control.identify.simulation_error import Parametrisation, Solution, minimise
 from hyst_control.model_file import Model
 
 LEAST_SLOPE = 5e-3
 """Smallest slope of a curve relative to its mean slope: what rises this much everywhere has an inverse."""
 GRID = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 65))
-"""Where a polynomial's slope is held above the least one: closest together at the ends, as its turns are."""
+"""Points at which a polynomial's slope is held above the least one: closest together at the ends, as its turns are."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +46,12 @@ class Curves:
 
     def __post_init__(self) -> None:
         if self.knots is None and not 1 <= self.degree <= 12:
-            raise InputError(f"degree: {self.degree}, 1 to 12 is due")
+            raise InputError(f"degree: must be from 1 to 12, got {self.degree}")
         if self.knots is not None:
             knots = np.array(self.knots, dtype=float)
             object.__setattr__(self, "knots", tuple(knots.ravel().tolist()))
             if knots.ndim != 1 or len(knots) < 3 or knots[0] != 0 or knots[-1] != 1 or np.any(np.diff(knots) <= 0):
-                raise InputError("knots: at least three, strictly increasing from 0 to 1, are due")
+                raise InputError(f"knots: must be at least three, strictly increasing from 0 to 1, got {knots.ravel().tolist()}")
 
     @property
     def count(self) -> int:
@@ -119,24 +122,55 @@ class Curves:
         return np.concatenate([up, down]) - LEAST_SLOPE * full
 
 
-def fit(
-    datasets: Sequence[Dataset],
-    *,
-    degree: int = 5,
-    knots: Sequence[float] | None = None,
-    input_scale: float | None = None,
-    nuisance: str = "offset",
-) -> Fit:
-    """Identify `madelung` and the sensor's zero from slow records, all together, each axis on its own.
+@dataclass(frozen=True)
+class CurveOptions(Options):
+    """Form of the curves."""
 
-    degree of the polynomials, or knots of the piecewise cubics; input_scale in V, the largest command unless given. nuisance:
-    what each record may add, "none", "offset" or "linear"; the mean offset becomes the model's `offset` stage.
-    Raises `InputError` when the records cannot tell a model.
-    """
-    check(datasets)
-    curves = Curves(degree, knots)
-    axes = [fit_axis(whole_records(datasets, axis), curves, input_scale, nuisance) for axis in range(len(datasets[0].axes))]
-    return assemble(datasets, axes, "joint")
+    degree: int = option(
+        5, INTEGER, "degree of the curves' polynomials, where `knots` does not make them piecewise", lower=1, upper=12
+    )
+    knots: tuple[float, ...] | None = option(
+        None,
+        NUMBERS,
+        "knots of piecewise cubics in place of polynomials, increasing from 0 to 1 of the input scale",
+        lower=0.0,
+        upper=1.0,
+    )
+    input_scale: float | None = option(
+        None, NUMBER, "command at the upper end of the curves, in place of the largest one of the records", unit="V", lower=0.0
+    )
+
+    @property
+    def curves(self) -> Curves:
+        """The form of the curves."""
+        return Curves(self.degree, self.knots)
+
+    def check(self) -> None:
+        if self.input_scale == 0.0:
+            raise InputError("input_scale: must be > 0 V, got 0")
+        _ = self.curves
+
+
+@dataclass(frozen=True)
+class MadelungOptions(CurveOptions):
+    """Choices of a fit of Madelung curves."""
+
+    nuisance: str = nuisance_option("offset")
+
+
+@register
+class MadelungCurves(Estimator[MadelungOptions]):
+    """Madelung hysteresis without dynamics."""
+
+    name = "madelung"
+    sentence = "Madelung hysteresis without dynamics, and the sensor's zero: rising curves from slow loops, nested ones included"
+    Options = MadelungOptions
+
+    def fit(self, datasets: Sequence[Dataset], options: MadelungOptions) -> Fit:
+        check(datasets)
+        windows = [whole_records(datasets, axis) for axis in range(len(datasets[0].axes))]
+        axes = [fit_axis(each, options.curves, options.input_scale, options.nuisance) for each in windows]
+        return assemble(datasets, axes, options.method)
 
 
 @dataclass(frozen=True)
@@ -165,7 +199,28 @@ def fit_axis(
     inverse: bool = False,
     passes: int = 40,
 ) -> AxisFit:
-    """Identify one axis. With `inverse` command and measurement have changed places, and so has the start."""
+    """Identify the curves of one axis.
+
+    Parameters
+    ----------
+    windows
+        Stretches of its records.
+    curves
+        Form of the curves.
+    input_scale
+        Command (V) at their upper end; None: the largest one.
+    nuisance
+        Addition of each record: "none", "offset" or "linear".
+    inverse
+        Command and measurement have changed places, and so has the start.
+    passes
+        Most passes with derivatives.
+
+    Returns
+    -------
+    AxisFit
+        Curves, scales, sign and zero.
+    """
     scale = full_scale(windows, input_scale)
     sign = response_sign(windows)
     travel = (
@@ -202,8 +257,6 @@ def fit_inverse(stage: Madelung, curves: Curves | None = None) -> Madelung:
 
 def check(datasets: Sequence[Dataset]) -> None:
     """Raise `InputError` unless the records share their axes and unit, something moves, and no command is negative."""
-    from hyst_control.identify.hammerstein import check as check_records
-
     check_records(datasets)
     for data in datasets:
         lowest = float(data.command.min())
@@ -218,8 +271,6 @@ def full_scale(windows: Sequence[Window], given: float | None) -> float:
     largest = max(float(window.command.max()) for window in windows)
     if given is None:
         return largest
-    if not given > 0:
-        raise InputError(f"input_scale: {given!r} V, a positive voltage is due")
     return float(given)
 
 
@@ -244,11 +295,16 @@ def merged(stages: Sequence[Madelung]) -> Madelung:
     """The hysteresis of several axes as one stage."""
     if len(stages) == 1:
         return stages[0]
-    fields = ("ascending", "descending", "input_scale", "output_scale")
-    return Madelung(*([getattr(stage, field) for stage in stages] for field in fields), knots=stages[0].knots)
+    return Madelung(
+        [stage.ascending for stage in stages],
+        [stage.descending for stage in stages],
+        [stage.input_scale for stage in stages],
+        [stage.output_scale for stage in stages],
+        knots=stages[0].knots,
+    )
 
 
-def curve_errors(curves: Curves, vector: Array, covariance: Array) -> tuple[list[dict[str, Any]], float]:
+def curve_errors(curves: Curves, vector: Array, covariance: Array) -> tuple[list[ParameterRow], float]:
     """Rows {"name", "value", "standard_error"} of the curves' coefficients, and the tolerance of the curves as a whole.
 
     Coefficients of a polynomial are known together far better than one by one. The tolerance is the relative error which,
@@ -264,7 +320,7 @@ def curve_errors(curves: Curves, vector: Array, covariance: Array) -> tuple[list
     errors = np.sqrt(np.maximum(np.diag(spread), 0.0))
     half = len(nominal) // 2
     names = [f"{name}[{i}]" for name in ("ascending", "descending") for i in range(half)]
-    rows = [
+    rows: list[ParameterRow] = [
         {"name": name, "value": float(value), "standard_error": float(error), "unit": ""}
         for name, value, error in zip(names, nominal, errors, strict=True)
     ]
@@ -298,7 +354,8 @@ def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) 
         },
     )
     rows, residuals = record_rows(model, datasets)
-    parameters, tolerances = [], []
+    parameters: list[ParameterRow] = []
+    tolerances = []
     for axis, name in zip(axes, first.axes, strict=True):
         found, tolerance = curve_errors(axis.curves, axis.solution.parameters, axis.solution.covariance)
         parameters += [{**row, "axis": name} for row in found]
@@ -310,7 +367,7 @@ def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) 
         tolerance={"ascending": tolerance, "descending": tolerance},
         noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
     )
-    report = {
+    report: Report = {
         "family": "madelung",
         "method": method,
         "unit": first.unit,
@@ -321,8 +378,16 @@ def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) 
     return Fit(model, report)
 
 
-def range_notes(datasets: Sequence[Dataset], axes: Sequence[Any]) -> list[str]:
-    """What of the curves the records do not reach, with the excitation that would show it."""
+class Scaled(Protocol):
+    """One axis whose curves end at some command."""
+
+    @property
+    def input_scale(self) -> float:
+        """The command (V) at the end of the curves."""
+
+
+def range_notes(datasets: Sequence[Dataset], axes: Sequence[Scaled]) -> list[str]:
+    """Name the part of the curves that the records do not reach, with the excitation that would show it."""
     notes = []
     for index, (axis, name) in enumerate(zip(axes, datasets[0].axes, strict=True)):
         low = min(float(data.command[:, index].min()) for data in datasets) / axis.input_scale

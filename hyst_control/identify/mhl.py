@@ -2,26 +2,28 @@
 
     y = G(s) [ H_S[u(t - τ)] + Ψ ],   Ψ = (k1 u̇ + b1) / (k2 s + b2),   G(0) = 1,   b2 = 1
 
-"joint" fits everything to all records at once; "paper" is the paper's own sequence (`paper_mhl`). G(s) is stable for every
-parameter vector, the curves rise and close, and the order of G(s) is the one that does best on rows held out.
+"joint" fits everything to all records at once; "paper" is the paper's own sequence (`paper_mhl`). `mhl_axis` holds the parameters of an
+axis. G(s) is stable for every parameter vector, the curves rise and close, and the order of G(s) is the one that does best on rows held
+out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from typing import Any
+from dataclasses import replace
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyst_control.chain import Chain, Parallel, Stage
 from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.stage import Array
-from hyst_control.errors import InputError
+from hyst_control.identify import paper_mhl
 from hyst_control.identify.coupling import Coupling, fit_coupling, without_coupling
-from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report
+from hyst_control.identify.estimator import Estimator, register
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.fit_windows import whole_records
 from hyst_control.identify.gram_sums import Window
@@ -36,13 +38,13 @@ from hyst_control.identify.madelung import (
     range_notes,
     response_sign,
 )
+from hyst_control.identify.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
 from hyst_control.identify.simulation_error import Parametrisation, Solution, coarse, minimise, short_stretches
 from hyst_control.identify.stable_dynamics import TAU_UNIT, Structure
 from hyst_control.model_file import Model
 from hyst_control.parallel import forked
 
-K2_UNIT = 1e-3
-"""The unit (s) of k2 in the parameter vector, which holds its logarithm."""
+T = TypeVar("T")
 SELECTION_ROWS, FINAL_ROWS = 20_000, 100_000
 STRETCH, SETTLE = 0.06, 0.015
 """Length (s) of the stretches that stand for a long record, and of their beginning that does not count."""
@@ -50,131 +52,32 @@ WORTHWHILE = 0.01
 """A factor of G is kept when it lowers the held-out mean square error by more than this share."""
 
 
-@dataclass(frozen=True)
-class Options:
-    """Choices of the fit.
+@register
+class ModifiedHammersteinLike(Estimator[MhlOptions]):
+    """The modified Hammerstein-like model: one chain per axis and, between several axes, cross-coupling where the records show it."""
 
-    degree of the curves' polynomials, or `knots` of piecewise cubics; input_scale in V, the largest command unless given;
-    nuisance: what each record may add to the model, "none", "offset" or "linear" (offset and slow drift, so that creep does not
-    bend the loop); structure: G's, where it is not to be chosen; cross_coupling: whether to look for it between several axes.
-    """
+    name = "mhl"
+    sentence = (
+        "delay, Madelung hysteresis beside a rate correction, and dynamics G(s), together: the curves rise and close, G(s) is stable for "
+        "every parameter vector, its factors are chosen on held-out rows"
+    )
+    Options = MhlOptions
 
-    degree: int = 5
-    knots: Sequence[float] | None = None
-    input_scale: float | None = None
-    nuisance: str = "linear"
-    structure: Structure | None = None
-    cross_coupling: bool = True
-
-    @property
-    def curves(self) -> Curves:
-        """The form of the curves."""
-        return Curves(self.degree, self.knots)
-
-
-@dataclass(frozen=True)
-class Axis:
-    """The model of one axis as a parameter vector: curves, rate part (k1 relative to the slope, log k2), dynamics with delay."""
-
-    curves: Curves
-    structure: Structure
-    input_scale: float
-    output_scale: float
-    sign: float
-    sample_time: float
-
-    @property
-    def size(self) -> int:
-        """Number of parameters."""
-        return self.curves.size + 2 + self.structure.size
-
-    def split(self, vector: Array) -> tuple[Array, Array, Array]:
-        """Curves, rate part, dynamics."""
-        n = self.curves.size
-        return vector[:n], vector[n : n + 2], vector[n + 2 :]
-
-    def rate(self, vector: Array) -> tuple[float, float]:
-        """k1 (measurement unit s/V) and k2 (s)."""
-        share, log_k2 = self.split(vector)[1]
-        k2 = K2_UNIT * float(np.exp(log_k2))
-        return float(share) * self.output_scale / self.input_scale * k2, k2
-
-    def stages(self, vector: Array, b1: float = 0.0) -> list[Stage]:
-        """The chain: delay, hysteresis and rate correction in parallel, G(s), and the response's sign."""
-        curves, _, dynamics = self.split(vector)
-        k1, k2 = self.rate(vector)
-        linear = _dynamics_stages(self.structure, dynamics.tobytes())
-        core = _curve_stage(self.curves, curves.tobytes(), self.input_scale, self.output_scale)
-        hysteresis = Parallel(((core,), (RateCorrection(k1=k1, k2=k2, b1=b1),)))
-        delays = [stage for stage in linear if isinstance(stage, Delay)]
-        return [*delays, hysteresis, *(stage for stage in linear if not isinstance(stage, Delay))]
-
-    def limit(self, vector: Array) -> Array:
-        """The vector held where the data can tell something."""
-        curves, rate, dynamics = self.split(vector)
-        rate = np.clip(rate, [-5.0, np.log(0.02)], [5.0, np.log(200.0)])
-        return np.concatenate([curves, rate, self.structure.limit(dynamics, self.sample_time)])
-
-    def parametrisation(self) -> Parametrisation:
-        """What the search needs to know."""
-        lhs = np.zeros((len(self.curves.constraints()), self.size))
-        lhs[:, : self.curves.size] = self.curves.constraints()
-        return Parametrisation(self.stages, lhs, np.zeros(len(lhs)), self.limit)
-
-
-# A neighbouring vector differs in one parameter: most stages of its chain have been made, and checked, before.
-@lru_cache(256)
-def _curve_stage(curves: Curves, vector: bytes, input_scale: float, output_scale: float) -> Stage:
-    return curves.stage(np.frombuffer(vector), input_scale, output_scale)
-
-
-@lru_cache(256)
-def _dynamics_stages(structure: Structure, vector: bytes) -> tuple[Stage, ...]:
-    return tuple(structure.stages(np.frombuffer(vector)))
-
-
-@dataclass(frozen=True)
-class AxisFit:
-    """One axis: its parameters with their covariance, the sensor's zero, and the mean square error on the rows held out."""
-
-    axis: Axis
-    vector: Array
-    covariance: Array
-    offset: float
-    held_out: float
-    extra: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def input_scale(self) -> float:
-        """The command (V) at the end of the curves."""
-        return self.axis.input_scale
-
-
-def fit(datasets: Sequence[Dataset], method: str = "joint", **options: Any) -> Fit:
-    """Identify an MHL model with one chain per axis and, between several axes, cross-coupling where the records show it.
-
-    method "joint" or "paper"; options as in `Options`. Raises `InputError` when the records cannot tell a model, naming what is
-    missing.
-    """
-    chosen = Options(**options)
-    check(datasets)
-    if method == "paper":
-        from hyst_control.identify import paper_mhl
-
-        return assemble(datasets, "paper", paper_mhl.fit_axes(datasets, chosen), None)
-    if method != "joint":
-        raise InputError(f"method: {method!r} is not known: joint or paper is due")
-    axes: list[AxisFit] = []
-    for index in range(len(datasets[0].axes)):
-        axes.append(fit_joint(whole_records(datasets, index), chosen, axes[0] if axes else None))
-    coupling = None
-    if chosen.cross_coupling and len(axes) > 1:
-        coupling, axes = with_coupling(datasets, axes, chosen.nuisance)
-    cleaned = datasets
-    if coupling is not None:
-        cleaned = without_coupling(chain_model(datasets, axes, "plain"), coupling, datasets)
-    final = forked(lambda index: refit(whole_records(cleaned, index), axes[index], chosen.nuisance), len(axes))
-    return assemble(datasets, "joint", list(final), coupling)
+    def fit(self, datasets: Sequence[Dataset], options: MhlOptions) -> Fit:
+        check(datasets)
+        if options.method == "paper":
+            return assemble(datasets, "paper", paper_mhl.fit_axes(datasets, options), None)
+        axes: list[AxisFit] = []
+        for index in range(len(datasets[0].axes)):
+            axes.append(fit_joint(whole_records(datasets, index), options, axes[0] if axes else None))
+        coupling = None
+        if options.cross_coupling and len(axes) > 1:
+            coupling, axes = with_coupling(datasets, axes, options.nuisance)
+        cleaned = datasets
+        if coupling is not None:
+            cleaned = without_coupling(chain_model(datasets, axes, "plain"), coupling, datasets)
+        final = forked(lambda index: refit(whole_records(cleaned, index), axes[index], options.nuisance), len(axes))
+        return assemble(datasets, options.method, list(final), coupling)
 
 
 def with_coupling(
@@ -197,7 +100,7 @@ def refined_axes(datasets: Sequence[Dataset], axes: Sequence[AxisFit], nuisance:
     return list(forked(lambda index: refined(whole_records(datasets, index), axes[index], nuisance, passes=3), len(axes)))
 
 
-def fit_joint(windows: Sequence[Window], options: Options, like: AxisFit | None) -> AxisFit:
+def fit_joint(windows: Sequence[Window], options: MhlOptions, like: AxisFit | None) -> AxisFit:
     """One axis from all its records. `like` is another axis of the same device, from whose dynamics the search begins."""
     sign = response_sign(windows)
     turned = [replace(window, measurement=sign * window.measurement) for window in windows]
@@ -251,7 +154,7 @@ def slowest(windows: Sequence[Window]) -> list[Window]:
     return [replace(window, group=groups[window.group]) for window in kept]
 
 
-def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, options: Options) -> tuple[Axis, Solution]:
+def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, options: MhlOptions) -> tuple[Axis, Solution]:
     """G's order and everything else: grown factor by factor as long as the held-out error falls, from a mode behind a delay."""
     given = options.structure
     if given is not None:
@@ -275,7 +178,7 @@ def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, opti
 
 
 def searched(
-    windows: Sequence[Window], axis: Axis, curves: Array, options: Options, *, thorough: bool = True
+    windows: Sequence[Window], axis: Axis, curves: Array, options: MhlOptions, *, thorough: bool = True
 ) -> tuple[Axis, Solution]:
     """A structure fitted from many starts, the curves in the form of `axis`; then everything free, in the form asked for.
 
@@ -342,7 +245,7 @@ def starts(axis: Axis) -> list[Array]:
 
 
 def extended(
-    windows: Sequence[Window], axis: Axis, best: Solution, structures: Sequence[Structure], options: Options
+    windows: Sequence[Window], axis: Axis, best: Solution, structures: Sequence[Structure], options: MhlOptions
 ) -> list[tuple[Axis, Solution]]:
     """Richer structures, each from what the poorer one found, on all cores."""
     dynamics = axis.split(best.parameters)[2]
@@ -379,7 +282,7 @@ def lead_and_delay(old: Structure, new: Structure, dynamics: Array) -> Array:
     return with_numerator(parts, np.polymul(old.rational(dynamics)[0], [time, 1.0]))
 
 
-def with_numerator(parts: dict[str, Array], num: Array) -> Array:
+def with_numerator(parts: dict[str, Array], num: NDArray[np.floating[Any]]) -> Array:
     """A dynamics vector from its factors, with the zeros' coefficients those of a numerator (descending powers of s)."""
     scale = np.exp(np.concatenate([parts["modes"][:, 0], parts["lags"]])).min()
     rising = (num / num[-1])[::-1]
@@ -403,7 +306,7 @@ def extensions(structure: Structure) -> list[Structure]:
 def chain_stages(axes: Sequence[AxisFit]) -> list[Stage]:
     """The axes' chains side by side as one chain with per-axis parameters."""
 
-    def per_axis(values: Sequence[Any]) -> Any:
+    def per_axis(values: Sequence[T]) -> T | list[T]:
         return values[0] if len(values) == 1 else list(values)
 
     chains = [axis.axis.stages(axis.vector, axis.offset) for axis in axes]
@@ -445,7 +348,7 @@ def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], 
     if coupling is not None:
         model = model.with_stages([*model.chain.stages, coupling.stage])
     rows, residuals = record_rows(model, datasets)
-    parameters: list[dict[str, Any]] = []
+    parameters: list[ParameterRow] = []
     relative: dict[str, list[float]] = {}
     for axis, name in zip(axes, datasets[0].axes, strict=True):
         for row in [*curve_rows(axis, relative), *other_rows(axis, datasets[0].unit, relative)]:
@@ -460,7 +363,7 @@ def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], 
     )
     travel = [max(float(data.range[i]) for data in datasets) for i in range(len(axes))]
     notes = range_notes(datasets, axes) + told_apart(parameters)
-    report: dict[str, Any] = {
+    report: Report = {
         "family": "mhl",
         "method": method,
         "unit": datasets[0].unit,
@@ -476,7 +379,7 @@ def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], 
     return Fit(model, report)
 
 
-def curve_rows(axis: AxisFit, relative: dict[str, list[float]]) -> list[dict[str, Any]]:
+def curve_rows(axis: AxisFit, relative: dict[str, list[float]]) -> list[ParameterRow]:
     """The curves' coefficients with their errors; their tolerance goes into `relative`."""
     rows, tolerance = curve_errors(axis.axis.curves, axis.axis.split(axis.vector)[0], axis.covariance)
     for name in ("ascending", "descending"):
@@ -484,7 +387,7 @@ def curve_rows(axis: AxisFit, relative: dict[str, list[float]]) -> list[dict[str
     return rows
 
 
-def other_rows(axis: AxisFit, unit: str, relative: dict[str, list[float]]) -> list[dict[str, Any]]:
+def other_rows(axis: AxisFit, unit: str, relative: dict[str, list[float]]) -> list[ParameterRow]:
     """Scale, rate part, delay and G(s) with errors carried over from the search; relative ones by parameter name."""
     structure, n = axis.axis.structure, axis.axis.curves.size
 
@@ -499,7 +402,7 @@ def other_rows(axis: AxisFit, unit: str, relative: dict[str, list[float]]) -> li
     num, den = structure.rational(axis.vector[n + 2 :])
     names = ["output_scale", "k1", "k2", "tau", *(f"num[{i}]" for i in range(len(num))), *(f"den[{i}]" for i in range(1, len(den)))]
     units = [unit, f"{unit} s/V", "s", "s"] + [""] * (len(names) - 4)
-    rows = []
+    rows: list[ParameterRow] = []
     for name, value, error, given in zip(names, nominal, errors, units, strict=True):
         if name == "tau" and not structure.delay:
             continue
@@ -510,8 +413,8 @@ def other_rows(axis: AxisFit, unit: str, relative: dict[str, list[float]]) -> li
     return rows
 
 
-def told_apart(parameters: Sequence[dict[str, Any]]) -> list[str]:
-    """What the data could not tell, with the excitation that would."""
+def told_apart(parameters: Sequence[ParameterRow]) -> list[str]:
+    """Name the parameters that the data cannot tell, with the excitation that would."""
     remedies = {
         "k1": "record loops of full amplitude between 20 and 200 Hz",
         "k2": "record loops of full amplitude between 20 and 200 Hz",

@@ -22,9 +22,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, qr
+from scipy.linalg import qr
 
 from hyst_control.chain.stage import Array
+from hyst_control.identify import gauss_newton
+from hyst_control.identify.gauss_newton import End, Rules, Trial, solve_damped
 
 CHUNK = 400_000
 """Entries of the matrix W worked on at once: few enough for the cache, enough for the matrix product."""
@@ -92,12 +94,13 @@ class ModalModel:
     def parameters(self) -> int:
         """Number of free parameters: n (m + p) + m p, and the delays that are not zero."""
         outputs, inputs = self.feedthrough.shape
-        return self.states * (outputs + inputs) + int(np.count_nonzero(self.feedthrough)) + int(np.count_nonzero(self.delay))
+        count: int = self.states * (outputs + inputs) + int(np.count_nonzero(self.feedthrough)) + int(np.count_nonzero(self.delay))
+        return count
 
     def response(self, angle: Array) -> np.ndarray:
         """Frequency response (F, p, m) of the sampled system at `angle` (F,), radian per sample."""
         z = np.exp(1j * np.asarray(angle, dtype=float))
-        total = np.einsum("kj,oj->koj", self._direct(z), self.feedthrough.astype(complex))
+        total: np.ndarray = np.einsum("kj,oj->koj", self._direct(z), self.feedthrough.astype(complex))
         for pole, c, b in zip(self.poles, self.outputs, self.inputs, strict=True):
             pairs = [(pole, c, b)] if pole.imag == 0 else [(pole, c, b), (np.conj(pole), np.conj(c), np.conj(b))]
             for value, left, right in pairs:
@@ -144,13 +147,15 @@ def taps(pole: complex, late: float, hold: str) -> tuple[complex, complex, compl
     """Input taps of dx/dt = λ x + u sampled at 1, u held and late by 0 <= late < 1: x[k] = e^λ x[k-1] + Σ taps[i] w[k-i]."""
 
     def step(time: float) -> complex:
-        return np.expm1(pole * time) / pole
+        value: complex = np.expm1(pole * time) / pole
+        return value
 
     def ramp(time: float) -> complex:
         x = pole * time
         if abs(x) < 1e-3:
             return time * (0.5 + x / 6 + x * x / 24 + x**3 / 120)
-        return (np.expm1(x) - x) / (pole * x)
+        value: complex = (np.expm1(x) - x) / (pole * x)
+        return value
 
     rest = 1.0 - late
     carry = np.exp(pole * rest)
@@ -171,7 +176,8 @@ def mode_response(pole: complex, delay: Array, hold: str, z: np.ndarray) -> np.n
         whole = int(np.floor(late + 1e-12))
         t0, t1, t2 = taps(pole, late - whole, hold)
         columns.append((t0 + back * (t1 + back * t2)) * back ** (whole + (hold == "zoh")))
-    return np.stack(columns, axis=-1) / (1.0 - np.exp(pole) * back)[:, None]
+    found: np.ndarray = np.stack(columns, axis=-1) / (1.0 - np.exp(pole) * back)[:, None]
+    return found
 
 
 def direct_response(delay: Array, hold: str, z: np.ndarray) -> np.ndarray:
@@ -186,10 +192,28 @@ def direct_response(delay: Array, hold: str, z: np.ndarray) -> np.ndarray:
 
 
 def subspace(data: Sequence[Spectra], orders: Sequence[int], delay: Array, hold: str, direct: bool = True) -> list[ModalModel]:
-    """Models of the given orders (states) from one singular value decomposition; McKelvey et al. 1996, algorithm 2.
+    """Estimate models of several orders from one singular value decomposition; McKelvey et al. 1996, algorithm 2.
 
     The unit circle is warped by the bilinear map that takes the highest line to three quarters of the circle, so that
     a band far below the sampling rate is as well conditioned as a full one. Unstable poles are reflected.
+
+    Parameters
+    ----------
+    data
+        Spectra of commands and measurements.
+    orders
+        Numbers of states.
+    delay
+        Delay (m,) of each input in samples.
+    hold
+        Hold of the command.
+    direct
+        Allow a direct path.
+
+    Returns
+    -------
+    list of ModalModel
+        A model an order.
     """
     outputs = data[0].measurement.shape[1]
     top = max(float(spectra.angle.max()) for spectra in data)
@@ -247,7 +271,7 @@ def subspace(data: Sequence[Spectra], orders: Sequence[int], delay: Array, hold:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each kind of parameter stands in the vector: n poles, m inputs, p outputs, `records` with transients.
+    """Places of each kind of parameter in the vector: n poles, m inputs, p outputs, `records` with transients.
 
     Complex parameters have their real parts first, then their imaginary ones: "c" (2, n, p), "b" (2, n, m), "t"
     (records, 2, n). "pole" (n, 2) is a and w of λ = -e^a + j w.
@@ -495,44 +519,79 @@ class Problem:
         return weights
 
 
-def solve_damped(matrix: Array, vector: Array, chosen: np.ndarray, damping: float) -> Array:
-    """Step (P,) of the damped normal equations over the chosen parameters, scaled by their diagonal; zero elsewhere."""
-    index = np.flatnonzero(chosen)
-    scale = np.sqrt(np.maximum(np.diag(matrix)[index], 1e-300))
-    scaled = matrix[np.ix_(index, index)] / scale / scale[:, None]
-    scaled[np.diag_indices_from(scaled)] += damping
-    step = np.zeros(len(vector))
-    try:
-        step[index] = cho_solve(cho_factor(scaled), vector[index] / scale) / scale
-    except np.linalg.LinAlgError:
-        step[index] = np.linalg.lstsq(scaled, vector[index] / scale, rcond=1e-13)[0] / scale
-    return step
-
-
 def refine(problem: Problem, iterations: int = 40, tolerance: float = 1e-5) -> tuple[float, Array]:
-    """Levenberg-Marquardt from the problem's present model; returns rᵀr and the last JᵀJ.
+    """Lower the cost of a problem by damped Gauss-Newton from its present model, and leave it at the best one.
 
-    Ends when an accepted step lowers the cost by less than `tolerance` of it.
+    Parameters
+    ----------
+    problem
+        The problem.
+    iterations
+        Most steps.
+    tolerance
+        Share of the cost that a step must gain for the search to go on.
+
+    Returns
+    -------
+    cost : float
+        rᵀr.
+    matrix : Array
+        The last JᵀJ (P, P).
     """
+    search = _Search(problem)
+    rules = Rules(
+        damping=1e-4,
+        raised=lambda damping: damping * 8,
+        eased=lambda damping: max(damping / 5, 1e-10),
+        small=lambda before, after: before - after <= tolerance * (before - problem.irreducible),
+        steps=iterations,
+        rejections=8,
+    )
     problem.rescale()
-    matrix, vector, cost = problem.normal_equations()
-    damping = 1e-4
-    for _ in range(iterations):
-        best = problem.model, problem.transients
-        gained = 0.0
-        for _ in range(8):
-            problem.apply(solve_damped(matrix, vector, problem.movable(vector), damping))
-            trial = problem.cost()
-            if trial < cost:
-                gained = cost - trial
-                damping = max(damping / 5, 1e-10)
-                break
-            problem.model, problem.transients = best
-            damping *= 8
-        if gained <= tolerance * (cost - problem.irreducible):
-            if gained > 0:
-                matrix, vector, cost = problem.normal_equations()
-            break
-        problem.rescale()
-        matrix, vector, cost = problem.normal_equations()
-    return cost, matrix
+    found = gauss_newton.minimize(search, search.here(), rules)
+    point = found.point
+    if not found.linearized:
+        # After a small gain the modes' sizes stay as the last step left them.
+        search.place(point)
+        point = search.linearize(point) if found.end is End.BUDGET else search.here()
+    search.place(point)
+    return point.cost, point.matrix
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A model with its transients, the cost rᵀr, and JᵀJ and Jᵀr where they were last taken."""
+
+    model: ModalModel
+    transients: Transients
+    cost: float
+    matrix: Array
+    vector: Array
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The search over a problem's models, which is left at the best one."""
+
+    problem: Problem
+
+    def place(self, point: _Point) -> None:
+        self.problem.model, self.problem.transients = point.model, point.transients
+
+    def here(self) -> _Point:
+        matrix, vector, cost = self.problem.normal_equations()
+        return _Point(self.problem.model, self.problem.transients, cost, matrix, vector)
+
+    def cost(self, point: _Point) -> float:
+        return point.cost
+
+    def linearize(self, point: _Point) -> _Point:
+        self.place(point)
+        self.problem.rescale()
+        return self.here()
+
+    def step(self, point: _Point, damping: float) -> Trial[_Point]:
+        problem = self.problem
+        self.place(point)
+        problem.apply(solve_damped(point.matrix, point.vector, problem.movable(point.vector), damping))
+        return Trial(replace(point, model=problem.model, transients=problem.transients, cost=problem.cost()))

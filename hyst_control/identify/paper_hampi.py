@@ -13,10 +13,10 @@ from scipy.optimize import lsq_linear
 
 from hyst_control.errors import InputError
 from hyst_control.identify.bounded_least_squares import cost
-from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.dataset import Dataset, Fit, check_records
 from hyst_control.identify.fit_windows import whole_records
 from hyst_control.identify.gram_sums import Operators, Window, gram_matrices
-from hyst_control.identify.hammerstein import Options, check, default_operators
+from hyst_control.identify.hammerstein import HammersteinOptions, default_operators
 from hyst_control.identify.prandtl_ishlinskii_model import AxisFit, assemble
 from hyst_control.identify.record_segmentation import Stretch, pick
 from hyst_control.identify.reversal_points import turning_points
@@ -28,21 +28,21 @@ PAPER_STRUCTURE = Structure(modes=1, zeros=1, slow_pair=True)
 """The factors of the paper's Eq. 7."""
 
 
-def fit(datasets: Sequence[Dataset], family: str, options: Options) -> Fit:
-    """Identify hapi or hampi in the paper's three steps.
+def fit(datasets: Sequence[Dataset], family: str, options: HammersteinOptions, *, dynamic: bool) -> Fit:
+    """Identify a model in the paper's three steps; `dynamic` for weights that follow the rate, else the last step is left out.
 
     Raises `InputError` naming the experiment that the records lack.
     """
-    check(datasets)
-    axes = [_fit_axis(datasets, axis, family, options) for axis in range(len(datasets[0].axes))]
+    check_records(datasets)
+    axes = [_fit_axis(datasets, axis, dynamic, options) for axis in range(len(datasets[0].axes))]
     return assemble(datasets, family, "paper", axes)
 
 
-def _fit_axis(datasets: Sequence[Dataset], axis: int, family: str, options: Options) -> AxisFit:
+def _fit_axis(datasets: Sequence[Dataset], axis: int, dynamic: bool, options: HammersteinOptions) -> AxisFit:
     step = _windows(datasets, axis, "step", "a step from rest that is then held")
     slow = _windows(datasets, axis, "quasi_static", "loops at 5 Hz or slower")
     everything = whole_records(datasets, axis)
-    operators = replace(default_operators(everything, family, options), dynamic=False)
+    operators = default_operators(everything, options, one_sided=options.one_sided)
     drive = max(float(np.ptp(window.command)) for window in everything)
     mean_slope = max(float(np.ptp(window.measurement)) for window in everything) / drive
 
@@ -55,7 +55,7 @@ def _fit_axis(datasets: Sequence[Dataset], axis: int, family: str, options: Opti
     # Step 2: the static weights, G(s) as it is.
     static = solve(Problem(slow, operators, "offset", len(datasets), mean_slope), structure, parameters, passes=2, everything=True)
     static = replace(static, parameters=parameters, held_out=static.fitted)
-    if family == "hapi":
+    if not dynamic:
         return AxisFit(static, operators, static.fitted)
 
     # Step 3: the dynamic weights, everything else as it is.

@@ -6,7 +6,7 @@ inverse (Table 1, right). Kept to be compared with the joint fit: every later st
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,10 +18,11 @@ from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.fit_report import command_bandwidth
-from hyst_control.identify.fit_windows import turning_points, whole_records
+from hyst_control.identify.fit_windows import whole_records
 from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.madelung import fit_axis, fit_inverse, full_scale, response_sign
-from hyst_control.identify.mhl import K2_UNIT, Axis, AxisFit, Options
+from hyst_control.identify.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
+from hyst_control.identify.reversal_points import turning_points
 from hyst_control.identify.simulation_error import Parametrisation, Solution, minimise, short_stretches, surviving_turns
 from hyst_control.identify.stable_dynamics import TAU_UNIT, Structure
 
@@ -46,12 +47,12 @@ class Pieces:
     fast: list[Window]
 
 
-def fit_axes(datasets: Sequence[Dataset], options: Options) -> list[AxisFit]:
+def fit_axes(datasets: Sequence[Dataset], options: MhlOptions) -> list[AxisFit]:
     """Identify every axis in the paper's steps. Raises `InputError` naming the experiment that the records lack."""
     return [_fit_axis(datasets, index, options) for index in range(len(datasets[0].axes))]
 
 
-def _fit_axis(datasets: Sequence[Dataset], index: int, options: Options) -> AxisFit:
+def _fit_axis(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> AxisFit:
     everything = whole_records(datasets, index)
     sign = response_sign(everything)
     pieces = sorted_pieces(datasets, index, sign)
@@ -185,7 +186,13 @@ def step_delay(windows: Sequence[Window]) -> tuple[float, float]:
     return structure.tau(found.parameters[1:]), TAU_UNIT * float(np.sqrt(max(found.covariance[-1, -1], 0.0)))
 
 
-def _best(windows: Sequence[Window], stages, starts: Sequence[Array], limit, nuisance: str) -> Solution:
+def _best(
+    windows: Sequence[Window],
+    stages: Callable[[Array], Sequence[Stage]],
+    starts: Sequence[Array],
+    limit: Callable[[Array], Array],
+    nuisance: str,
+) -> Solution:
     """The best of several starts, brought to its minimum."""
     groups = {group: number for number, group in enumerate(sorted({window.group for window in windows}))}
     own = [replace(window, group=groups[window.group]) for window in windows]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, Pra
 from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.stage import Array
 from hyst_control.identify.bounded_least_squares import covariance
-from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.gram_sums import Operators
 from hyst_control.identify.variable_projection import Solution
@@ -28,12 +27,16 @@ class AxisFit:
     solution: Solution
     operators: Operators
     held_out: float
+    rate_dependent: bool = False
+    """Thresholds that widen with the command's rate."""
+    dynamics: bool = True
+    """Dynamics behind the operators were looked for."""
 
 
 def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequence[AxisFit]) -> Fit:
     """The model of all axes, with standard errors as tolerances, and its report."""
     first = datasets[0]
-    chains = [axis_stages(family, axis) for axis in axes]
+    chains = [axis_stages(axis) for axis in axes]
     lower = min(float(data.command.min()) for data in datasets)
     upper = max(float(data.command.max()) for data in datasets)
     model = Model(
@@ -46,21 +49,22 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
         valid={"command": [lower, upper], "frequency": [0.0, max(command_bandwidth(data) for data in datasets)]},
     )
     rows, residuals = record_rows(model, datasets)
-    parameters, notes = [], []
+    parameters: list[ParameterRow] = []
+    notes: list[str] = []
     relative: dict[str, list[float]] = {}
     for axis, name in zip(axes, first.axes, strict=True):
-        for row in parameter_rows(family, axis, first):
+        for row in parameter_rows(axis, first):
             row["axis"] = name
             parameters.append(row)
             key = row["name"].split("[")[0]
             if row["standard_error"] is not None and row["value"]:
                 relative.setdefault(key, []).append(abs(row["standard_error"] / row["value"]))
-        notes += told_apart(family, axis, name, parameters)
+        notes += told_apart(axis, name, parameters)
     tolerance = {key: float(np.round(np.median(values), 6)) for key, values in relative.items()}
     sigma = noise_sigma(residuals)
     model = Model(**{**model.__dict__, "tolerance": tolerance, "noise": {"sigma": sigma if len(sigma) > 1 else sigma[0]}})
     travel = [max(float(data.range[i]) for data in datasets) for i in range(len(first.axes))]
-    report: dict[str, Any] = {
+    report: Report = {
         "family": family,
         "method": method,
         "unit": first.unit,
@@ -73,11 +77,11 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
     return Fit(model, report)
 
 
-def axis_stages(family: str, axis: AxisFit) -> list[Stage]:
+def axis_stages(axis: AxisFit) -> list[Stage]:
     """The chain of one axis: hysteresis, then its delay and dynamics."""
     operators, theta = axis.operators, axis.solution.theta
     thresholds, weights = operators.thresholds, theta[: len(operators.thresholds)]
-    if family == "hampi":
+    if axis.operators.dynamic:
         m1, m2, k = theta[len(thresholds) :]
         # b adds to every weight alike, so the data cannot tell it from them: it is set so that k u + b vanishes at mid-drive,
         # where the weights then are the static ones.
@@ -88,7 +92,7 @@ def axis_stages(family: str, axis: AxisFit) -> list[Stage]:
         straight = thresholds[0] == 0.0
         w0 = weights[0] if straight else 0.0
         thresholds, weights = (thresholds[1:], weights[1:]) if straight else (thresholds, weights)
-        if family == "rdpi":
+        if axis.rate_dependent:
             # With rate-dependent thresholds the operator that starts at 0 is not a straight line: it stays an operator.
             hysteresis = RateDependentPrandtlIshlinskii(
                 operators.thresholds, theta[: len(operators.thresholds)], beta=operators.rate_gain
@@ -108,11 +112,8 @@ def merge_axes(chains: Sequence[Sequence[Stage]]) -> tuple[Stage, ...]:
         key: [stage.parameters().get(key, getattr(stage, key)) for stage in hysteresis]
         for key in {name for stage in hysteresis for name in stage.parameters()} - {"one_sided"}
     }
-    merged.append(
-        type(hysteresis[0])(**values, one_sided=hysteresis[0].one_sided)
-        if hasattr(hysteresis[0], "one_sided")
-        else type(hysteresis[0])(**values)
-    )
+    shared = {key: value for key, value in hysteresis[0].parameters().items() if key == "one_sided"}
+    merged.append(type(hysteresis[0])(**values, **shared))
     delays = [next((stage.tau for stage in chain if isinstance(stage, Delay)), 0.0) for chain in chains]
     if any(delays):
         merged.append(Delay(delays))
@@ -124,14 +125,14 @@ def merge_axes(chains: Sequence[Sequence[Stage]]) -> tuple[Stage, ...]:
     return tuple(merged)
 
 
-def parameter_rows(family: str, axis: AxisFit, data: Dataset) -> list[dict[str, Any]]:
+def parameter_rows(axis: AxisFit, data: Dataset) -> list[ParameterRow]:
     """Every parameter with its value, unit and standard error (None where the data cannot give one)."""
     solution, operators = axis.solution, axis.operators
     size = solution.structure.size
     spread = covariance(solution.grams.blocks, np.concatenate([solution.theta, np.zeros(size), solution.nuisances]))
     errors = np.sqrt(np.maximum(np.diag(spread), 0.0))
     count, columns = len(operators.thresholds), operators.columns
-    rows = [
+    rows: list[ParameterRow] = [
         {
             "name": f"weights[{i}]",
             "value": float(solution.theta[i]),
@@ -141,7 +142,7 @@ def parameter_rows(family: str, axis: AxisFit, data: Dataset) -> list[dict[str, 
         }
         for i in range(count)
     ]
-    if family == "hampi":
+    if axis.operators.dynamic:
         for i, (name, unit) in enumerate((("m1", "s/V^2"), ("m2", "s/V^2"), ("k", "/V^2"))):
             rows.append(
                 {
@@ -159,7 +160,7 @@ def parameter_rows(family: str, axis: AxisFit, data: Dataset) -> list[dict[str, 
                 "unit": f"{data.unit}/V",
             }
         )
-    if family == "rdpi":
+    if axis.rate_dependent:
         rows.append({"name": "beta", "value": operators.rate_gain, "standard_error": None, "unit": "s"})
     if solution.structure.size:
         block = spread[columns : columns + solution.structure.size, columns : columns + solution.structure.size]
@@ -167,7 +168,7 @@ def parameter_rows(family: str, axis: AxisFit, data: Dataset) -> list[dict[str, 
     return rows
 
 
-def dynamics_rows(solution: Solution, spread: Array) -> list[dict[str, Any]]:
+def dynamics_rows(solution: Solution, spread: Array) -> list[ParameterRow]:
     """Coefficients of G and the delay with errors carried over from the parameters of the search."""
     structure, parameters = solution.structure, solution.parameters
 
@@ -191,8 +192,8 @@ def dynamics_rows(solution: Solution, spread: Array) -> list[dict[str, Any]]:
     ]
 
 
-def told_apart(family: str, axis: AxisFit, name: str, parameters: Sequence[dict[str, Any]]) -> list[str]:
-    """What the data could not tell, with the excitation that would."""
+def told_apart(axis: AxisFit, name: str, parameters: Sequence[ParameterRow]) -> list[str]:
+    """Name the parameters that the data cannot tell, with the excitation that would."""
     notes = []
     own = [row for row in parameters if row["axis"] == name]
     unsure = [
@@ -208,14 +209,15 @@ def told_apart(family: str, axis: AxisFit, name: str, parameters: Sequence[dict[
             "that begin at 0 V"
         )
     structure = axis.solution.structure
-    if family in ("hapi", "hampi") and not structure.modes:
+    if axis.dynamics and not structure.modes:
         notes.append(
             f"axis {name}: the dynamics G(s) cannot be told from these data ({structure.describe()}): record a step or a "
             "sweep up to beyond the resonance"
         )
-    if family == "hampi":
+    if axis.operators.dynamic:
         rates = {row["name"]: row for row in own if row["name"] in ("m1", "m2")}
         for key, row in rates.items():
-            if row["value"] == 0.0 or row["standard_error"] > abs(row["value"]):
+            error = row["standard_error"]
+            if row["value"] == 0.0 or (error is not None and error > abs(row["value"])):
                 notes.append(f"axis {name}: {key} cannot be told from 0: record loops at 100 Hz and above")
     return notes

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyst_control.chain.stage import Array
 from hyst_control.identify.dataset import Dataset
@@ -52,7 +53,7 @@ def stretches_between_rests(data: Dataset, record: int, axis: int) -> list[Stret
     return found
 
 
-def _runs(moving: Array, rest: int) -> list[tuple[int, int]]:
+def _runs(moving: NDArray[np.bool_], rest: int) -> list[tuple[int, int]]:
     """(first, last + 1) of the stretches of motion that are separated by at least `rest` still samples."""
     indices = np.flatnonzero(moving)
     if not len(indices):

@@ -11,15 +11,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
 from hyst_control.chain import Sampling, Stage
 from hyst_control.chain.stage import Array
+from hyst_control.identify import gauss_newton
 from hyst_control.identify.bounded_least_squares import covariance
 from hyst_control.identify.chain_batch import Bundle
-from hyst_control.identify.fit_windows import turning_points
+from hyst_control.identify.gauss_newton import End, Rules, Trial
 from hyst_control.identify.gram_sums import HELD_OUT_BLOCKS, NUISANCES, Grams, Window, gram_product
+from hyst_control.identify.reversal_points import turning_points
 
 BLOCK, CHUNK = 4096, 32768
 """Rows of a Gram matrix of its own, at most, and rows simulated at a time."""
@@ -31,7 +34,7 @@ PRIOR = 1e-10
 
 @dataclass(frozen=True)
 class Parametrisation:
-    """What is fitted: the chain of a parameter vector (P,) of order one, and lhs · parameters >= rhs.
+    """Chain of a parameter vector (P,) of order one, and the constraints lhs · parameters >= rhs.
 
     `limit` moves a vector to the nearest one that makes sense, for bounds that are not linear.
     """
@@ -72,40 +75,82 @@ def minimise(
     tolerance: float = 1e-4,
     everything: bool = False,
 ) -> Solution:
-    """Damped Gauss-Newton from `start`, which must satisfy the constraints. Never worse than the start.
+    """Fit a chain's parameters to records by damped Gauss-Newton. Never worse than the start.
 
-    With `everything` the rows held out for choosing between structures are fitted too. A pass with derivatives is made at
-    every parameter vector that lowered the cost, but for the last; whether one does is tried by a pass without.
+    A pass with derivatives is made at every parameter vector that lowered the cost, but for the last; whether one does is tried by a
+    pass without.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records of one axis.
+    parametrisation
+        Chain and constraints of a parameter vector.
+    start
+        Parameters (P,) to begin with, which satisfy the constraints.
+    nuisance
+        Addition of each record: "none", "offset" or "linear".
+    passes
+        Most passes with derivatives, the first one included.
+    tolerance
+        Share of the cost that a step must gain for the search to go on.
+    everything
+        Fit also the rows held out for choosing between structures.
+
+    Returns
+    -------
+    Solution
+        Parameters, nuisances, errors, and the Gram matrices that the covariance comes from.
     """
-    groups = max(window.group for window in windows) + 1
-    origin = start = parametrisation.limit(np.asarray(start, dtype=float))
-    grams = gram_matrices(windows, parametrisation, start, nuisance, groups, derivatives=True)
-    best = _solution(start, grams, everything, 1, derivatives=True)
-    damping, passed = 1e-3, 1
-    while passed < passes:
-        gram = grams.fitted + grams.held_out if everything else grams.fitted
-        step = _step(gram, parametrisation, best.parameters, origin, damping)
+    origin = parametrisation.limit(np.asarray(start, dtype=float))
+    search = _Search(windows, parametrisation, origin, nuisance, everything)
+    rules = Rules(
+        damping=1e-3,
+        raised=lambda damping: damping * 10.0,
+        eased=lambda damping: max(0.1 * damping, 1e-9),
+        small=lambda before, after: 1.0 - after / before < tolerance,
+        confident=1e-6,
+        steps=passes - 1,
+        highest=1e4,
+        least_move=1e-8,
+    )
+    found = gauss_newton.minimize(search, search.start(), rules)
+    solution = found.point if found.linearized or found.end is End.BUDGET else search.linearize(found.point)
+    return replace(solution, passes=found.steps + 1)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The least-squares problem of `minimise`; a point is a `Solution`, whose Gram matrices hold the derivatives."""
+
+    windows: Sequence[Window]
+    parametrisation: Parametrisation
+    origin: Array
+    nuisance: str
+    everything: bool
+
+    def grams(self, parameters: Array, *, derivatives: bool) -> Grams:
+        groups = max(window.group for window in self.windows) + 1
+        return gram_matrices(self.windows, self.parametrisation, parameters, self.nuisance, groups, derivatives=derivatives)
+
+    def start(self) -> Solution:
+        return _solution(self.origin, self.grams(self.origin, derivatives=True), self.everything, 1, derivatives=True)
+
+    def cost(self, point: Solution) -> float:
+        return point.fitted
+
+    def linearize(self, point: Solution) -> Solution:
+        return replace(point, grams=self.grams(point.parameters, derivatives=True), linearised=point.parameters)
+
+    def step(self, point: Solution, damping: float) -> Trial[Solution]:
+        grams = point.grams
+        gram = grams.fitted + grams.held_out if self.everything else grams.fitted
+        step = _step(gram, self.parametrisation, point.parameters, self.origin, damping)
         # Shortened as a whole, so that it stays between two vectors that satisfy the constraints.
         step /= max(1.0, float(np.max(np.abs(step))))
-        trial = parametrisation.limit(best.parameters + step)
-        trial_grams = gram_matrices(windows, parametrisation, trial, nuisance, groups, derivatives=False)
-        found = _solution(trial, trial_grams, everything, passed, derivatives=False)
-        if not found.fitted < best.fitted:
-            if damping > 1e4 or np.max(np.abs(step)) < 1e-8:
-                break
-            damping *= 10.0
-            continue
-        improvement = 1.0 - found.fitted / best.fitted
-        passed += 1
-        if passed == passes:
-            return replace(found, grams=grams, passes=passed, linearised=best.parameters)
-        grams = gram_matrices(windows, parametrisation, trial, nuisance, groups, derivatives=True)
-        best = replace(found, grams=grams, passes=passed, linearised=trial)
-        damping = max(0.1 * damping, 1e-9)
-        # A short gain under strong damping is no sign of the minimum: the valley may be long.
-        if improvement < tolerance and damping < 1e-6:
-            break
-    return replace(best, grams=grams)
+        parameters = self.parametrisation.limit(point.parameters + step)
+        found = _solution(parameters, self.grams(parameters, derivatives=False), self.everything, point.passes, derivatives=False)
+        return Trial(replace(found, grams=grams, linearised=point.parameters), float(np.max(np.abs(step))))
 
 
 def gram_matrices(
@@ -152,7 +197,7 @@ def gram_matrices(
 
 
 def driving_signal(window: Window) -> tuple[Array, int]:
-    """What drives a chain (M, 1), memory first, so that its output row for row is the measurement; and the window's first row.
+    """Return the input of a chain (M, 1), memory first, whose output row for row is the measurement, and the window's first row.
 
     Under zoh the measurement at a tick answers the command of the interval before, under foh that of the same instant.
     """
@@ -168,7 +213,9 @@ def _solution(parameters: Array, grams: Grams, everything: bool, passes: int, *,
     first = len(parameters) if derivatives else 0
     chosen = grams.fitted + grams.held_out if everything else grams.fitted
     inner = chosen[first:-1, first:-1]
-    nuisances = np.linalg.lstsq(inner, chosen[first:-1, -1], rcond=1e-12)[0] if len(inner) else np.zeros(0)
+    nuisances: Array = np.zeros(0)
+    if len(inner):
+        nuisances = np.asarray(np.linalg.lstsq(inner, chosen[first:-1, -1], rcond=1e-12)[0], dtype=float)
     vector = np.append(nuisances, -1.0)
 
     def mean_square(gram: Array, rows: int) -> float:
@@ -206,7 +253,8 @@ def constrained_minimum(normal: Array, gradient: Array, lhs: Array, rhs: Array) 
     free = solve_triangular(lower.T, solve_triangular(lower, gradient, lower=True))
     missing = rhs - lhs @ free
     if not len(missing) or np.all(missing <= 1e-14):
-        return free * scale
+        unbounded: Array = free * scale
+        return unbounded
     g = solve_triangular(lower, lhs.T, lower=True).T
     size = np.linalg.norm(g, axis=1)
     g, missing = g / size[:, None], missing / size
@@ -215,12 +263,13 @@ def constrained_minimum(normal: Array, gradient: Array, lhs: Array, rhs: Array) 
     weights, _ = nnls(matrix, target, maxiter=50 * matrix.shape[1])
     residual = matrix @ weights - target
     move = -residual[:-1] / residual[-1]
-    return (free + solve_triangular(lower.T, move)) * scale
+    found: Array = (free + solve_triangular(lower.T, move)) * scale
+    return found
 
 
 @njit(cache=True)
-def surviving_turns(values):
-    """What Madelung's rules remember of a signal (N,): the indices of the turning points that no later excursion has passed."""
+def surviving_turns(values: Array) -> NDArray[np.int64]:
+    """Return the indices of the turning points of a signal (N,) that no later excursion has passed: Madelung's rules remember no other."""
     kept = np.empty(values.size, dtype=np.int64)
     count = 0
     for k in range(values.size):

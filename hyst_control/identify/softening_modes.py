@@ -10,14 +10,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyst_control.chain.softening_modal import SofteningModal
 from hyst_control.chain.stage import Array
+from hyst_control.identify import gauss_newton
 from hyst_control.identify.frequency_response import excited_lines
-from hyst_control.identify.modal_fit import Layout, ModalModel, Problem, Spectra, solve_damped
+from hyst_control.identify.gauss_newton import End, Rules, Trial, solve_damped
+from hyst_control.identify.modal_fit import Layout, ModalModel, Problem, Spectra
 
 
 @dataclass(frozen=True)
@@ -86,10 +89,33 @@ def fit_softening(
     iterations: tuple[int, int] = (14, 7),
     rounds: int = 2,
 ) -> SofteningFit:
-    """Fit `SofteningModal` from a linear model of the level whose amplitude is `reference` (V).
+    """Fit `SofteningModal` to several levels of a periodic experiment.
 
-    `force` False leaves the softening force out: the model is then linear at each amplitude. A fit without it may be
-    the start of one with it.
+    Parameters
+    ----------
+    levels
+        Steady periods at each level.
+    start
+        Linear model of the level whose amplitude is the reference, or an earlier fit without the softening force.
+    reference
+        Amplitude (V rms) at which the changes are nil.
+    sample_time
+        Sample time in s.
+    exponent
+        Of the softening force's terms.
+    memory
+        Time constant (s) of the slow amplitude.
+    force
+        False leaves the softening force out: the model is then linear at each amplitude.
+    iterations
+        Most steps without and with the force.
+    rounds
+        Fits with the force, each from the elongation of the one before.
+
+    Returns
+    -------
+    SofteningFit
+        The stage, how it was found, and how sure its poles are.
     """
     began = time.perf_counter()
     g = [schedule(level.amplitude, reference) for level in levels]
@@ -140,33 +166,97 @@ def _strain(model: ModalModel, level: Level, elongation: Array, inputs: int) -> 
     spectrum = np.zeros((samples // 2 + 1, *level.measurement.shape[1:]), dtype=complex)
     response = model.response(2 * np.pi * lines / samples)[:, :, :inputs]
     spectrum[lines] = response @ np.fft.rfft(level.command, axis=0)[lines]
-    return np.einsum("ij,njr->nir", elongation, np.fft.irfft(spectrum, samples, axis=0))
+    found: Array = np.einsum("ij,njr->nir", elongation, np.fft.irfft(spectrum, samples, axis=0))
+    return found
 
 
 def refine_scheduled(
     data: Sequence[Spectra], g: Sequence[float], start: Scheduled, inputs: int, iterations: int, tolerance: float = 2e-5
 ) -> tuple[Scheduled, int, Array]:
-    """Levenberg-Marquardt over the centre and over the changes of the poles and of the first `inputs` inputs' gains.
+    """Fit the center, and the changes of the poles and of the first `inputs` inputs' gains, by damped Gauss-Newton.
 
-    Returns the fitted parameters, how many are free, and what `_pole_sigma` says.
+    Parameters
+    ----------
+    data, g
+        Spectra of each level, and its g.
+    start
+        Parameters to begin with.
+    inputs
+        Inputs whose gains change.
+    iterations
+        Most steps.
+    tolerance
+        Share of the cost that a step must gain for the search to go on.
+
+    Returns
+    -------
+    point : Scheduled
+        The fitted parameters.
+    count : int
+        How many of them are free.
+    sigma : Array
+        Standard deviations (n, 2) of the poles' decay and frequency.
     """
     problems = [Problem([part], start.centre) for part in data]
     layout, free = problems[0].layout, problems[0].free
     n, m = start.centre.inputs.shape
     moving = np.concatenate([layout.indices("pole", n, 2).ravel(), layout.indices("b", 2, n, m)[:, :, :inputs].ravel()])
     moving = moving[free[moving]]
-    size, count = layout.size, len(moving)
-    all_free = np.concatenate([free, np.ones(count, dtype=bool)])
+    all_free = np.concatenate([free, np.ones(len(moving), dtype=bool)])
 
-    def place(point: Scheduled) -> None:
-        for problem, value in zip(problems, g, strict=True):
+    rules = Rules(
+        damping=1e-4,
+        raised=lambda damping: damping * 8,
+        eased=lambda damping: max(damping / 5, 1e-9),
+        small=lambda before, after: before - after <= tolerance * before,
+        steps=iterations,
+        rejections=8,
+    )
+    search = _Search(problems, g, moving, all_free)
+    found = gauss_newton.minimize(search, search.linearize(_Point(start)), rules)
+    # Errors are those of the last point with derivatives: a step of small gain moves them as little.
+    last = search.linearize(found.point) if not found.linearized and found.end is End.BUDGET else found.point
+    point, matrix, cost = last.scheduled, last.matrix, last.linearized_cost
+    pairs = int(np.count_nonzero(start.centre.poles.imag))
+    # c and b of a mode share one complex (or real) factor that changes nothing.
+    count = int(all_free.sum()) - n - pairs
+    equations = sum(2 * part.measurement.size for part in data)
+    return point, count, _pole_sigma(matrix, all_free, cost / max(equations - count, 1), layout.indices("pole", n, 2))
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Parameters with their cost, and JᵀJ, Jᵀr and the cost where they were last taken."""
+
+    scheduled: Scheduled
+    cost: float = np.inf
+    matrix: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    vector: Array = field(default_factory=lambda: np.zeros(0))
+    linearized_cost: float = np.inf
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The least-squares problem of all levels: parameters of the centre (P,), then the changes of those that are `moving`."""
+
+    problems: Sequence[Problem]
+    g: Sequence[float]
+    moving: NDArray[np.intp]
+    free: NDArray[np.bool_]
+
+    def place(self, point: Scheduled) -> None:
+        for problem, value in zip(self.problems, self.g, strict=True):
             problem.model = point.centre
             problem.apply(value * point.change)
 
-    def normal(point: Scheduled) -> tuple[Array, Array, float]:
-        place(point)
-        matrix, vector, cost = np.zeros((size + count, size + count)), np.zeros(size + count), 0.0
-        for problem, value in zip(problems, g, strict=True):
+    def cost(self, point: _Point) -> float:
+        return point.cost
+
+    def linearize(self, point: _Point) -> _Point:
+        self.place(point.scheduled)
+        moving, size, total = self.moving, self.problems[0].layout.size, len(self.free)
+        matrix, vector, cost = np.zeros((total, total)), np.zeros(total), 0.0
+        for problem, value in zip(self.problems, self.g, strict=True):
             own, gradient, part = problem.normal_equations()
             matrix[:size, :size] += own
             matrix[:size, size:] += value * own[:, moving]
@@ -175,34 +265,18 @@ def refine_scheduled(
             vector[:size] += gradient
             vector[size:] += value * gradient[moving]
             cost += part
-        return matrix, vector, cost
+        return _Point(point.scheduled, cost, matrix, vector, cost)
 
-    point = start
-    matrix, vector, cost = normal(point)
-    damping = 1e-4
-    for _ in range(iterations):
-        gained = 0.0
-        for _ in range(8):
-            step = solve_damped(matrix, vector, all_free, damping)
-            change = point.change.copy()
-            change[moving] += step[size:]
-            problems[0].model = point.centre
-            problems[0].apply(step[:size])
-            trial = _bounded(Scheduled(problems[0].model, change), problems[0], max(abs(value) for value in g))
-            place(trial)
-            gained = cost - sum(problem.cost() for problem in problems)
-            if gained > 0:
-                point, damping = trial, max(damping / 5, 1e-9)
-                break
-            damping *= 8
-        if gained <= tolerance * cost:
-            break
-        matrix, vector, cost = normal(point)
-    pairs = int(np.count_nonzero(start.centre.poles.imag))
-    # c and b of a mode share one complex (or real) factor that changes nothing.
-    count = int(all_free.sum()) - n - pairs
-    equations = sum(2 * part.measurement.size for part in data)
-    return point, count, _pole_sigma(matrix, all_free, cost / max(equations - count, 1), layout.indices("pole", n, 2))
+    def step(self, point: _Point, damping: float) -> Trial[_Point]:
+        first = self.problems[0]
+        step = solve_damped(point.matrix, point.vector, self.free, damping)
+        change = point.scheduled.change.copy()
+        change[self.moving] += step[first.layout.size :]
+        first.model = point.scheduled.centre
+        first.apply(step[: first.layout.size])
+        trial = _bounded(Scheduled(first.model, change), first, max(abs(value) for value in self.g))
+        self.place(trial)
+        return Trial(replace(point, scheduled=trial, cost=sum(problem.cost() for problem in self.problems)))
 
 
 def _pole_sigma(matrix: Array, free: np.ndarray, variance: float, at: Array) -> Array:
@@ -213,11 +287,13 @@ def _pole_sigma(matrix: Array, free: np.ndarray, variance: float, at: Array) -> 
     scaled = matrix[np.ix_(index, index)] / scale / scale[:, None] + 1e-9 * np.eye(len(index))
     sigma = np.zeros(len(free))
     sigma[index] = np.sqrt(variance * np.maximum(np.diag(np.linalg.inv(scaled)), 0.0)) / scale
-    return sigma[at]
+    found: Array = sigma[at]
+    return found
 
 
 def _per_second(sigma: Array, sample_time: float) -> Array:
-    return sigma * np.array([1.0, 1.0 / sample_time])
+    found: Array = sigma * np.array([1.0, 1.0 / sample_time])
+    return found
 
 
 def spectra(command: Array, measurement: Array, weight: float, every_line: bool = False) -> Spectra:

@@ -28,7 +28,7 @@ TAU_UNIT = 1e-4
 
 @dataclass(frozen=True)
 class Structure:
-    """Which factors G(s) has: modes (second order), lags (first order), zeros of the numerator, a slow pair, a delay."""
+    """Factors of G(s): modes (second order), lags (first order), zeros of the numerator, a slow pair, a delay."""
 
     modes: int = 0
     lags: int = 0
@@ -43,7 +43,7 @@ class Structure:
 
     @property
     def static(self) -> bool:
-        """Whether there are no dynamics at all."""
+        """Absence of any dynamics."""
         return self.size == 0
 
     def describe(self) -> str:
@@ -56,6 +56,26 @@ class Structure:
             "delay" * self.delay,
         ]
         return ", ".join(part for part in parts if part) or "no dynamics"
+
+    @classmethod
+    def parse(cls, text: object) -> Structure:
+        """Read a structure from a text such as "modes=1,zeros=2,delay". Raises `ValueError` for any other; a structure stays itself."""
+        if isinstance(text, Structure):
+            return text
+        if not isinstance(text, str):
+            raise ValueError
+        values: dict[str, int | bool] = {}
+        for part in text.split(","):
+            name, equals, value = part.strip().partition("=")
+            if name in ("modes", "lags", "zeros"):
+                values[name] = int(value)
+            elif name in ("slow_pair", "delay") and not equals:
+                values[name] = True
+            else:
+                raise ValueError
+        if min(values.values()) < 0:
+            raise ValueError
+        return cls(**values)  # type: ignore[arg-type]  # bool or int as the field is
 
     def extensions(self) -> list[Structure]:
         """The structures with one factor more, in the order of preference when they do equally well."""

@@ -1,4 +1,4 @@
-"""How well models predict records: the same table for one model or several, as a whole and by frequency and amplitude."""
+"""Errors of models on records: the same table for one model or several, as a whole and by frequency and amplitude."""
 
 from __future__ import annotations
 
@@ -27,9 +27,28 @@ def validate_bags(
     namespace: str | None = None,
     unit: str = "unknown",
 ) -> Table:
-    """Every model on every record. NRMSE and NME in % of the record's range (HAMPI paper Eq. 26), RMSE in its unit.
+    """Score every model on every record.
 
-    Raises `InputError` naming the file when a model and a record differ in axes or unit.
+    Parameters
+    ----------
+    models
+        Model files.
+    bags
+        Bags with command and measurement.
+    source
+        Name of the table.
+    hold, start, namespace, unit
+        How the bags are read: see `datasets_of` and `read_bag`.
+
+    Returns
+    -------
+    Table
+        NRMSE and NME in % of the record's range (HAMPI paper Eq. 26), RMSE in its unit.
+
+    Raises
+    ------
+    InputError
+        A model and a record differ in axes or unit: names both.
     """
     loaded = {_name(path, models): load_model(path) for path in models}
     table = Table(source)

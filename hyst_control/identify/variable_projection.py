@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.chain.stage import Array
+from hyst_control.identify import gauss_newton
 from hyst_control.identify.bounded_least_squares import cost, solve_bounded
+from hyst_control.identify.gauss_newton import Rules, Trial
 from hyst_control.identify.gram_sums import Grams, Operators, Window, gram_matrices
 from hyst_control.identify.stable_dynamics import Structure
 
@@ -94,22 +96,72 @@ def solve(
     tolerance: float = 1e-4,
     everything: bool = False,
 ) -> Solution:
-    """Fit G's parameters from `start` by Levenberg-Marquardt steps, at most `passes` passes over the records.
+    """Fit G's parameters by damped Gauss-Newton, everything else by linear least squares.
 
-    With `everything` the held-out rows are fitted too, for the final model. The derivatives by G's parameters are taken at the
-    linear parameters of the pass before; without any (`theta` None) the first pass only finds them.
+    The derivatives by G's parameters are taken at the linear parameters of the pass before.
+
+    Parameters
+    ----------
+    problem
+        One axis of all records.
+    structure
+        Factors of G(s).
+    start
+        G's parameters (P,) to begin with.
+    theta
+        Linear parameters (J,) to begin with; None: a first pass finds them.
+    passes
+        Most passes over the records.
+    tolerance
+        Share of the cost that a step must gain for the search to go on.
+    everything
+        Fit also the held-out rows, for the final model.
+
+    Returns
+    -------
+    Solution
+        The best parameters met, and their Gram matrices.
     """
-    sample_time = min(window.sample_time for window in problem.windows)
-    passed = 0
+    search = _Search(problem, structure, everything)
+    present = structure.limit(start, search.sample_time)
+    best = search.visit(present, np.zeros(problem.operators.columns) if theta is None else theta)
+    passed = 1
+    if structure.size and theta is None:
+        best = search.visit(present, best.theta)
+        passed = 2
+    if not structure.size:
+        return replace(best, passes=passed)
+    rules = Rules(
+        damping=1e-3,
+        raised=lambda damping: damping * 10.0,
+        eased=lambda damping: max(0.2 * damping, 1e-9),
+        small=lambda before, after: 1.0 - after / before < tolerance,
+        trials=passes - passed,
+        least_move=1e-6,
+    )
+    found = gauss_newton.minimize(search, best, rules)
+    return replace(found.point, passes=passed + found.trials)
 
-    def visit(parameters: Array, theta: Array) -> Solution:
-        nonlocal passed
-        passed += 1
+
+@dataclass(frozen=True)
+class _Search:
+    """The least-squares problem of `solve`; a point is a `Solution`, linearized by the pass that found its linear parameters."""
+
+    problem: Problem
+    structure: Structure
+    everything: bool
+
+    @property
+    def sample_time(self) -> float:
+        return min(window.sample_time for window in self.problem.windows)
+
+    def visit(self, parameters: Array, theta: Array) -> Solution:
+        problem, structure = self.problem, self.structure
         grams = gram_matrices(problem.windows, problem.operators, structure, parameters, theta, problem.nuisance, problem.groups)
-        gram = grams.fitted + grams.held_out if everything else grams.fitted
+        gram = grams.fitted + grams.held_out if self.everything else grams.fitted
         found, nuisances = linear_solution(problem, gram, structure.size)
         vector = np.concatenate([found, np.zeros(structure.size), nuisances])
-        rows = sum(grams.rows) if everything else grams.rows[0]
+        rows = sum(grams.rows) if self.everything else grams.rows[0]
         return Solution(
             structure,
             parameters,
@@ -118,26 +170,19 @@ def solve(
             cost(gram, vector) / max(rows, 1),
             cost(grams.held_out, vector) / max(grams.rows[1], 1),
             grams,
-            passed,
+            1,
         )
 
-    present = structure.limit(start, sample_time)
-    best = visit(present, np.zeros(problem.operators.columns) if theta is None else theta)
-    if structure.size and theta is None:
-        best = visit(present, best.theta)
-    damping = 1e-3
-    while structure.size and passed < passes:
-        wanted = best.parameters + _limited_step(problem, best, everything, damping, sample_time)
-        trial = visit(structure.limit(wanted, sample_time), best.theta)
-        if trial.fitted < best.fitted:
-            improvement, best, damping = 1.0 - trial.fitted / best.fitted, trial, max(0.2 * damping, 1e-9)
-            if improvement < tolerance:
-                break
-        elif np.max(np.abs(trial.parameters - best.parameters)) < 1e-6:
-            break
-        else:
-            damping *= 10.0
-    return replace(best, passes=passed)
+    def cost(self, point: Solution) -> float:
+        return point.fitted
+
+    def linearize(self, point: Solution) -> Solution:
+        return point
+
+    def step(self, point: Solution, damping: float) -> Trial[Solution]:
+        step = _limited_step(self.problem, point, self.everything, damping, self.sample_time)
+        trial = self.visit(self.structure.limit(point.parameters + step, self.sample_time), point.theta)
+        return Trial(trial, float(np.max(np.abs(trial.parameters - point.parameters))))
 
 
 def _limited_step(problem: Problem, at: Solution, everything: bool, damping: float, sample_time: float) -> Array:

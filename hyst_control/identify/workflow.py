@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from hyst_control import progress
 from hyst_control.errors import InputError
 from hyst_control.files import check_writable, write_json
-from hyst_control.identify import FAMILIES, PRANDTL_FAMILIES, identify
-from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify import estimator_of, estimators, identify
+from hyst_control.identify.dataset import Dataset, Fit, Report
 from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, save_model
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.record import Record
@@ -21,7 +20,7 @@ NEED = ("command", "measurement")
 
 @dataclass(frozen=True)
 class Result:
-    """What was identified, and where it was written."""
+    """Identified model and the file it was written to."""
 
     fit: Fit
     output: Path
@@ -29,7 +28,7 @@ class Result:
     def text(self) -> str:
         """The fit in a few lines."""
         report = self.fit.report
-        lines = [f"{report['family']} ({report['method']}), {', '.join(report.get('structure', []))}"]
+        lines = [", ".join([f"{report['family']} ({report['method']})", *report.get("structure", [])])]
         for row in report["records"]:
             lines.append(
                 f"  {row['name']}  {row['axis']}: NRMSE {row['nrmse']:.3f} % of range ({row['nrmse_centered']:.3f} % with the "
@@ -40,7 +39,7 @@ class Result:
         lines += [f"  note: {note}" for note in report["notes"]]
         return "\n".join([*lines, f"  written: {self.output}"])
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> Report:
         """The fit report."""
         return self.fit.report
 
@@ -57,32 +56,51 @@ def identify_bags(
     allow_gaps: bool = False,
     namespace: str | None = None,
     unit: str = "unknown",
-    **options: Any,
+    **options: object,
 ) -> Result:
-    """Identify a model from bags and write it; without a family the best on held-out blocks of the Prandtl-Ishlinskii ones.
+    """Identify a model from bags and write it. Nothing is written unless the fit succeeded.
 
-    Nothing is written unless the fit succeeded. Raises `InputError` naming file, field and remedy.
+    Parameters
+    ----------
+    bags
+        rosbag2 directories, or .mcap or .db3 files, with command and measurement.
+    family
+        Model family; None: the best on held-out data of those that have the options given.
+    output
+        Model file to write.
+    json_path
+        Fit report to write.
+    method
+        "joint" or, where the family has it, "paper".
+    hold, start, allow_gaps, namespace, unit
+        How the bags are read: see `datasets_of` and `read_bag`.
+    **options
+        Options of the family, as values or texts; None: not given.
+
+    Returns
+    -------
+    Result
+        The fit and where it was written.
+
+    Raises
+    ------
+    InputError
+        Names file, field or option, and remedy.
     """
     check_writable(output)
     if json_path is not None:
         check_writable(json_path)
-    if family is not None and family not in FAMILIES:
-        raise InputError(f"model: {family!r} is not a model family: one of {', '.join(FAMILIES)} is due")
-    datasets, notes = [], []
+    given = {name: value for name, value in options.items() if value is not None}
+    chosen = chosen_families(family, method, given)
+    datasets: list[Dataset] = []
+    notes: list[str] = []
     for bag in bags:
         progress.step(f"read {bag}")
         record = read_bag(bag, namespace, unit)
         notes += record.notes
         datasets += datasets_of(record, hold, start, allow_gaps)
-    chosen = {key: value for key, value in options.items() if value is not None and value is not False}
-    if isinstance(chosen.get("thresholds"), str):
-        chosen["thresholds"] = _numbers(chosen["thresholds"])
-    if family is None:
-        fit = min(
-            (identify(datasets, name, **chosen) for name in PRANDTL_FAMILIES), key=lambda fit: max(fit.report["held_out_nrmse"])
-        )
-    else:
-        fit = identify(datasets, family, method, **(chosen if family in PRANDTL_FAMILIES else {}))
+    fits = (identify(datasets, name, method, **given) for name in chosen)
+    fit = next(fits) if family is not None else min(fits, key=lambda fit: max(fit.report["held_out_nrmse"]))
     fit = replace(fit, report={**fit.report, "bags": [str(bag) for bag in bags], "notes": [*notes, *fit.report["notes"]]})
     save_model(fit.model, output)
     if json_path is not None:
@@ -90,19 +108,57 @@ def identify_bags(
     return Result(fit, Path(output))
 
 
-def datasets_of(record: Record, hold: str | None = None, start: str = "settled", allow_gaps: bool = False) -> list[Dataset]:
-    """The gapless stretches of a record as datasets. Raises `InputError` when topics, units or samples are unusable.
+def chosen_families(family: str | None, method: str, options: Mapping[str, object]) -> list[str]:
+    """Return the families to identify: the one named, or all that are compared and have the options given.
 
-    start: "settled" at the first command, reached from 0 V on the virgin curve, or "unknown"; what follows a gap is unknown.
+    Raises `InputError` for a family, a method or an option that does not exist or has no such value.
+    """
+    if family is not None:
+        estimator_of(family).options(method=method, **options)
+        return [family]
+    compared = {name: each for name, each in estimators().items() if each.suggested}
+    if method != "joint":
+        raise InputError(f"method: the best family is chosen by the joint method: name a model for {method}")
+    having = [name for name, each in compared.items() if each.has(options)]
+    if not having:
+        raise InputError(f"{', '.join(options)}: none of {', '.join(compared)}, of which the best is chosen, has it: name a model")
+    for name in having:
+        compared[name].options(method=method, **options)
+    return having
+
+
+def datasets_of(record: Record, hold: str | None = None, start: str = "settled", allow_gaps: bool = False) -> list[Dataset]:
+    """Cut a record into its gapless stretches.
+
+    Parameters
+    ----------
+    record
+        Command and measurement, and whatever else.
+    hold
+        "zoh" or "foh"; None: what the record says.
+    start
+        "settled" at the first command, reached from 0 V on the virgin curve, or "unknown"; what follows a gap is unknown.
+    allow_gaps
+        Use the stretches between lost samples in place of refusing them.
+
+    Returns
+    -------
+    list of Dataset
+        A dataset a stretch.
+
+    Raises
+    ------
+    InputError
+        Topics, units or samples are unusable: names the record and the remedy.
     """
     command, measurement = (record.signal(topic) for topic in NEED)
     if command.unit not in COMMAND_UNITS:
         raise InputError(
-            f"{record.source}: command: unit {command.unit!r}, {' or '.join(COMMAND_UNITS)} is due: import it with its unit"
+            f"{record.source}: command: unit {command.unit!r}, {' or '.join(COMMAND_UNITS)} is needed: import it with its unit"
         )
     if measurement.unit not in MEASUREMENT_UNITS:
         raise InputError(
-            f"{record.source}: measurement: unit {measurement.unit!r}, {' or '.join(MEASUREMENT_UNITS)} is due: import it "
+            f"{record.source}: measurement: unit {measurement.unit!r}, {' or '.join(MEASUREMENT_UNITS)} is needed: import it "
             "with its unit, or name the unit of a bag without a layout"
         )
     if command.axes != measurement.axes:
@@ -125,10 +181,3 @@ def datasets_of(record: Record, hold: str | None = None, start: str = "settled",
         )
         datasets.append(data)
     return datasets
-
-
-def _numbers(text: str) -> list[float]:
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        raise InputError(f"thresholds: {text!r}: numbers in V separated by commas are due") from None

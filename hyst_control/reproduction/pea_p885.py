@@ -20,7 +20,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
-from hyst_control.identify import identify, madelung
+from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.fit_report import record_rows
 from hyst_control.identify.fit_windows import turning_points
@@ -137,7 +137,7 @@ def with_delay(cycle: Dataset, record: Dataset) -> tuple[Prediction, float]:
 
     def fitted(delay: float) -> tuple[Model, float]:
         late = replace(cycle, command=shifted(cycle.command, delay))
-        model = madelung.fit([late]).model
+        model = identify([late], "madelung").model
         return model, fitted_error(model, late)
 
     delay = float(minimize_scalar(lambda tau: fitted(tau)[1], bounds=(0.0, 10 * SAMPLE_TIME), method="bounded").x)
@@ -181,9 +181,9 @@ def mapped_operators(cycle: Dataset, record: Dataset, count: int) -> Prediction:
 def predictions(cycle: Dataset, record: Dataset) -> list[Prediction]:
     """Every static model fitted on one cycle, and the second file as each predicts it."""
     found: list[Prediction] = []
-    quintic = madelung.fit([cycle]).model
+    quintic = identify([cycle], "madelung").model
     found.append(Prediction("Madelung, quintic", fitted_error(quintic, cycle), predict(quintic, record)))
-    cubic = madelung.fit([cycle], knots=np.linspace(0.0, 1.0, 6)).model
+    cubic = identify([cycle], "madelung", knots=np.linspace(0.0, 1.0, 6)).model
     found.append(Prediction("Madelung, piecewise cubic", fitted_error(cubic, cycle), predict(cubic, record)))
     for rule in ("affine", "moved"):
         # The major loop is the same, so the curves are too.
@@ -231,7 +231,7 @@ def report_cycles(table: Table, available: Sequence[Dataset], nested: Dataset) -
     """How much it matters which cycle is fitted."""
     for case, rows in SCORED.items():
         measured = nested.measurement[rows, 0]
-        errors = [score(measured, predict(madelung.fit([cycle]).model, nested)[rows]) for cycle in available[::4]]
+        errors = [score(measured, predict(identify([cycle], "madelung").model, nested)[rows]) for cycle in available[::4]]
         for quantity, value in (("nrmse_mean", np.mean(errors)), ("nrmse_least", min(errors)), ("nrmse_greatest", max(errors))):
             table.add("P-885.91, every fourth cycle in turn", case, "Madelung, quintic", quantity, "%", value, n=len(errors))
 

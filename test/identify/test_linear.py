@@ -1,12 +1,13 @@
 """The family "linear": known systems, simulated by scipy's own discretisation, are found again from any excitation."""
 
+import json
+
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, dlsim, dlti
 
 from hyst_control.errors import InputError
-from hyst_control.identify.dataset import Dataset
-from hyst_control.identify.linear import fit
+from hyst_control.identify import Dataset, identify
 from hyst_control.model_file import simulate
 
 SAMPLE_TIME = 1e-4
@@ -52,7 +53,7 @@ def entries(report: dict) -> dict[str, dict]:
 
 @pytest.mark.parametrize("command", [sweep(), step()], ids=["sweep", "step"])
 def test_frequency_damping_delay_and_gain_are_found_within_their_errors(command):
-    found = fit([dataset(command)])
+    found = identify([dataset(command)], "linear")
     rows = entries(found.report)
     for name, true in (("frequency[0]", FREQUENCY), ("damping[0]", DAMPING)):
         assert abs(rows[name]["value"] - true) < 5 * rows[name]["standard_error"] + 1e-4 * true
@@ -62,7 +63,7 @@ def test_frequency_damping_delay_and_gain_are_found_within_their_errors(command)
 
 
 def test_a_model_of_one_kind_of_record_predicts_another():
-    found = fit([dataset(sweep(), name="sweep"), dataset(step(), name="step"), dataset(sweep(5000), name="other")])
+    found = identify([dataset(sweep(), name="sweep"), dataset(step(), name="step"), dataset(sweep(5000), name="other")], "linear")
     command = 10 + np.cumsum(np.random.default_rng(5).normal(size=(3000, 1)) * 0.1, axis=0)
     truth = plant(command, 2, offset=3.0)
     assert np.max(np.abs(simulate(found.model, command) - truth)) < 5e-3 * np.ptp(truth)
@@ -86,7 +87,7 @@ def test_two_axes_that_couple_become_one_state_space():
         records.append(
             Dataset(f"r{index}", command, response + 1e-4 * rng.normal(size=response.shape), SAMPLE_TIME, ("x", "y"), "mrad")
         )
-    found = fit(records[:2])
+    found = identify(records[:2], "linear")
     assert [stage.name for stage in found.model.chain.stages][-1] == "state_space"
     error = simulate(found.model, records[2].command) - records[2].measurement
     assert np.all(error.std(axis=0) < 1.5e-4)
@@ -104,7 +105,7 @@ def test_axes_that_do_not_couple_become_transfer_functions():
         ("x", "y"),
         "um",
     )
-    found = fit([both], coupled=False)
+    found = identify([both], "linear", coupled=False)
     assert "transfer_function" in [stage.name for stage in found.model.chain.stages]
     error = simulate(found.model, both.command) - both.measurement
     assert np.all(error.std(axis=0) < 5e-3 * both.range)
@@ -113,22 +114,29 @@ def test_axes_that_do_not_couple_become_transfer_functions():
 def test_every_pole_is_stable_even_from_noise_alone():
     rng = np.random.default_rng(0)
     data = Dataset("noise", rng.normal(size=(2000, 1)), rng.normal(size=(2000, 1)), SAMPLE_TIME, ("x",), "um")
-    found = fit([data], order=6, delay=0.0)
+    found = identify([data], "linear", order=6, delay=0.0)
     den = next(stage for stage in found.model.chain.stages if stage.name == "transfer_function").den
     assert np.all(np.roots(den).real < 0)
+
+
+def test_the_report_of_a_record_with_nothing_to_hold_out_is_json():
+    """One step: the errors on held-out data were not a number, which no JSON document may hold."""
+    found = identify([dataset(step())], "linear", order=2, delay=2e-4)
+    report = json.loads(json.dumps(found.report, allow_nan=False))
+    assert [row["held_out"] for row in report["orders"]] == [None] and "held out" in report["notes"][0]
 
 
 @pytest.mark.parametrize(
     "records, words",
     [
-        ([], "none given"),
+        ([], "no record"),
         ([Dataset("still", np.zeros((100, 1)), np.zeros((100, 1)), 1e-3, ("x",), "um")], "never moves"),
-        ([Dataset("short", np.ones((8, 1)), np.ones((8, 1)), 1e-3, ("x",), "um")], "too few"),
+        ([Dataset("short", np.ones((8, 1)), np.ones((8, 1)), 1e-3, ("x",), "um")], "at least 32"),
         ([dataset(step(100)), Dataset("slow", step(100), step(100), 1e-3, ("x",), "um")], "sample time"),
-        ([Dataset("broken", step(100) * np.nan, step(100), 1e-3, ("x",), "um")], "not finite"),
+        ([Dataset("broken", step(100) * np.nan, step(100), 1e-3, ("x",), "um")], "not a finite number in sample 0"),
     ],
 )
 def test_unusable_records_are_refused_in_one_line(records, words):
     with pytest.raises(InputError, match=words) as caught:
-        fit(records)
+        identify(records, "linear")
     assert "\n" not in str(caught.value)

@@ -9,7 +9,7 @@ from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.errors import InputError
-from hyst_control.identify import madelung
+from hyst_control.identify import identify, madelung
 from hyst_control.identify.dataset import Dataset
 from hyst_control.model_file import Model, load_model, save_model, simulate
 
@@ -43,7 +43,7 @@ TRUTH = Madelung(UP, DOWN, 100.0, 0.625)
 @pytest.mark.parametrize("sign, zero", [(1.0, 0.0), (1.0, -7.3), (-1.0, 2.0)])
 def test_the_published_curves_are_found_again(sign, zero):
     """Noise of 0.1 % of the range; sensor zero and a response that falls with the command are found, too."""
-    fit = madelung.fit([dataset([TRUTH, Gain(sign), Offset(zero)], loops())])
+    fit = identify([dataset([TRUTH, Gain(sign), Offset(zero)], loops())], "madelung")
     assert deviation(fit.model.chain.stages[0], TRUTH) < 1e-3
     clean = dataset([TRUTH, Gain(sign), Offset(zero)], 50 + 40 * np.sin(np.linspace(0, 30, 3000)), seed=1)
     error = simulate(fit.model, clean.command) - clean.measurement
@@ -53,23 +53,23 @@ def test_the_published_curves_are_found_again(sign, zero):
 
 
 def test_the_standard_errors_cover_the_truth():
-    rows = madelung.fit([dataset([TRUTH], loops())]).report["parameters"]
+    rows = identify([dataset([TRUTH], loops())], "madelung").report["parameters"]
     truth = np.concatenate([UP, DOWN]) / 3.2
     z = [(row["value"] - value) / row["standard_error"] for row, value in zip(rows, truth)]
     assert len(z) == 10 and np.sqrt(np.mean(np.square(z))) < 3.0
 
 
 def test_piecewise_cubics_follow_any_curve():
-    fit = madelung.fit([dataset([TRUTH], loops())], knots=np.linspace(0, 1, 7))
+    fit = identify([dataset([TRUTH], loops())], "madelung", knots=np.linspace(0, 1, 7))
     assert deviation(fit.model.chain.stages[0], TRUTH) < 6e-3
     other = Madelung([0.0, 0.1, 0.3, 1.0], [0.0, 0.5, 0.8, 1.0], 100.0, 2.0, knots=[0.0, 0.25, 0.5, 1.0])
-    fit = madelung.fit([dataset([other], loops())], knots=[0.0, 0.25, 0.5, 1.0])
+    fit = identify([dataset([other], loops())], "madelung", knots=[0.0, 0.25, 0.5, 1.0])
     assert deviation(fit.model.chain.stages[0], other) < 1e-3
 
 
 def test_a_record_that_begins_anywhere_counts_from_where_its_memory_is_full():
     whole = np.concatenate([loops(), loops()])
-    fit = madelung.fit([dataset([TRUTH], whole, start="unknown", rows=slice(1700, None))])
+    fit = identify([dataset([TRUTH], whole, start="unknown", rows=slice(1700, None))], "madelung")
     assert deviation(fit.model.chain.stages[0], TRUTH) < 1.5e-3
 
 
@@ -77,14 +77,14 @@ def test_curves_stay_monotone_where_the_data_would_bend_them():
     """A truth with a flat piece and noise: a free least squares would fall there."""
     flat = Madelung([0.0, 0.4, 0.401, 1.0], [0.0, 0.598, 0.6, 1.0], 100.0, 2.0, knots=[0.0, 0.3, 0.6, 1.0])
     for options, allowed in (({"degree": 7}, 10.0), ({"knots": np.linspace(0, 1, 11)}, 2.0)):
-        fit = madelung.fit([dataset([flat], loops())], **options)
+        fit = identify([dataset([flat], loops())], "madelung", **options)
         x = np.linspace(0, 1, 2001)
         assert all(np.all(np.diff(curve(x)) > 0) for curve in fit.model.chain.stages[0].curves(1)[0])
         assert fit.report["records"][0]["nrmse"] < allowed
 
 
 def test_the_model_is_written_and_read(tmp_path):
-    fit = madelung.fit([dataset([TRUTH, Offset(1.0)], loops())])
+    fit = identify([dataset([TRUTH, Offset(1.0)], loops())], "madelung")
     save_model(fit.model, tmp_path / "model.yaml")
     assert load_model(tmp_path / "model.yaml") == fit.model
     assert fit.model.valid["command"] == [0.0, pytest.approx(100.0, rel=0.02)]
@@ -104,7 +104,7 @@ def test_separate_inverse_curves_invert_the_major_loop():
 
 
 def test_what_the_records_do_not_reach_is_said():
-    fit = madelung.fit([dataset([TRUTH], 0.6 * loops())], input_scale=100.0)
+    fit = identify([dataset([TRUTH], 0.6 * loops())], "madelung", input_scale=100.0)
     assert any("span 0 to 6" in note and "slow loop over the whole drive" in note for note in fit.report["notes"])
 
 
@@ -113,13 +113,13 @@ def test_what_the_records_do_not_reach_is_said():
     [
         (lambda u: u - 50.0, {}, "Madelung curves begin at 0 V"),
         (lambda u: 0 * u + 3.0, {}, "never moves"),
-        (lambda u: u, {"degree": 0}, "degree: 0"),
-        (lambda u: u, {"knots": [0.0, 1.0]}, "knots: at least three"),
-        (lambda u: u, {"input_scale": -1.0}, "input_scale: -1.0 V"),
+        (lambda u: u, {"degree": 0}, "degree: must be an integer from 1 to 12, got 0"),
+        (lambda u: u, {"knots": [0.0, 1.0]}, "knots: must be at least three"),
+        (lambda u: u, {"input_scale": -1.0}, "input_scale: must be a number in V >= 0, got -1"),
     ],
 )
 def test_what_cannot_be_fitted_is_refused(change, options, word):
     data = dataset([TRUTH], loops())
     bad = Dataset("loops", change(data.command), data.measurement, 5e-3, ("x",), "mrad", "foh")
     with pytest.raises(InputError, match=word):
-        madelung.fit([bad], **options)
+        identify([bad], "madelung", **options)

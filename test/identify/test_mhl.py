@@ -10,7 +10,7 @@ import pytest
 from hyst_control.chain.linear import CrossCoupling, Delay, TransferFunction
 from hyst_control.config_files import config_path
 from hyst_control.errors import InputError
-from hyst_control.identify import mhl
+from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.model_file import Model, load_model, save_model, simulate
@@ -86,7 +86,7 @@ def parameter(fit, name: str, axis: str = "x") -> tuple[float, float]:
 
 @pytest.fixture(scope="module")
 def joint():
-    return mhl.fit(records())
+    return identify(records(), "mhl")
 
 
 def test_the_held_out_record_is_predicted(joint):
@@ -127,7 +127,7 @@ def test_the_order_is_that_which_the_data_show(joint):
 
 
 def test_the_paper_sequence_is_worse_on_every_record(joint):
-    paper = mhl.fit(records(), "paper")
+    paper = identify(records(), "mhl", "paper")
     for data in [*records(), record(published(), "clean", held_out_command(), 1, 0.0)]:
         assert np.all(nrmse(joint.model, data) <= 1.02 * nrmse(paper.model, data)), data.name
     # Its own results are what they should be nevertheless: the loops' curves, a delay of the right size, nearly inverse curves.
@@ -143,7 +143,7 @@ def test_two_axes_and_their_coupling():
     """Both published axes behind a coupling of 2 and -3 % with a corner of 300 Hz."""
     plain = published()
     coupled = plain.with_stages([*plain.chain.stages, CrossCoupling([[1.0, 0.02], [-0.03, 1.0]], 300.0)])
-    fit = mhl.fit(records(2, coupled), structure=PAPER)
+    fit = identify(records(2, coupled), "mhl", structure=PAPER)
     stage = fit.model.chain.stages[-1]
     assert isinstance(stage, CrossCoupling)
     np.testing.assert_allclose(stage.matrix, [[1.0, 0.02], [-0.03, 1.0]], atol=0.002)
@@ -155,7 +155,7 @@ def test_two_axes_and_their_coupling():
 
 
 def test_no_coupling_is_found_where_there_is_none():
-    fit = mhl.fit(records(2), structure=PAPER)
+    fit = identify(records(2), "mhl", structure=PAPER)
     assert not any(isinstance(stage, CrossCoupling) for stage in fit.model.chain.stages)
     assert len(fit.model.axes) == 2 and len(fit.report["held_out_nrmse"]) == 2
     clean = record(published(), "clean", held_out_command(), 2, 0.0)
@@ -164,14 +164,14 @@ def test_no_coupling_is_found_where_there_is_none():
 
 def test_a_response_that_falls_with_the_command_and_a_zero_of_the_sensor():
     turned = [replace(data, measurement=1.5 - data.measurement) for data in records()]
-    fit = mhl.fit(turned, structure=PAPER)
+    fit = identify(turned, "mhl", structure=PAPER)
     clean = record(published(), "clean", held_out_command(), 1, 0.0)
     error = simulate(fit.model, clean.command, TS) - (1.5 - clean.measurement)
     assert np.sqrt(np.mean(error**2)) < 0.003
 
 
 def test_slow_loops_alone_say_what_they_cannot_tell():
-    fit = mhl.fit([records()[1]], structure=Structure(modes=1, delay=True))
+    fit = identify([records()[1]], "mhl", structure=Structure(modes=1, delay=True))
     assert any("k1 cannot be told" in note for note in fit.report["notes"])
 
 
@@ -182,11 +182,11 @@ def test_slow_loops_alone_say_what_they_cannot_tell():
         (["step", "sweep100", "sweep4k"], "paper", {}, "needs slow loops"),
         (["step", "slow", "sweep4k"], "paper", {}, "needs a sweep to 100 Hz"),
         (["step", "slow", "sweep100"], "paper", {}, "needs a sweep to beyond"),
-        (["slow"], "newest", {}, "method: 'newest' is not known"),
-        (["slow"], "joint", {"degree": 40}, "degree: 40"),
+        (["slow"], "newest", {}, "method: must be one of joint, paper, got 'newest'"),
+        (["slow"], "joint", {"degree": 40}, "degree: must be an integer from 1 to 12, got 40"),
         ([], "joint", {}, "no record"),
     ],
 )
 def test_what_cannot_be_fitted_is_refused(chosen, method, options, word):
     with pytest.raises(InputError, match=word):
-        mhl.fit([data for data in records() if data.name in chosen], method, **options)
+        identify([data for data in records() if data.name in chosen], "mhl", method, **options)

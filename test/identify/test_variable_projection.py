@@ -17,7 +17,7 @@ def test_the_search_ends_at_one_optimum_wherever_it_begins():
     plant = load_plant({"plant": "pea"}, seed=3, sample_time=5e-5)
     measurement = np.concatenate([plant.reset(command[0])[None], plant.step(command)[:-1]])
     data = Dataset("r", command, measurement, 5e-5, ("x",), "um")
-    operators = hammerstein.default_operators(whole_records([data], 0), "hampi", hammerstein.Options())
+    operators = hammerstein.default_operators(whole_records([data], 0), hammerstein.OperatorOptions(), dynamic=True)
     problem = Problem(whole_records([data], 0), operators, "offset", 1, float(np.ptp(measurement)) / 140.0)
     structure = Structure(modes=1, slow_pair=True)
     costs = [solve(problem, structure, structure.start(frequency), passes=25).fitted for frequency in (500.0, 1000.0, 2000.0)]

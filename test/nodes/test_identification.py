@@ -6,6 +6,7 @@ from loop_case import write_record
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from hyst_control.identify.estimator import every_option
 from hyst_control.identify.workflow import identify_bags
 from hyst_control.nodes.identification import Identification
 from hyst_control.nodes.run import run
@@ -29,5 +30,41 @@ def test_service_answers_with_the_reason(ros_context):
         assert node.set_parameters([Parameter("bags", value=["nowhere"]), Parameter("output", value="model.yaml")])[0].successful
         answer = service.callback(Trigger.Request(), Trigger.Response())
         assert not answer.success and "nowhere" in answer.message
+    finally:
+        node.destroy_node()
+
+
+def test_options_are_those_of_the_families(tmp_path, ros_context):
+    """Numbers or their texts, as a parameter file has them; one that the family does not have is refused, and so is what none takes."""
+    write_record(tmp_path / "bag")
+    node = Identification(context=ros_context)
+    try:
+        [service] = [each for each in node.services if each.srv_name.endswith("/identify")]
+
+        def answer(**settings):
+            results = node.set_parameters([Parameter(key, value=value) for key, value in settings.items()])
+            refused = [result.reason for result in results if not result.successful]
+            return refused[0] if refused else service.callback(Trigger.Request(), Trigger.Response())
+
+        found = answer(bags=[str(tmp_path / "bag")], family="pi", output=str(tmp_path / "node.yaml"), operators=4, one_sided=True)
+        assert found.success, found.message
+        identify_bags([tmp_path / "bag"], "pi", tmp_path / "function.yaml", operators=4, one_sided=True)
+        assert (tmp_path / "node.yaml").read_text() == (tmp_path / "function.yaml").read_text()
+        found = answer(family="madelung")
+        assert not found.success and "madelung has no such option" in found.message
+        assert answer(operators="4", family="pi").success
+        assert "operators: must be an integer >= 3, got 2" in answer(operators=2)
+        assert "method: must be one of joint, paper" in answer(method="newest")
+        assert answer(operators="", one_sided="", thresholds=[0.0, 2.0, 5.0]).success
+    finally:
+        node.destroy_node()
+
+
+def test_every_option_is_a_parameter(ros_context):
+    node = Identification(context=ros_context)
+    try:
+        for name, families in every_option().items():
+            description = node.describe_parameter(name).description
+            assert all(each in description for each in families) and next(iter(families.values())).meaning[:30] in description
     finally:
         node.destroy_node()

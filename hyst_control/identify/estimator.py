@@ -1,0 +1,173 @@
+"""One estimator a model family, behind one protocol, known by its name.
+
+A family is one class: its `Options`, which the command line, the node's parameters and the documents are made of, and
+`fit(datasets, options) -> Fit`. Every module of `hyst_control.identify` is searched for them, so that a new family is one new file; another
+distribution hands its class to `register`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from importlib import import_module
+from pkgutil import iter_modules
+from types import MappingProxyType
+from typing import Any, ClassVar, Generic, TypeVar
+
+from hyst_control.errors import InputError
+from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.options import Option, Options, declared
+
+O = TypeVar("O", bound=Options)  # noqa: E741
+E = TypeVar("E", bound="type[Estimator[Any]]")
+
+
+TAKEN = frozenset(
+    {"allow_gaps", "bags", "family", "help", "hold", "json", "model", "namespace", "once", "output", "quiet", "start", "unit"}
+)
+"""Names that options may not have: `hyst identify` and the node use them."""
+
+
+class Estimator(Generic[O]):
+    """Identification of one model family.
+
+    Subclasses set `name` (as in `--model`), `sentence` (what the model is and how it is found) and `Options` (a dataclass derived from
+    `options.Options`), and implement `fit`.
+    """
+
+    name: ClassVar[str] = ""
+    sentence: ClassVar[str] = ""
+    suggested: ClassVar[bool] = False
+    """Mark of the families that are compared on held-out data when none is named: its report has `held_out_nrmse`."""
+    Options: type[O]
+
+    def fit(self, datasets: Sequence[Dataset], options: O) -> Fit:
+        """Identify a model of the family.
+
+        Parameters
+        ----------
+        datasets
+            Records of one plant.
+        options
+            The choices of the fit, its method among them.
+
+        Returns
+        -------
+        Fit
+            Model and report.
+
+        Raises
+        ------
+        InputError
+            The records cannot tell a model: one line says what is missing.
+        """
+        raise NotImplementedError
+
+    @property
+    def declared(self) -> tuple[Option, ...]:
+        """The family's options."""
+        return declared(self.Options)
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Ways in which the family can be identified, the default one first."""
+        return next(each.choices for each in self.declared if each.name == "method")
+
+    def has(self, values: Iterable[str]) -> bool:
+        """Tell whether the family has options of all these names."""
+        return set(values) <= {each.name for each in self.declared}
+
+    def options(self, **values: object) -> O:
+        """Make the family's options of values or their texts. Raises `InputError` for an option that it does not have."""
+        known = [each.name for each in self.declared]
+        for name in values:
+            if name not in known:
+                raise InputError(f"{name}: {self.name} has no such option: it has {', '.join(known)}")
+        try:
+            return self.Options(**values)  # type: ignore[arg-type]  # converted and checked by the class
+        except InputError as error:
+            raise InputError(f"{self.name}: {error}") from None
+
+
+_ESTIMATORS: dict[str, Estimator[Any]] = {}
+
+
+def register(estimator: E) -> E:
+    """Class decorator that makes a family known by its name; plugins call it with theirs.
+
+    Parameters
+    ----------
+    estimator
+        A class derived from `Estimator`, with `name`, `sentence` and `Options`.
+
+    Returns
+    -------
+    type
+        The same class.
+
+    Raises
+    ------
+    InputError
+        It has no name or sentence, its name is another's, or its options are not declared by `option`.
+    """
+    name = estimator.name
+    made = estimator()
+    if not name or not estimator.sentence or not hasattr(made, "Options"):
+        raise InputError(f"{estimator.__module__}.{estimator.__qualname__}: an estimator needs name, sentence and Options")
+    if name in _ESTIMATORS:
+        raise InputError(f"{name}: {type(_ESTIMATORS[name]).__module__} has a family of this name: choose another one")
+    for each in declared(made.Options):
+        if each.name in TAKEN:
+            raise InputError(f"{name}: {each.name}: is an option of the command or a parameter of the node: choose another name")
+    _ESTIMATORS[name] = made
+    return estimator
+
+
+def estimators() -> Mapping[str, Estimator[Any]]:
+    """Return every family by name: those of this package in the order of its modules, then those of plugins."""
+    own = _search()
+    ordered = sorted(_ESTIMATORS.items(), key=lambda item: (type(item[1]).__module__ not in own, type(item[1]).__module__))
+    return MappingProxyType(dict(ordered))
+
+
+@cache
+def _search() -> frozenset[str]:
+    """Import every module of this package; their names."""
+    package = __name__.rpartition(".")[0]
+    names = [f"{package}.{module.name}" for module in iter_modules(import_module(package).__path__)]
+    for name in names:
+        import_module(name)
+    return frozenset(names)
+
+
+def every_option() -> dict[str, dict[str, Option]]:
+    """Return the options of all families: by name, then by family."""
+    found: dict[str, dict[str, Option]] = {}
+    for family, estimator in estimators().items():
+        for each in estimator.declared:
+            found.setdefault(each.name, {})[family] = each
+    return found
+
+
+def described(options: Mapping[str, Option]) -> str:
+    """Return one option of several families in a line: meaning, what it may be, who has it, and its defaults."""
+    option = max(options.values(), key=lambda each: len(each.choices))
+    defaults: dict[str, list[str]] = {}
+    for family, each in options.items():
+        if each.default is not None:
+            defaults.setdefault(str(each.default).lower() if isinstance(each.default, bool) else str(each.default), []).append(
+                family
+            )
+    if len(defaults) > 1:
+        words = [f"default {value} for {', '.join(families)}" for value, families in defaults.items()]
+    else:
+        words = [*([f"default {value}" for value in defaults] or ["chosen unless given"]), f"of {', '.join(options)}"]
+    return f"{option.meaning}: {option.due()} ({'; '.join(words)})"
+
+
+def estimator_of(family: str) -> Estimator[Any]:
+    """Return a family's estimator. Raises `InputError` with the names there are."""
+    known = estimators()
+    if family not in known:
+        raise InputError(f"model: {family!r} is not a model family: use one of {', '.join(known)}")
+    return known[family]

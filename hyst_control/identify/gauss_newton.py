@@ -1,0 +1,178 @@
+"""Damped Gauss-Newton: the one iteration of every fit.
+
+A problem says what a point is (parameters, and what the next step needs of them, such as Gram sums), what it costs, and which step its
+linearization suggests; this module decides which steps are kept, how the damping follows, and when the search ends (Levenberg,
+Quarterly of Applied Mathematics 2, 1944; Marquardt, SIAM Journal 11, 1963). It holds no arithmetic of a fit: the same rules give the
+same bits.
+
+The damping is a number that only the problem interprets. A search that shortens its steps along a ladder, in place of damping them,
+counts with it: `Rules(damping=0, raised=lambda rung: rung + 1, eased=lambda rung: 0, rejections=len(ladder))`, its `step` takes
+`ladder[int(damping)]` of the undamped step, gives an infinite cost to a point that no chain accepts, and is None where the linear model
+promises nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from hyst_control.chain.stage import Array
+
+P = TypeVar("P")
+
+
+@dataclass(frozen=True)
+class Trial(Generic[P]):
+    """A point that a step leads to, and the largest change of a parameter on the way."""
+
+    point: P
+    moved: float = math.inf
+
+
+class Problem(Protocol[P]):
+    """A nonlinear least-squares problem. Points are values: a step that is not kept leaves nothing behind."""
+
+    def cost(self, point: P) -> float:
+        """Return what the search lowers."""
+
+    def linearize(self, point: P) -> P:
+        """Return the point with derivatives taken there; asked for only where another step begins."""
+
+    def step(self, point: P, damping: float) -> Trial[P] | None:
+        """Return the trial of the damped step from a linearized point; None where no step is worth a trial."""
+
+
+class End(Enum):
+    """Reason for which a search ended."""
+
+    BUDGET = "as many steps or trials as are allowed were made"
+    SMALL_GAIN = "the last step gained little"
+    NO_STEP = "no step lowers the cost"
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Rules of a search.
+
+    Parameters
+    ----------
+    damping
+        Damping of the first step.
+    raised, eased
+        Damping after a step that is rejected, and after one that is kept.
+    small
+        Whether the gain from a cost (first) to the next (second) is a sign of the minimum.
+    confident
+        Damping from which on a small gain is no such sign: under strong damping it tells nothing.
+    steps, trials
+        Most steps kept, and most steps tried.
+    rejections
+        Most rejections in a row.
+    highest
+        A rejected step of more damping is the last.
+    least_move
+        A rejected step whose parameters all move by less is the last.
+    """
+
+    damping: float
+    raised: Callable[[float], float]
+    eased: Callable[[float], float]
+    small: Callable[[float, float], bool]
+    confident: float = math.inf
+    steps: float = math.inf
+    trials: float = math.inf
+    rejections: float = math.inf
+    highest: float = math.inf
+    least_move: float = 0.0
+
+
+@dataclass(frozen=True)
+class Found(Generic[P]):
+    """Best point of a search, the reason for its end, and the numbers of steps kept and tried.
+
+    `linearized` says whether the point's derivatives were taken there, or one step before.
+    """
+
+    point: P
+    end: End
+    steps: int
+    trials: int
+    linearized: bool
+
+
+def minimize(problem: Problem[P], start: P, rules: Rules) -> Found[P]:
+    """Lower the cost of a problem from a linearized start. Never worse than the start.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    start
+        Where to begin, linearized.
+    rules
+        The rules of the search.
+
+    Returns
+    -------
+    Found
+        The best point, without derivatives of its own where the last step led to it.
+    """
+    point, damping = start, rules.damping
+    kept = tried = rejected = 0
+    linearized = True
+    while kept < rules.steps and tried < rules.trials:
+        if not linearized:
+            point, linearized = problem.linearize(point), True
+        trial = problem.step(point, damping)
+        if trial is None:
+            return Found(point, End.NO_STEP, kept, tried, linearized)
+        tried += 1
+        before, after = problem.cost(point), problem.cost(trial.point)
+        if not after < before:
+            rejected += 1
+            if rejected >= rules.rejections or damping > rules.highest or trial.moved < rules.least_move:
+                return Found(point, End.NO_STEP, kept, tried, linearized)
+            damping = rules.raised(damping)
+            continue
+        kept, rejected = kept + 1, 0
+        point, linearized = trial.point, False
+        damping = rules.eased(damping)
+        if rules.small(before, after) and damping < rules.confident:
+            return Found(point, End.SMALL_GAIN, kept, tried, linearized)
+    return Found(point, End.BUDGET, kept, tried, linearized)
+
+
+def solve_damped(matrix: Array, vector: Array, chosen: NDArray[np.bool_], damping: float) -> Array:
+    """Step of the damped normal equations (J'J + damping · diag J'J) step = J'r over some of the parameters.
+
+    Parameters
+    ----------
+    matrix, vector
+        J'J (P, P) and J'r (P,).
+    chosen
+        The parameters (P,) that may move.
+    damping
+        Relative to the diagonal.
+
+    Returns
+    -------
+    Array
+        The step (P,), zero for all others.
+    """
+    index = np.flatnonzero(chosen)
+    scale = np.sqrt(np.maximum(np.diag(matrix)[index], 1e-300))
+    scaled = matrix[np.ix_(index, index)] / scale / scale[:, None]
+    scaled[np.diag_indices_from(scaled)] += damping
+    step = np.zeros(len(vector))
+    try:
+        step[index] = cho_solve(cho_factor(scaled), vector[index] / scale) / scale
+    except np.linalg.LinAlgError:
+        step[index] = np.linalg.lstsq(scaled, vector[index] / scale, rcond=1e-13)[0] / scale
+    return step

@@ -1,0 +1,109 @@
+"""One axis of the modified Hammerstein-like model as a parameter vector, and the choices of its fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from hyst_control.chain import Parallel, Stage
+from hyst_control.chain.linear import Delay, RateCorrection
+from hyst_control.chain.stage import Array
+from hyst_control.identify.madelung import CurveOptions, Curves
+from hyst_control.identify.options import TRUTH, methods_option, option
+from hyst_control.identify.shared_options import nuisance_option, structure_option
+from hyst_control.identify.simulation_error import Parametrisation
+from hyst_control.identify.stable_dynamics import Structure
+
+K2_UNIT = 1e-3
+"""The unit (s) of k2 in the parameter vector, which holds its logarithm."""
+
+
+@dataclass(frozen=True)
+class MhlOptions(CurveOptions):
+    """Choices of a fit of the modified Hammerstein-like model."""
+
+    method: str = methods_option("joint", "paper")
+    nuisance: str = nuisance_option("linear")
+    structure: Structure | None = structure_option()
+    cross_coupling: bool = option(True, TRUTH, "look for cross-coupling between several axes", methods=("joint",))
+
+
+@dataclass(frozen=True)
+class Axis:
+    """The model of one axis as a parameter vector: curves, rate part (k1 relative to the slope, log k2), dynamics with delay."""
+
+    curves: Curves
+    structure: Structure
+    input_scale: float
+    output_scale: float
+    sign: float
+    sample_time: float
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return self.curves.size + 2 + self.structure.size
+
+    def split(self, vector: Array) -> tuple[Array, Array, Array]:
+        """Curves, rate part, dynamics."""
+        n = self.curves.size
+        return vector[:n], vector[n : n + 2], vector[n + 2 :]
+
+    def rate(self, vector: Array) -> tuple[float, float]:
+        """k1 (measurement unit s/V) and k2 (s)."""
+        share, log_k2 = self.split(vector)[1]
+        k2 = K2_UNIT * float(np.exp(log_k2))
+        return float(share) * self.output_scale / self.input_scale * k2, k2
+
+    def stages(self, vector: Array, b1: float = 0.0) -> list[Stage]:
+        """The chain: delay, hysteresis and rate correction in parallel, G(s), and the response's sign."""
+        curves, _, dynamics = self.split(vector)
+        k1, k2 = self.rate(vector)
+        linear = _dynamics_stages(self.structure, dynamics.tobytes())
+        core = _curve_stage(self.curves, curves.tobytes(), self.input_scale, self.output_scale)
+        hysteresis = Parallel(((core,), (RateCorrection(k1=k1, k2=k2, b1=b1),)))
+        delays = [stage for stage in linear if isinstance(stage, Delay)]
+        return [*delays, hysteresis, *(stage for stage in linear if not isinstance(stage, Delay))]
+
+    def limit(self, vector: Array) -> Array:
+        """The vector held where the data can tell something."""
+        curves, rate, dynamics = self.split(vector)
+        rate = np.clip(rate, [-5.0, np.log(0.02)], [5.0, np.log(200.0)])
+        return np.concatenate([curves, rate, self.structure.limit(dynamics, self.sample_time)])
+
+    def parametrisation(self) -> Parametrisation:
+        """Chains, constraints and bounds of the search."""
+        lhs = np.zeros((len(self.curves.constraints()), self.size))
+        lhs[:, : self.curves.size] = self.curves.constraints()
+        return Parametrisation(self.stages, lhs, np.zeros(len(lhs)), self.limit)
+
+
+# A neighbouring vector differs in one parameter: most stages of its chain have been made, and checked, before.
+@lru_cache(256)
+def _curve_stage(curves: Curves, vector: bytes, input_scale: float, output_scale: float) -> Stage:
+    return curves.stage(np.frombuffer(vector), input_scale, output_scale)
+
+
+@lru_cache(256)
+def _dynamics_stages(structure: Structure, vector: bytes) -> tuple[Stage, ...]:
+    return tuple(structure.stages(np.frombuffer(vector)))
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """One axis: its parameters with their covariance, the sensor's zero, and the mean square error on the rows held out."""
+
+    axis: Axis
+    vector: Array
+    covariance: Array
+    offset: float
+    held_out: float
+    extra: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    @property
+    def input_scale(self) -> float:
+        """The command (V) at the end of the curves."""
+        return self.axis.input_scale

@@ -1,0 +1,59 @@
+"""The families and their options as Markdown tables: what `docs/identification.md` shows, made from the estimators themselves.
+
+`python -m hyst_control.identify.option_table docs/identification.md` puts them into the document anew.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+from hyst_control.errors import InputError
+from hyst_control.files import write_text
+from hyst_control.identify.estimator import estimators, every_option
+from hyst_control.identify.options import TRUTH, Option
+
+BEGIN, END = "<!-- made by hyst_control.identify.option_table -->", "<!-- end -->"
+
+
+def tables() -> str:
+    """Return both tables: a row a family, then a row an option and default."""
+    rows = ["| family | model and fit | methods |", "|---|---|---|"]
+    rows += [f"| `{name}` | {_escaped(each.sentence)} | {', '.join(each.methods)} |" for name, each in estimators().items()]
+    rows += ["", "| option | meaning | value | unit | families and their default |", "|---|---|---|---|---|"]
+    for name, families in every_option().items():
+        first = max(families.values(), key=lambda each: len(each.choices))
+        flag = f"`--{name.replace('_', '-')}`"
+        if first.kind is TRUTH:
+            flag += f", `--no-{name.replace('_', '-')}`"
+        having: dict[str, list[str]] = {}
+        for family, each in families.items():
+            having.setdefault(_default(each), []).append(f"`{family}`")
+        defaults = "; ".join(f"{', '.join(each)}: {default}" for default, each in having.items())
+        value = first.due().replace(f" in {first.unit}", "") if first.unit else first.due()
+        rows.append(f"| {flag} | {_escaped(first.meaning)} | {_escaped(value)} | {first.unit} | {defaults} |")
+    return "\n".join(rows)
+
+
+def _default(option: Option) -> str:
+    if option.default is None:
+        return "chosen"
+    return str(option.default).lower() if isinstance(option.default, bool) else str(option.default)
+
+
+def _escaped(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+def renewed(document: str) -> str:
+    """Return a document with the tables between its two marks made anew. Raises `InputError` where it has no such marks."""
+    made, count = re.subn(f"{BEGIN}.*?{END}", lambda _: f"{BEGIN}\n{tables()}\n{END}", document, flags=re.DOTALL)
+    if count != 1:
+        raise InputError(f"document: must have one pair of the marks {BEGIN} and {END}, has {count}")
+    return made
+
+
+if __name__ == "__main__":
+    page = Path(sys.argv[1])
+    write_text(page, renewed(page.read_text(encoding="utf-8")))
