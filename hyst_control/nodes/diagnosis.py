@@ -26,7 +26,7 @@ from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.message_io import Sender
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.signal_pairing import Watched
+from hyst_control.nodes.signal_pairing import WatchedSignal
 from hyst_control.records.bag_writer import BagWriter
 from hyst_control.records.signal_message import Encoder, label_for
 
@@ -103,8 +103,8 @@ class DiagnosisNode(SignalNode):
         )
         self._residual = self.output("residual", self.unit)
         self._gap = Sender(self, "gap", GAP_LABEL, given.message_objects)
-        self._command = Watched(self, "command", "V", self.reset)
-        self._measurement = Watched(self, "measurement", self.unit, self.reset)
+        self._command = WatchedSignal(self, "command", "V", self.reset)
+        self._measurement = WatchedSignal(self, "measurement", self.unit, self.reset)
         self._job: Job | None = None
         self._forget()
         self.service("diagnose", self._diagnose)
@@ -173,9 +173,10 @@ class DiagnosisNode(SignalNode):
     def _drain(self) -> None:
         self._command.drain()
         self._measurement.drain()
-        if None not in (self._command.end, self._measurement.end):
-            end = min(self._command.end, self._measurement.end)
-            (ticks, commands), (measured_ticks, measured) = self._command.take(end), self._measurement.take(end)
+        command, measurement = self._command.rows, self._measurement.rows
+        if command.end is not None and measurement.end is not None:
+            end = min(command.end, measurement.end)
+            (ticks, commands), (measured_ticks, measured) = command.take_before(end), measurement.take_before(end)
             if len(ticks) and self.enabled:
                 breaks = np.flatnonzero(np.diff(ticks) > 1) + 1
                 for some, rows in zip(np.split(ticks, breaks), np.split(commands, breaks), strict=True):

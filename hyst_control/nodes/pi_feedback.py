@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from hyst_control.control.pi import PI
 from hyst_control.errors import InputError
-from hyst_control.nodes.base import TIMER, SignalNode
+from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.common_parameters import TIMER
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.sensor_watch import MOTION, MeasurementWatch
@@ -136,7 +137,7 @@ class PiFeedback(SignalNode):
             self._closed_loop(first + row, ahead[now], others[0][now], others[1][now])
 
     def tick(self, tick: int) -> None:
-        self._fill(tick - self.missed)
+        self._fill(tick - self.tick_timer.missed)
         fault, rows = self._timing_fault(), self.feedforward.rows
         running = not np.isnan(self._controller.command).any()
         if self.measurement is None:
@@ -191,10 +192,10 @@ class PiFeedback(SignalNode):
         if stale:
             return f"no {' and no '.join(stale)} for {self.settings.timeout:g} s"
         now = time.monotonic()
-        contradictory = [signal.topic for signal in self.inputs if now - signal.conflicted < self.settings.timeout]
+        contradictory = [signal.topic for signal in self.inputs if now - signal.rows.conflicted < self.settings.timeout]
         if contradictory:
             return f"two sources of {' and '.join(contradictory)}"
-        if 0 < self.settings.overrun_ticks <= self.overrun_streak:
+        if 0 < self.settings.overrun_ticks <= self.tick_timer.overrun_streak:
             return "ticks take longer than their time"
         return ""
 
@@ -262,9 +263,10 @@ class PiFeedback(SignalNode):
 
     def _fill(self, first: int) -> None:
         """Timer: in ticks that were missed the command before was held: say so, for whoever reads the record."""
-        if self.missed and self._newest is not None and self._newest[0] + 1 == first:
+        missed = self.tick_timer.missed
+        if missed and self._newest is not None and self._newest[0] + 1 == first:
             _, command, feedback = self._newest
-            self._publish(first, np.repeat(command, self.missed, axis=0), np.repeat(feedback, self.missed, axis=0))
+            self._publish(first, np.repeat(command, missed, axis=0), np.repeat(feedback, missed, axis=0))
 
     def _publish(self, first: int, command: Any, feedback: Any) -> None:
         self.feedback.send(first, feedback)  # first: once the command is out, a killed node could not make up for it

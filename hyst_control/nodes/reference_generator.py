@@ -15,8 +15,9 @@ from hyst_control.model_file import load_model
 from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.signal_ports import KEPT_ROWS, Input
+from hyst_control.nodes.signal_ports import Input
 from hyst_control.records import excitation
+from hyst_control.records.row_repetition import KEPT_ROWS
 
 Array = NDArray[np.float64]
 
@@ -81,7 +82,7 @@ class ReferenceGenerator(SignalNode):
         if self._origin is None:
             self._origin = tick
         lead, block = self.settings.lead, self.settings.block
-        first = max(tick - self.missed, self._origin)
+        first = max(tick - self.tick_timer.missed, self._origin)
         self.reference.send(first + lead, self.rows(first - self._origin, tick + block - first))
 
     def reset(self) -> None:
@@ -97,7 +98,7 @@ class ReferenceGenerator(SignalNode):
     def _send_again(self, first: int) -> None:
         count = min(self._end - first, KEPT_ROWS)
         if count > 0:
-            self.reference.send_again(self.reference.block(first, self.rows(first, count)))
+            self.reference.repeat_rows(first, self.rows(first, count))
 
     def _publish(self) -> None:
         block = self.settings.block

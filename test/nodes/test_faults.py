@@ -23,8 +23,8 @@ from hyst_control.nodes.message_io import QUEUE, to_message
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
-from hyst_control.nodes.signal_ports import REPEAT_INTERVAL
 from hyst_control.processes.node_processes import Processes
+from hyst_control.records.row_repetition import REPEAT_INTERVAL
 from hyst_plant_sim.node import PlantNode
 from hyst_plant_sim.physics import load_plant
 
