@@ -48,7 +48,7 @@ class PlantNode(SignalNode):
         Setting("model", "", "", "model file, run in place of a truth plant"),
         Setting("parameters", "", "", "of the truth plant, in place of its file's, as YAML: '{mode_frequency: 1180.0}'"),
         Setting("effects", "", "", "in the truth plant, as YAML: '[{name: delay, tau: 4.0e-4, axis: x, from: 0.5}]'"),
-        Setting("seed", 0, "", "seed of the plant's noise", 0, 2**31 - 1),
+        Setting("seed", 0, "number", "seed of the plant's noise", 0, 2**31 - 1),
         Setting("ticks", 0, "ticks", "length of the run, 0 for endless", 0, 2**52),
         Setting("start", "rest", "", "settled at 0 V, or at the first command (open loop)", choices=("rest", "first_command")),
         Setting("retry", 0.2, "s", "time without a command after which the newest measurement is repeated", 1e-3, 60.0),
@@ -82,17 +82,16 @@ class PlantNode(SignalNode):
     def advance(self) -> None:
         rows, length = self.command.rows, self.settings.ticks
         while rows.available:
-            if self._tick is None:
-                self._settle(self._newest_command())
-            allowed = rows.available if not length else min(rows.available, length - self._tick)
+            tick = self._settle(self._newest_command()) if self._tick is None else self._tick
+            allowed = rows.available if not length else min(rows.available, length - tick)
             if self.settings.wait_for_recorder:
-                allowed = min(allowed, self._recorded + MOST_AHEAD - self._tick if self._recorded >= 0 else 0)
+                allowed = min(allowed, self._recorded + MOST_AHEAD - tick if self._recorded >= 0 else 0)
             if allowed <= 0:
                 return
             commands = rows.take(allowed)
             measurements = self._plant.step(commands)
-            first = self._tick + 1
-            self._tick += allowed
+            first = tick + 1
+            self._tick = tick + allowed
             if length and self._tick == length:
                 if allowed > 1:
                     self.measurement.send(first, measurements[:-1])
@@ -157,10 +156,12 @@ class PlantNode(SignalNode):
     def status(self) -> dict[str, Any]:
         return {"tick": self._tick, "recorded": self._recorded, **self._latency.entries("loop latency")}
 
-    def _settle(self, command: Array) -> None:
-        first = self._plant.reset(command)
-        self._tick = self.command.rows.start or 0
-        self.measurement.send(self._tick, first[None])
+    def _settle(self, command: Array) -> int:
+        """Settle the plant at a command (A,) and send the measurement; its tick."""
+        first, tick = self._plant.reset(command), self.command.rows.start
+        self._tick = tick
+        self.measurement.send(tick, first[None])
+        return tick
 
     def _newest_command(self) -> Array:
         row = self.command.rows.newest(self.command.rows.start)
@@ -215,11 +216,12 @@ class PlantNode(SignalNode):
                 f"{name}: {given.plant or given.model} has axes [{', '.join(plant.axes)}] in "
                 f"{plant.units['measurement']}: set the parameters axes and unit to them"
             )
-        return plant
+        found: Plant = plant
+        return found
 
 
 def _yaml(text: str, name: str, kind: type) -> Any:
-    """What a parameter's text says, None for an empty one. Raises `InputError` naming the parameter."""
+    """Value that a parameter's text describes, None for an empty one. Raises `InputError` naming the parameter."""
     if not text.strip():
         return None
     try:
@@ -227,7 +229,9 @@ def _yaml(text: str, name: str, kind: type) -> Any:
     except yaml.YAMLError:
         found = None
     if not isinstance(found, kind):
-        raise InputError(f"{name}: {text!r}, {'a list [{name: …}, …]' if kind is list else 'a mapping {name: value, …}'} is due")
+        raise InputError(
+            f"{name}: must be {'a list [{name: …}, …]' if kind is list else 'a mapping {name: value, …}'}, got {text!r}"
+        )
     return found
 
 

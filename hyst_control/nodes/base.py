@@ -39,7 +39,7 @@ class EndingNode(Node):
 
     SETTINGS: tuple[Setting, ...] = ()
     ends = False
-    """Whether the node ends by itself."""
+    """True when the node ends by itself."""
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
@@ -131,10 +131,10 @@ class SignalNode(EndingNode):
         """Forget all state, as after a start."""
 
     def changed(self, name: str, value: Any) -> None:
-        """A live parameter has a new value."""
+        """Take over the new value of a live parameter."""
 
     def trouble(self) -> str:
-        """What keeps the node from its work, for the diagnostics; "" when nothing does."""
+        """Reason that keeps the node from its work, for the diagnostics; "" when there is none."""
         return ""
 
     def waits(self, now: float) -> list[Wait]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from hyst_control.nodes.base import EndingNode, SignalNode
-from hyst_control.nodes.message_io import Reception
+from hyst_control.nodes.message_io import Receiver, Reception
 
 MOST_AT_ONCE = 64
 """Messages that are taken before the executor has its turn again, for timers, services and what comes from outside."""
@@ -19,7 +19,9 @@ def hand_over(nodes: Sequence[EndingNode], executor: Any, failed: Callable[[Base
     if len(signal_nodes) < 2:
         return
     exchange = _Exchange(executor, failed)
-    receivers = [receiver for node in signal_nodes for receiver in (*node.receptions, *node.polled)]
+    receivers: list[Receiver] = []
+    for node in signal_nodes:
+        receivers += [*node.receptions, *node.polled]
     for receiver in receivers:
         if isinstance(receiver, Reception):
             receiver.post = exchange.post

@@ -23,7 +23,7 @@ QUEUE = QoSProfile(history=QoSHistoryPolicy.KEEP_LAST, depth=5000, reliability=Q
 
 
 class Receiver(Protocol):
-    """What a message may be handed to within a process, instead of being sent to its subscription."""
+    """Receiver within the process: messages are handed to it instead of being sent to its subscription."""
 
     topic: str
     raw: bool
@@ -44,7 +44,7 @@ class Sender:
         self.publisher = node.create_publisher(Float64MultiArray, topic, QUEUE)
         self.topic = self.publisher.topic_name
         self.within = False
-        """Whether messages are handed over."""
+        """True while messages are handed over."""
         self._encoder = Encoder(label)
         self._objects = objects
         self._receivers: Sequence[Receiver] = ()

@@ -75,7 +75,7 @@ class NodeHealth:
 
     @property
     def warns(self) -> bool:
-        """Whether the level is WARN."""
+        """True when the level is WARN."""
         return bool(self.warning) or not self.enabled
 
 

@@ -24,8 +24,8 @@ class PiFeedback(SignalNode):
     """`command` = limited (`feedforward` + `feedback`), in V.
 
     With `feedback: true` it goes tick by tick, as measurements come; without, it passes blocks of any length (open loop).
-    Stopped, disabled, with a measurement that is frozen or out of range, and under the timer with inputs that are stale or of two
-    minds, or ticks that take too long, the command goes to `safe_command` at `safe_rate`. It comes back by itself when the fault is
+    Stopped, disabled, with a measurement that is frozen or out of range, and under the timer with stale or conflicting
+    inputs, or ticks that take too long, the command goes to `safe_command` at `safe_rate`. It comes back by itself when the fault is
     over, or with `recovery: manual` after `~/reset`, and in both cases without a jump.
     """
 
@@ -104,7 +104,8 @@ class PiFeedback(SignalNode):
         self.command = self.output("command", "V")
         self.feedback = self.output("feedback", "V")
         self.feedforward = self.input("feedforward", "V")
-        self.reference = self.measurement = None
+        self.reference: Input | None = None
+        self.measurement: Input | None = None
         if given.feedback:
             self.reference = self.input("reference", self.unit)
             self.measurement = self.input("measurement", self.unit)
@@ -130,7 +131,7 @@ class PiFeedback(SignalNode):
                 self._open_loop(first, ahead)
             return
         if count == 1:
-            self._closed_loop(first, ahead, *others)
+            self._closed_loop(first, ahead, others[0], others[1])
             return
         for row in range(count):
             now = slice(row, row + 1)
@@ -150,9 +151,9 @@ class PiFeedback(SignalNode):
             else:
                 rows.skip_to(tick + 1)
             return
-        newest = [signal.rows.newest(tick) for signal in self.inputs]
-        if all(row is not None for row in newest):
-            self._closed_loop(tick, *(row[None] for row in newest), fault)
+        newest = [row[None] for signal in self.inputs if (row := signal.rows.newest(tick)) is not None]
+        if len(newest) == len(self.inputs):
+            self._closed_loop(tick, newest[0], newest[1], newest[2], fault)
         elif self._newest is not None:  # nothing came since a reset
             self._to_safety(tick, 1)
 
@@ -200,7 +201,7 @@ class PiFeedback(SignalNode):
         return ""
 
     def _safe_now(self, fault: str, tick: int, count: int) -> bool:
-        """Whether to go on; otherwise the command goes on towards its safe value for `count` ticks."""
+        """True when the loop may go on; otherwise move the command towards its safe value for `count` ticks."""
         if fault and fault != self._fault:
             self.counts["faults"] += 1
             self.warn(fault, f"{fault}: the command goes to its safe value")
@@ -259,7 +260,7 @@ class PiFeedback(SignalNode):
     @property
     def _safe_rate(self) -> float:
         """V/s; never above the slew limit."""
-        return min(self.settings.safe_rate, self.settings.slew_limit or np.inf)
+        return float(min(self.settings.safe_rate, self.settings.slew_limit or np.inf))
 
     def _fill(self, first: int) -> None:
         """Timer: in ticks that were missed the command before was held: say so, for whoever reads the record."""

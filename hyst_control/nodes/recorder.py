@@ -43,7 +43,7 @@ class Recorder(SignalNode):
     )
 
     _failure = ""
-    """Why the bag could not be written any further."""
+    """Reason why the bag could not be written any further."""
 
     def __init__(self, name: str = "recorder", **options: Any) -> None:
         super().__init__(name, **options)

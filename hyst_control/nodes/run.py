@@ -132,7 +132,7 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
 
 def _initialise(args: Sequence[str] | None) -> None:
     try:
-        rclpy.init(args=args)
+        rclpy.init(args=None if args is None else list(args))
     except Exception as error:  # of the middleware's own kinds: arguments or parameter files that it cannot read
         text = " ".join(str(error).split()).removeprefix("failed to initialize rcl: ").partition(", at ")[0]
         raise InputError(f"ROS arguments: {text}: in a parameter file quote texts such as 'y', 'on' or 'no'") from None

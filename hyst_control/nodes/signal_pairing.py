@@ -46,7 +46,7 @@ class WatchedSignal:
         """Take everything that has arrived."""
         for label, block, _ in self._intake.take(self._refused, merge=True):
             if label != self._label:
-                self._node.drop(self._topic, "wrong label", f"its columns are {label!r}, {self._label!r} is due")
+                self._node.drop(self._topic, "wrong label", f"its columns must be {self._label!r}, got {label!r}")
             else:
                 self.receive(block)
 
@@ -55,7 +55,9 @@ class WatchedSignal:
         for tick, part in successive_parts(block, self._node.period):
             if tick is None:
                 self._node.drop(self._topic, "off the clock", off_the_clock(self._node.period))
-            elif (finite := np.isfinite(part).all(axis=1)).all():
+                continue
+            finite = np.logical_and.reduce(np.isfinite(part), axis=1)
+            if finite.all():
                 self._receive_rows(tick, part[:, 1:].copy())  # the message is read-only
             else:
                 self._node.drop(self._topic, "not finite", "it holds a NaN or an infinity")

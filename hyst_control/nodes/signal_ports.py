@@ -88,7 +88,7 @@ class Input:
         owner = self._owner
         if label is not self._seen_label:
             if label != self.label:
-                owner.drop(self.topic, "wrong label", f"its columns are {label!r}, {self.label!r} is due")
+                owner.drop(self.topic, "wrong label", f"its columns must be {self.label!r}, got {label!r}")
                 return
             self._seen_label = label
         if not len(block):
@@ -126,7 +126,7 @@ class Input:
         if receipt is Receipt.JOINING:
             owner.counts[f"{self.topic}: joining"] += 1
         elif receipt is Receipt.GAP:
-            owner.drop(self.topic, "out of order", f"tick {rows.end} is due, {tick} came")
+            owner.drop(self.topic, "out of order", f"tick {rows.end} must come next, got {tick}")
             owner.out_of_order(self, tick)
         elif receipt is Receipt.FULL:
             owner.drop(

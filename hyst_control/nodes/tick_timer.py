@@ -67,7 +67,7 @@ class TickTimer:
 
     @property
     def paced(self) -> bool:
-        """Whether the node ticks on the steady clock."""
+        """True when the node ticks on the steady clock."""
         return self._timer is not None and not self._simulated
 
     def start(self, node: Node, clock: Clock, phase: float, simulated: bool) -> None:

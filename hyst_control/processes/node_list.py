@@ -16,7 +16,7 @@ class NodeEntry(NamedTuple):
     node_class: str = ""
     """Name of its class, where the node can be composed with others in one process; else ""."""
     installed: bool = True
-    """Whether the executable is installed."""
+    """True when the executable is installed."""
 
 
 NODES = {

@@ -34,7 +34,7 @@ class RepetitionBackoff:
         self._last, self._interval = now, REPEAT_INTERVAL
 
     def due(self, now: float) -> bool:
-        """Whether a repetition is due at this time (s); it is then taken as done."""
+        """True when a repetition is due at this time (s); it is then taken as done."""
         if now - self._last <= self._interval:
             return False
         self._last, self._interval = now, min(2.0 * self._interval, self._longest)

@@ -162,9 +162,9 @@ class SignalRows:
         self.end, self.joined = tick, True
 
     @property
-    def start(self) -> int | None:
-        """Tick of the oldest row that waits; the next one expected when there is none; None before the first one."""
-        return self._blocks[0][0] if self._blocks else self.end
+    def start(self) -> int:
+        """Tick of the oldest row that waits, or of the one that is due next when there is none."""
+        return self._blocks[0][0] if self._blocks else self.awaited
 
     @property
     def held(self) -> int:
@@ -304,8 +304,11 @@ class SignalRows:
         else:
             first = tick <= self._first_heard or now - self._joining_since > LONGEST_JOINING
         if self.missing is Missing.HOLD:
-            if self.end is None or tick < self._first_heard:  # a repetition, in which all that was heard comes again
+            if self.end is None or tick < self._first_heard:  # a repetition: what was heard stands behind it
+                heard = list(self._blocks)
                 self.expect(tick)
+                for first_of_block, block in heard:
+                    self._hold(first_of_block, block, now)
             self.joined = first
             return True
         self.joined = first
@@ -325,7 +328,7 @@ class SignalRows:
         return Receipt.DUPLICATE
 
     def _contradicts(self, tick: int, rows: Array) -> bool:
-        """Whether these rows differ from those that came last in a tick that both have."""
+        """Compare these rows with those that came last: True when they differ in a tick that both have."""
         if self._newest is None:
             return False
         first, newest = self._newest

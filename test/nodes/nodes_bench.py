@@ -44,7 +44,11 @@ class Bench:
 
         def note(message):
             for status in message.status:
-                self.said[status.name] = {"message": status.message, **{each.key: each.value for each in status.values}}
+                self.said[status.name] = {
+                    "level": status.level,
+                    "message": status.message,
+                    **{each.key: each.value for each in status.values},
+                }
 
         self.probe.create_subscription(DiagnosticArray, "/diagnostics", note, 10)
 
