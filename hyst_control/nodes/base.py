@@ -24,7 +24,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from hyst_control.errors import InputError
 from hyst_control.nodes.common_parameters import COMMON, LOCKSTEP
-from hyst_control.nodes.message_io import Intake, Reception, Sender
+from hyst_control.nodes.message_io import CallbackSubscription, PolledSubscription, Sender
 from hyst_control.nodes.node_diagnostics import DIAGNOSTICS_INTERVAL, DiagnosticsPublisher, NodeHealth, ThrottledWarnings
 from hyst_control.nodes.parameters import Setting, declare
 from hyst_control.nodes.realtime_scheduling import set_scheduler
@@ -86,8 +86,8 @@ class SignalNode(EndingNode):
     """A node that turns signals into signals. Subclasses implement `advance` (lockstep) and `tick` (timer)."""
 
     def __init__(self, name: str, **options: Any) -> None:
-        self.polled: list[Intake] = []
-        self.receptions: list[Reception] = []
+        self.polled: list[PolledSubscription] = []
+        self.receptions: list[CallbackSubscription] = []
         self.senders: list[Sender] = []
         super().__init__(name, **options)
         self.settings = declare(self, (*COMMON, *self.SETTINGS), self.changed)
@@ -151,9 +151,9 @@ class SignalNode(EndingNode):
         own = [intake.subscription for intake in self.polled]
         yield from (each for each in super().subscriptions if not any(each is other for other in own))
 
-    def intake(self, topic: str) -> Intake:
+    def intake(self, topic: str) -> PolledSubscription:
         """Subscribe to a topic whose messages are taken when the node asks for them."""
-        self.polled.append(Intake(self, topic, self.settings.message_objects))
+        self.polled.append(PolledSubscription(self, topic, self.settings.message_objects))
         return self.polled[-1]
 
     def signal_rows(
@@ -191,7 +191,7 @@ class SignalNode(EndingNode):
         )
         signal = Input(self, topic, label_for(self.axes, unit), rows, None if self.lockstep else self.intake(topic))
         if self.lockstep:
-            self.receptions.append(Reception(self, topic, signal.receive, signal.refused, self.settings.message_objects))
+            self.receptions.append(CallbackSubscription(self, topic, signal.receive, signal.refused, self.settings.message_objects))
         self.inputs.append(signal)
         return signal
 

@@ -148,12 +148,13 @@ class DiagnosisNode(SignalNode):
 
     def held_share(self) -> float:
         """Share of the kept measurements that repeat the one before although the command moved."""
-        held = moved = 0
-        for kept in self._kept:
-            command_moves = np.diff(kept.command, axis=0).any(axis=1)
-            moved += int(np.sum(command_moves))
-            held += int(np.sum(command_moves & ~np.diff(kept.measurement, axis=0).any(axis=1)))
-        return held / max(moved, 1)
+        if not self._kept:
+            return 0.0
+        within = np.ones(self._kept_rows - 1, bool)  # not from one stretch to the next
+        within[np.cumsum([len(kept.command) for kept in self._kept])[:-1] - 1] = False
+        moved = np.diff(np.concatenate([kept.command for kept in self._kept]), axis=0).any(axis=1) & within
+        measured = np.diff(np.concatenate([kept.measurement for kept in self._kept]), axis=0).any(axis=1)
+        return int(np.count_nonzero(~measured & moved)) / max(int(np.count_nonzero(moved)), 1)
 
     def close(self) -> None:
         if self._job is not None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from hyst_control.nodes.base import EndingNode, SignalNode
-from hyst_control.nodes.message_io import Receiver, Reception
+from hyst_control.nodes.message_io import CallbackSubscription, LocalReceiver
 
 MOST_AT_ONCE = 64
 """Messages that are taken before the executor has its turn again, for timers, services and what comes from outside."""
@@ -19,11 +19,11 @@ def hand_over(nodes: Sequence[EndingNode], executor: Any, failed: Callable[[Base
     if len(signal_nodes) < 2:
         return
     exchange = _Exchange(executor, failed)
-    receivers: list[Receiver] = []
+    receivers: list[LocalReceiver] = []
     for node in signal_nodes:
         receivers += [*node.receptions, *node.polled]
     for receiver in receivers:
-        if isinstance(receiver, Reception):
+        if isinstance(receiver, CallbackSubscription):
             receiver.post = exchange.post
     for node in signal_nodes:
         for sender in node.senders:
@@ -35,10 +35,10 @@ class _Exchange:
 
     def __init__(self, executor: Any, failed: Callable[[BaseException], None]) -> None:
         self._executor, self._failed = executor, failed
-        self._due: deque[Reception] = deque()
+        self._due: deque[CallbackSubscription] = deque()
         self._scheduled = False
 
-    def post(self, reception: Reception) -> None:
+    def post(self, reception: CallbackSubscription) -> None:
         self._due.append(reception)
         if not self._scheduled:
             self._scheduled = True

@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.nodes.message_io import Intake, Sender
+from hyst_control.nodes.message_io import PolledSubscription, Sender
 from hyst_control.records.row_repetition import SentRows
-from hyst_control.records.signal_rows import Receipt, SignalRows, first_tick
+from hyst_control.records.signal_rows import Receipt, SignalRows, first_tick, tick_at
 
 Array = NDArray[np.float64]
 
@@ -54,11 +54,13 @@ class Input:
         Topic, and the column label that its messages must have.
     rows : SignalRows
         State of the signal.
-    intake : Intake, optional
+    intake : PolledSubscription, optional
         Timer: where messages are taken by `poll`.
     """
 
-    def __init__(self, owner: InputOwner, topic: str, label: str, rows: SignalRows, intake: Intake | None = None) -> None:
+    def __init__(
+        self, owner: InputOwner, topic: str, label: str, rows: SignalRows, intake: PolledSubscription | None = None
+    ) -> None:
         self.topic, self.label, self.rows = topic, label, rows
         self._owner, self._intake = owner, intake
         self._seen_label: str | None = None
@@ -93,10 +95,11 @@ class Input:
             self._seen_label = label
         if not len(block):
             return
-        if not all(map(math.isfinite, block.ravel().tolist())):
+        values = block.ravel().tolist()
+        if not all(map(math.isfinite, values)):
             owner.drop(self.topic, "not finite", "it holds a NaN or an infinity")
             return
-        tick = first_tick(block, owner.period)
+        tick = tick_at(values[0], owner.period) if len(block) == 1 else first_tick(block, owner.period)
         if tick is None:
             owner.drop(self.topic, "off the clock", off_the_clock(owner.period))
             return

@@ -190,12 +190,12 @@ class SignalRows:
         """
         if not self.joined and not self._join(tick, now):
             return Receipt.JOINING
-        end, count, new = self.end, len(rows), rows
-        if end is not None and tick != end:
-            if tick + count <= end:
+        first, new, end = tick, rows, self.end
+        if tick != end and end is not None:
+            if tick + len(rows) <= end:
                 return self._receive_again(tick, rows, now)
             if tick < end:
-                new = rows[end - tick :]
+                first, new = end, rows[end - tick :]
             elif self.missing is Missing.REFUSE:
                 return Receipt.GAP
             elif self.missing is Missing.HOLD:
@@ -205,7 +205,7 @@ class SignalRows:
             if self.missing is not Missing.HOLD or self.joined:
                 return Receipt.FULL
             self.joined = True
-        self._append(max(tick, end) if end is not None else tick, new)
+        self._append(first, new)
         self._newest = tick, rows
         self.arrived = now
         self._repeated_from = None
@@ -359,12 +359,13 @@ class SignalRows:
 
     def _append(self, tick: int, rows: Array) -> None:
         """Put rows behind those that wait; what is missing between them is lost."""
-        if self.end is not None and tick > self.end:
-            self.missed += tick - self.end
-            self.gaps.append((self.end, tick))
+        end, count = self.end, len(rows)
+        if tick != end and end is not None:
+            self.missed += tick - end
+            self.gaps.append((end, tick))
         self._blocks.append((tick, rows))
-        self.end = tick + len(rows)
-        self.available += len(rows)
+        self.end = tick + count
+        self.available += count
         if self.drop_oldest:
             while self.available - len(self._blocks[0][1]) >= self.max_queued_rows:
                 oldest = len(self._blocks.popleft()[1])
@@ -387,6 +388,15 @@ def waits(signals: Mapping[str, SignalRows], now: float) -> list[Wait]:
     return [Wait(topic, due, now - rows.arrived) for topic, rows in empty.items() if rows.awaited == due]
 
 
+def tick_at(time: float, period: float) -> int | None:
+    """Tick of a time, both in s with the period, or None when it is none."""
+    exact = time / period
+    if not math.isfinite(exact):
+        return None
+    tick = round(exact)
+    return tick if abs(exact - tick) <= CLOCK_TOLERANCE and tick >= 0 else None
+
+
 def first_tick(block: Array, period: float) -> int | None:
     """Tick of the first row of a block, or None when its times are not successive multiples of the period.
 
@@ -397,14 +407,8 @@ def first_tick(block: Array, period: float) -> int | None:
     period : float
         Time in s between two ticks.
     """
-    first = float(block[0, 0]) / period
-    if not math.isfinite(first):
-        return None
-    tick = round(first)
-    if abs(first - tick) > CLOCK_TOLERANCE or tick < 0:
-        return None
-    rows = len(block)
-    if rows > 1 and not np.max(np.abs(block[:, 0] / period - np.arange(tick, tick + rows))) <= CLOCK_TOLERANCE:
+    tick, rows = tick_at(float(block[0, 0]), period), len(block)
+    if tick is not None and rows > 1 and not np.max(np.abs(block[:, 0] / period - np.arange(tick, tick + rows))) <= CLOCK_TOLERANCE:
         return None
     return tick
 

@@ -12,7 +12,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 
-from hyst_control.nodes.message_io import Reception, Sender
+from hyst_control.nodes.message_io import CallbackSubscription, Sender
 from hyst_control.nodes.run import spin
 
 
@@ -37,7 +37,7 @@ class Bench:
     def listen(self, *topics):
         for topic in topics:
             rows = self.heard.setdefault(topic, [])
-            Reception(self.probe, topic, lambda label, block, rows=rows: rows.append(block.copy()), pytest.fail)
+            CallbackSubscription(self.probe, topic, lambda label, block, rows=rows: rows.append(block.copy()), pytest.fail)
 
     def listen_to_diagnostics(self):
         """From now on `said` holds the newest entries by node, the status' message among them."""

@@ -8,7 +8,7 @@ from loop_case import RATE, assert_same_bits, offline, parameters, recorded
 from rclpy.parameter import Parameter
 
 from hyst_control.nodes.base import EndingNode
-from hyst_control.nodes.message_io import Reception
+from hyst_control.nodes.message_io import CallbackSubscription
 from hyst_control.nodes.pipeline import DEFAULT, node_class
 from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_control.nodes.run import run
@@ -26,7 +26,7 @@ class Late(EndingNode):
     def _join(self):
         if self._due():
             self._timer.cancel()
-            Reception(self, self._topic, lambda label, block: self.heard.append(block.copy()), pytest.fail)
+            CallbackSubscription(self, self._topic, lambda label, block: self.heard.append(block.copy()), pytest.fail)
 
 
 def make(context, kind, settings):
@@ -79,7 +79,7 @@ def test_what_was_handed_over_is_taken_before_what_the_middleware_brings(ros_con
     node = make(ros_context, ReferenceGenerator, {"signal": "sine", "frequency": 5.0, "amplitude": 1.0})
     try:
         heard = []
-        reception = Reception(node, "x", lambda label, block: heard.append(block[0, 0]), pytest.fail)
+        reception = CallbackSubscription(node, "x", lambda label, block: heard.append(block[0, 0]), pytest.fail)
         encode = node.senders[0]._encoder.encode
         for tick in range(3):
             reception.hand(encode(np.array([[float(tick), 0.0]])))

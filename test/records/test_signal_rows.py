@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyst_control.records.row_repetition import (
@@ -69,6 +69,7 @@ def take_all(state):
     return found
 
 
+@settings(deadline=None)
 @given(messages, st.data())
 def test_refused_rows_come_again_and_every_tick_comes_out_once_and_in_order(sent, data):
     """Lockstep: after any messages, what came out is the run up to the tick that is waited for; a repetition of all gives the rest."""
@@ -91,6 +92,7 @@ def test_refused_rows_come_again_and_every_tick_comes_out_once_and_in_order(sent
     assert waits({"reference": state}, now)[0].tick == LENGTH
 
 
+@settings(deadline=None)
 @given(messages)
 def test_a_run_that_is_heard_from_its_first_row_begins_with_it(sent):
     state = SignalRows(Missing.REFUSE, PLENTY, 0.0)
@@ -101,6 +103,7 @@ def test_a_run_that_is_heard_from_its_first_row_begins_with_it(sent):
     assert found == list(range(len(found))) and set(found) <= came
 
 
+@settings(deadline=None)
 @given(messages)
 def test_held_rows_lose_nothing_that_came(sent):
     """The recorder: every tick that came after all comes out once, in order; those that never came are counted."""
@@ -124,6 +127,7 @@ def test_held_rows_lose_nothing_that_came(sent):
     assert not state.held and not state.available
 
 
+@settings(deadline=None)
 @given(messages)
 def test_skipped_rows_are_lost_and_time_goes_on(sent):
     """The wall clock: ticks only increase, and those left out are counted."""
@@ -138,6 +142,7 @@ def test_skipped_rows_are_lost_and_time_goes_on(sent):
         assert state.missed == ticks[-1] + 1 - ticks[0] - len(ticks)
 
 
+@settings(deadline=None)
 @given(messages, messages, st.sampled_from(Missing))
 def test_a_run_that_is_forgotten_leaves_no_trace_in_the_next_one(before, after, missing):
     """Restart: the same as a receiver that never heard the run before."""
@@ -153,6 +158,7 @@ def test_a_run_that_is_forgotten_leaves_no_trace_in_the_next_one(before, after, 
     assert restarted.end == fresh.end and list(restarted.gaps) == list(fresh.gaps)
 
 
+@settings(deadline=None)
 @given(messages, st.sampled_from(Missing), st.booleans(), st.integers(1, 20))
 def test_what_waits_is_bounded(sent, missing, drop_oldest, most):
     """Nobody takes anything; a message may go beyond the limit, no second one."""
@@ -167,6 +173,7 @@ def test_what_waits_is_bounded(sent, missing, drop_oldest, most):
     assert len(state.gaps) <= MAX_GAPS
 
 
+@settings(deadline=None)
 @given(messages)
 def test_refused_for_want_of_room_is_not_lost(sent):
     """A queue of three rows: what was refused comes again, in order."""
@@ -179,6 +186,7 @@ def test_refused_for_want_of_room_is_not_lost(sent):
     assert found == list(range(LENGTH))
 
 
+@settings(deadline=None)
 @given(st.lists(st.booleans(), min_size=1, max_size=400), st.integers(1, 5))
 def test_a_loop_of_two_heals_whatever_is_lost(arrives, block_rows):
     """A source and a node that answers it: each repeats when it has reason to, and both have every row in the end.
@@ -308,6 +316,7 @@ def test_who_is_furthest_behind_is_waited_for():
     assert [str(wait) for wait in waits(signals, 15.2)] == ["reference@5 (3.2 s)"]
 
 
+@settings(deadline=None)
 @given(messages, st.integers(0, 10**7))
 def test_blocks_of_several_messages_are_split_where_time_is_not_successive(sent, offset):
     joined = [tick for first, end in sent for tick in range(first, end)]
@@ -328,6 +337,7 @@ def test_times_that_are_no_ticks_are_none(time):
     assert first_tick(np.array([[0.0, 1.0], [time, 1.0]]), PERIOD) is None
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(1, 700), min_size=1, max_size=60))
 def test_what_was_sent_is_kept_as_long_as_it_may_be_lacking(lengths):
     sent, tick = SentRows(), 0
