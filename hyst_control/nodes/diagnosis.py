@@ -26,7 +26,7 @@ from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.message_io import Sender
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.signal_pairing import WatchedSignal
+from hyst_control.nodes.watched_signal import WatchedSignal
 from hyst_control.records.bag_writer import BagWriter
 from hyst_control.records.signal_message import Encoder, label_for
 

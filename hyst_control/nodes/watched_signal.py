@@ -1,4 +1,4 @@
-"""Two signals watched side by side: rows of the same ticks, from messages that are taken when it suits, in both schedules."""
+"""A signal that is only listened to: rows with their ticks, from messages that are taken when it suits, in both schedules."""
 
 from __future__ import annotations
 
