@@ -14,7 +14,17 @@ MOST_AT_ONCE = 64
 
 
 def hand_over(nodes: Sequence[EndingNode], executor: Any, failed: Callable[[BaseException], None]) -> None:
-    """Link the senders of nodes on one executor with the receivers of the same topics. `failed` is told what a callback raised."""
+    """Link the senders of nodes on one executor with the receivers of the same topics.
+
+    Parameters
+    ----------
+    nodes : sequence of EndingNode
+        The nodes of the executor.
+    executor : EventsExecutor
+        The executor.
+    failed : callable
+        Told what a callback raised.
+    """
     signal_nodes = [node for node in nodes if isinstance(node, SignalNode)]
     if len(signal_nodes) < 2:
         return

@@ -20,7 +20,17 @@ from hyst_control.processes.ros_domain import lock_of
 
 
 class Processes:
-    """Nodes as processes on one ROS domain; all are ended on the way out. Parameters and logs go to `folder`."""
+    """Nodes as processes on one ROS domain; all are ended on the way out.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of parameter files and logs; made where it is missing.
+    domain : int
+        ROS domain.
+    namespace : str
+        Namespace of the nodes.
+    """
 
     def __init__(self, folder: Path, domain: int, namespace: str = "") -> None:
         self.folder, self.namespace = Path(folder), namespace
@@ -74,7 +84,19 @@ class Processes:
     def wait(self, *names: str, timeout: float) -> None:
         """Wait until these nodes have ended by themselves.
 
-        Raises `InputError` with a node's last line when any of the nodes fails, and TimeoutError after `timeout` s.
+        Parameters
+        ----------
+        *names : str
+            Names of the nodes.
+        timeout : float
+            Longest time in s.
+
+        Raises
+        ------
+        InputError
+            When any node fails, with its last line.
+        TimeoutError
+            When the time is over.
         """
         end = time.monotonic() + timeout
         while any(self.running[name].poll() is None for name in names):
