@@ -64,7 +64,7 @@ $(CHECKS_READY): $(READY)
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements-checks.txt
 	touch $@
 
-$(INSTALLED): $(READY) setup.py setup.cfg
+$(INSTALLED): $(READY) setup.py setup.cfg hyst_control/processes/node_list.py
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 

@@ -1,23 +1,13 @@
 """One description for pip (`.venv/bin/hyst` and the nodes) and for colcon (`ros2 run hyst_control <node>`)."""
 
+import runpy
 from pathlib import Path
 
 from setuptools import find_packages, setup
 
 NAME = "hyst_control"
-NODES = {
-    "reference_generator": "hyst_control.nodes.reference_generator",
-    "hampi_feedforward": "hyst_control.nodes.hampi_feedforward",
-    "mhl_feedforward": "hyst_control.nodes.mhl_feedforward",
-    "pi_feedback": "hyst_control.nodes.pi_feedback",
-    "plant": "hyst_plant_sim.node",
-    "recorder": "hyst_control.nodes.recorder",
-    "identification": "hyst_control.nodes.identification",
-    "diagnosis": "hyst_control.nodes.diagnosis",
-    "pipeline": "hyst_control.nodes.pipeline",
-}
-
 root = Path(__file__).parent
+NODES = runpy.run_path(str(root / "hyst_control" / "processes" / "node_list.py"))["NODES"]
 folders = [Path("config"), *(path.relative_to(root) for path in sorted((root / "config").rglob("*")) if path.is_dir())]
 # Without versions: a ROS 2 machine has its distribution's. What `make` and the checks install is pinned in requirements.txt.
 REQUIRED = [
@@ -35,7 +25,6 @@ REQUIRED = [
     "mcap",
     "argcomplete",
 ]
-present = {name: module for name, module in NODES.items() if (root / (module.replace(".", "/") + ".py")).exists()}
 
 setup(
     name=NAME,
@@ -62,6 +51,9 @@ setup(
     ],
     zip_safe=False,
     entry_points={
-        "console_scripts": ["hyst = hyst_control.cli:main", *(f"{name} = {module}:main" for name, module in present.items())]
+        "console_scripts": [
+            "hyst = hyst_control.cli:main",
+            *(f"{name} = {node.module}:main" for name, node in NODES.items() if node.installed),
+        ]
     },
 )

@@ -15,18 +15,23 @@ from hyst_control.config_files import config_path
 from hyst_control.control.loop import Plant
 from hyst_control.errors import InputError
 from hyst_control.model_file import Simulator, load_model
-from hyst_control.nodes.base import LONGEST_GAP, SignalNode
+from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.duration_histogram import Durations
 from hyst_control.nodes.message_io import QUEUE
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.signal_ports import Input
+from hyst_control.nodes.tick_timer import LONGEST_GAP
+from hyst_control.records.row_repetition import Standstill
+from hyst_control.records.signal_rows import Wait
 
 Array = NDArray[np.float64]
 
 AWAITED = 64
 """Measurements whose command is awaited, for the latency of the loop."""
 MOST_AHEAD = 2048  # ticks that the plant may be ahead of a recorder it waits for
+LOOKS_BEFORE_GOING_ON = 5
+"""Repetitions in a row without an answer after which a plant that was restarted in a run under way goes on where that is."""
 
 
 class PlantNode(SignalNode):
@@ -43,7 +48,7 @@ class PlantNode(SignalNode):
         Setting("model", "", "", "model file, run in place of a truth plant"),
         Setting("parameters", "", "", "of the truth plant, in place of its file's, as YAML: '{mode_frequency: 1180.0}'"),
         Setting("effects", "", "", "in the truth plant, as YAML: '[{name: delay, tau: 4.0e-4, axis: x, from: 0.5}]'"),
-        Setting("seed", 0, "", "seed of the plant's noise", 0, 2**31 - 1),
+        Setting("seed", 0, "number", "seed of the plant's noise", 0, 2**31 - 1),
         Setting("ticks", 0, "ticks", "length of the run, 0 for endless", 0, 2**52),
         Setting("start", "rest", "", "settled at 0 V, or at the first command (open loop)", choices=("rest", "first_command")),
         Setting("retry", 0.2, "s", "time without a command after which the newest measurement is repeated", 1e-3, 60.0),
@@ -61,7 +66,8 @@ class PlantNode(SignalNode):
         self._tick: int | None = None  # of the newest measurement
         self._held = rest
         self._recorded = -1
-        self._repeats = 0
+        self._recorded_at = time.monotonic()  # s: when the recorder told something new last
+        self._standstill = Standstill()
         self._sent: dict[int, int] = {}  # ns since the epoch, by tick: when the newest measurements were sent
         self._latency = Durations()
         self.measurement = self.output("measurement", self.unit)
@@ -70,24 +76,22 @@ class PlantNode(SignalNode):
             self.create_subscription(Int64, "recorded", self._on_recorded, QUEUE)
         self.reset()
         if self.lockstep:
-            self._seen = self.command.rows.end
             self.every(self.settings.retry, self._retry)
         self.start_timer(0.1)
 
     def advance(self) -> None:
         rows, length = self.command.rows, self.settings.ticks
         while rows.available:
-            if self._tick is None:
-                self._settle(self._newest_command())
-            allowed = rows.available if not length else min(rows.available, length - self._tick)
+            tick = self._settle(self._newest_command()) if self._tick is None else self._tick
+            allowed = rows.available if not length else min(rows.available, length - tick)
             if self.settings.wait_for_recorder:
-                allowed = min(allowed, self._recorded + MOST_AHEAD - self._tick if self._recorded >= 0 else 0)
+                allowed = min(allowed, self._recorded + MOST_AHEAD - tick if self._recorded >= 0 else 0)
             if allowed <= 0:
                 return
             commands = rows.take(allowed)
             measurements = self._plant.step(commands)
-            first = self._tick + 1
-            self._tick += allowed
+            first = tick + 1
+            self._tick = tick + allowed
             if length and self._tick == length:
                 if allowed > 1:
                     self.measurement.send(first, measurements[:-1])
@@ -129,24 +133,35 @@ class PlantNode(SignalNode):
         self._tick = None
         self.measurement.clear()
         if self.lockstep:
-            self.command.rows.clear()
-            self.command.rows.end = 0
+            self.command.rows.expect(0)
             if self.settings.start == "rest":
                 self._settle(np.zeros(len(self.axes)))
 
     def out_of_order(self, source: Input, tick: int) -> None:
-        if self._repeats >= 5 and self._tick in (None, 0):  # nobody has tick 0 any more: restarted in a run under way
+        if self._standstill.looks >= LOOKS_BEFORE_GOING_ON and self._tick in (
+            None,
+            0,
+        ):  # nobody has tick 0 any more: restarted in a run under way
             self.get_logger().warning(f"a run is under way: going on at tick {tick}")
             self._tick = None if self.settings.start == "first_command" else tick
-            source.rows.end = tick
+            source.rows.expect(tick)
+
+    def waits(self, now: float) -> list[Wait]:
+        """The command, or the recorder while commands wait for it or the run is over but for it."""
+        over = self.settings.ticks > 0 and self._tick == self.settings.ticks and not self.finished.done()
+        if self.lockstep and self.settings.wait_for_recorder and (over or self.command.rows.available):
+            return [Wait("recorded", self._recorded + 1, now - self._recorded_at)]
+        return super().waits(now)
 
     def status(self) -> dict[str, Any]:
         return {"tick": self._tick, "recorded": self._recorded, **self._latency.entries("loop latency")}
 
-    def _settle(self, command: Array) -> None:
-        first = self._plant.reset(command)
-        self._tick = self.command.rows.start or 0
-        self.measurement.send(self._tick, first[None])
+    def _settle(self, command: Array) -> int:
+        """Settle the plant at a command (A,) and send the measurement; its tick."""
+        first, tick = self._plant.reset(command), self.command.rows.start
+        self._tick = tick
+        self.measurement.send(tick, first[None])
+        return tick
 
     def _newest_command(self) -> Array:
         row = self.command.rows.newest(self.command.rows.start)
@@ -154,7 +169,8 @@ class PlantNode(SignalNode):
         return row
 
     def _on_recorded(self, message: Int64) -> None:
-        self._recorded = max(self._recorded, message.data)
+        if message.data > self._recorded:
+            self._recorded, self._recorded_at = message.data, time.monotonic()
         if self.settings.ticks and self._tick == self.settings.ticks:
             self._end()
         else:
@@ -167,15 +183,11 @@ class PlantNode(SignalNode):
     def _retry(self) -> None:
         if self.finished.done():
             return
-        if self._seen == (self.command.rows.end, self._tick):
-            self._repeats += 1
-            if self._repeats < 2:
-                self.measurement.repeat_newest()
-            else:
-                self.measurement.repeat()  # somebody lacks earlier rows, its own or those that followed from them
-        else:
-            self._repeats = 0
-        self._seen = (self.command.rows.end, self._tick)
+        looks = self._standstill.look((self.command.rows.end, self._tick))
+        if looks == 1:
+            self.measurement.repeat_newest()
+        elif looks:
+            self.measurement.repeat()  # somebody lacks earlier rows, its own or those that followed from them
 
     def _described(self) -> Plant:
         given, name = self.settings, self.get_name()
@@ -204,11 +216,12 @@ class PlantNode(SignalNode):
                 f"{name}: {given.plant or given.model} has axes [{', '.join(plant.axes)}] in "
                 f"{plant.units['measurement']}: set the parameters axes and unit to them"
             )
-        return plant
+        found: Plant = plant
+        return found
 
 
 def _yaml(text: str, name: str, kind: type) -> Any:
-    """What a parameter's text says, None for an empty one. Raises `InputError` naming the parameter."""
+    """Value that a parameter's text describes, None for an empty one. Raises `InputError` naming the parameter."""
     if not text.strip():
         return None
     try:
@@ -216,7 +229,9 @@ def _yaml(text: str, name: str, kind: type) -> Any:
     except yaml.YAMLError:
         found = None
     if not isinstance(found, kind):
-        raise InputError(f"{name}: {text!r}, {'a list [{name: …}, …]' if kind is list else 'a mapping {name: value, …}'} is due")
+        raise InputError(
+            f"{name}: must be {'a list [{name: …}, …]' if kind is list else 'a mapping {name: value, …}'}, got {text!r}"
+        )
     return found
 
 

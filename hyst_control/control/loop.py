@@ -28,7 +28,9 @@ class Compensator(Protocol):
     Its output belongs to the reference `preview` rows back, so the first `preview` rows it returns precede tick 0.
     """
 
-    preview: int
+    @property
+    def preview(self) -> int:
+        """Ticks that it looks ahead."""
 
     def settle(self, value: Array) -> Array:
         """Come to rest at the reference (A,)."""

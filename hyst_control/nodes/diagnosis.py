@@ -26,7 +26,7 @@ from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.message_io import Sender
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.signal_pairing import Watched
+from hyst_control.nodes.watched_signal import WatchedSignal
 from hyst_control.records.bag_writer import BagWriter
 from hyst_control.records.signal_message import Encoder, label_for
 
@@ -103,9 +103,10 @@ class DiagnosisNode(SignalNode):
         )
         self._residual = self.output("residual", self.unit)
         self._gap = Sender(self, "gap", GAP_LABEL, given.message_objects)
-        self._command = Watched(self, "command", "V", self.reset)
-        self._measurement = Watched(self, "measurement", self.unit, self.reset)
+        self._command = WatchedSignal(self, "command", "V", self.reset)
+        self._measurement = WatchedSignal(self, "measurement", self.unit, self.reset)
         self._job: Job | None = None
+        self._told: tuple[float, int]
         self._forget()
         self.service("diagnose", self._diagnose)
         self.every(DRAIN_INTERVAL, self._drain)
@@ -126,8 +127,8 @@ class DiagnosisNode(SignalNode):
         return f"no command and measurement of one tick for {quiet:.0f} s" if quiet > max(1.0, self.settings.timeout) else ""
 
     def status(self) -> dict[str, Any]:
-        newest, now, entries = self._newest, time.monotonic(), {}
-        entries["rate [Hz]"] = f"{(self._compared - self._told[1]) / max(now - self._told[0], 1e-9):.1f}"
+        newest, now = self._newest, time.monotonic()
+        entries: dict[str, Any] = {"rate [Hz]": f"{(self._compared - self._told[1]) / max(now - self._told[0], 1e-9):.1f}"}
         self._told = now, self._compared
         if newest is not None:
             entries |= {
@@ -147,11 +148,13 @@ class DiagnosisNode(SignalNode):
 
     def held_share(self) -> float:
         """Share of the kept measurements that repeat the one before although the command moved."""
-        rows = [(np.diff(kept.measurement, axis=0), np.diff(kept.command, axis=0)) for kept in self._kept if len(kept.command) > 1]
-        if not rows:
+        if not self._kept:
             return 0.0
-        measured, moved = (np.concatenate(parts).any(axis=1) for parts in zip(*rows, strict=True))
-        return float(np.sum(~measured & moved) / max(np.sum(moved), 1))
+        within = np.ones(self._kept_rows - 1, bool)  # not from one stretch to the next
+        within[np.cumsum([len(kept.command) for kept in self._kept])[:-1] - 1] = False
+        moved = np.diff(np.concatenate([kept.command for kept in self._kept]), axis=0).any(axis=1) & within
+        measured = np.diff(np.concatenate([kept.measurement for kept in self._kept]), axis=0).any(axis=1)
+        return int(np.count_nonzero(~measured & moved)) / max(int(np.count_nonzero(moved)), 1)
 
     def close(self) -> None:
         if self._job is not None:
@@ -168,14 +171,15 @@ class DiagnosisNode(SignalNode):
         self._newest: Window | None = None
         self._heard = time.monotonic()
         self._compared = self._bridged = self._settled_anew = 0
-        self._told = self._heard, 0
+        self._told = self._heard, 0  # when the rate was told last, and rows compared then
 
     def _drain(self) -> None:
         self._command.drain()
         self._measurement.drain()
-        if None not in (self._command.end, self._measurement.end):
-            end = min(self._command.end, self._measurement.end)
-            (ticks, commands), (measured_ticks, measured) = self._command.take(end), self._measurement.take(end)
+        command, measurement = self._command.rows, self._measurement.rows
+        if command.end is not None and measurement.end is not None:
+            end = min(command.end, measurement.end)
+            (ticks, commands), (measured_ticks, measured) = command.take_before(end), measurement.take_before(end)
             if len(ticks) and self.enabled:
                 breaks = np.flatnonzero(np.diff(ticks) > 1) + 1
                 for some, rows in zip(np.split(ticks, breaks), np.split(commands, breaks), strict=True):
@@ -240,7 +244,7 @@ class DiagnosisNode(SignalNode):
             self._job.told = not self._job.running
             return self._job.text()
         if not self._kept:
-            raise InputError("nothing was recorded yet: command and measurement are due")
+            raise InputError("nothing was recorded yet: run the loop until command and measurement have come")
         with as_input_error(self.settings.output):
             output = Path(self.settings.output).resolve()
             output.mkdir(parents=True, exist_ok=True)
@@ -301,11 +305,11 @@ class Job:
 
     @property
     def running(self) -> bool:
-        """Whether the process has not ended yet."""
+        """True until the process has ended."""
         return self._process.poll() is None
 
     def text(self) -> str:
-        """How it goes, or the result in a sentence and where it is."""
+        """Progress, or the result in a sentence and its folder."""
         if self.running:
             return f"running for {time.monotonic() - self._begun:.0f} s: {self.folder}"
         with suppress(OSError):

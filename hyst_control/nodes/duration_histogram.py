@@ -25,7 +25,7 @@ class Durations:
 
     @property
     def count(self) -> int:
-        """How many were counted."""
+        """Number of durations that were counted."""
         return int(self._counts.sum())
 
     def quantile(self, share: float) -> float:

@@ -1,4 +1,9 @@
-"""The end of a process that the middleware keeps from ending."""
+"""The end of a process that the middleware keeps from ending.
+
+The standard library has no equal. `faulthandler.dump_traceback_later(exit=True)` needs no lock of the interpreter either, but it ends
+the process with status 1 and a traceback, where a node's own status is due: 0 after an interrupt, 2 on bad input. A
+`threading.Timer` and a handler of `signal.signal` need the lock, and the default action of SIGALRM ends the process by a signal.
+"""
 
 from __future__ import annotations
 
@@ -30,19 +35,26 @@ class _Duration(ctypes.Structure):
     _fields_ = (("interval", ctypes.c_long * 2), ("first", ctypes.c_long * 2))
 
 
-def leave_within(status: int, seconds: float = PATIENCE) -> None:
-    """End the process with this status if it still runs after so many seconds, whatever it waits for.
+def exit_within(status: int, seconds: float = PATIENCE) -> None:
+    """End the process if it still runs after a while, whatever it waits for.
 
     Fast DDS 2.14 may stand still for ever while it destroys a participant and hears that another one leaves, as when one Ctrl-C ends
     all nodes: `DomainParticipant::set_listener` waits for a callback of the discovery, which waits for it. The call holds the
     interpreter's lock, so no Python code could end it: a timer of the C library calls `_exit`.
+
+    Parameters
+    ----------
+    status : int
+        Exit status of the process.
+    seconds : float
+        Time in s after which it ends.
     """
     sys.stdout.flush()
     sys.stderr.flush()
     library = ctypes.CDLL(None, use_errno=True)
-    leave = _Notification(value=status, notify=_SIGEV_THREAD, function=ctypes.cast(library._exit, ctypes.c_void_p))
+    notification = _Notification(value=status, notify=_SIGEV_THREAD, function=ctypes.cast(library._exit, ctypes.c_void_p))
     timer = ctypes.c_void_p()
-    if library.timer_create(_CLOCK_MONOTONIC, ctypes.byref(leave), ctypes.byref(timer)) == 0:
+    if library.timer_create(_CLOCK_MONOTONIC, ctypes.byref(notification), ctypes.byref(timer)) == 0:
         whole = int(seconds)
         first = (ctypes.c_long * 2)(whole, int((seconds - whole) * 1e9))
         library.timer_settime(timer, 0, ctypes.byref(_Duration(first=first)), None)

@@ -1,4 +1,4 @@
-"""What the feedforward nodes share: reference rows in, the compensator's rows out, each labelled with its own tick."""
+"""Base of the feedforward nodes: reference rows in, the compensator's rows out, each labelled with its own tick."""
 
 from __future__ import annotations
 
@@ -33,14 +33,19 @@ class Feedforward(SignalNode):
             Setting("inverse", "zpetc", "", "inverse of the dynamics", choices=("zpetc", "zmetc", "npz_ignore", "none")),
             Setting("discretisation", "zoh", "", "of the dynamics", choices=("zoh", "tustin")),
             Setting("preview", True, "", "look ahead where the inverse of the dynamics can; otherwise the command is late"),
-            Setting("iterations", -1, "", "of the inverse of the hysteresis, -1 for the kind's own", -1, 1000),
+            Setting("iterations", -1, "iterations", "of the inverse of the hysteresis, -1 for the kind's own", -1, 1000),
             Setting(
-                "smoothing", 0, "", "order of a low-pass without phase of the reference, which looks as many ticks ahead", 0, 20
+                "smoothing",
+                0,
+                "ticks",
+                "order of a low-pass without phase of the reference, which looks as many ticks ahead",
+                0,
+                20,
             ),
             Setting("inverse_model", "", "", "model file with inverse curves identified by themselves"),
-            Setting("limits", (0.0, 0.0), "V", "rating of the drive, lower and upper; equal: the model's valid range"),
-            Setting("gain", (0.0,), "V per unit", "proportional: gain of all axes or of each"),
-            Setting("offset", (0.0,), "V", "proportional: command at reference 0, of all axes or of each"),
+            Setting("limits", (0.0, 0.0), "V", "rating of the drive, lower and upper; equal: the model's valid range", -1e6, 1e6),
+            Setting("gain", (0.0,), "V per unit", "proportional: gain of all axes or of each", -1e12, 1e12),
+            Setting("offset", (0.0,), "V", "proportional: command at reference 0, of all axes or of each", -1e6, 1e6),
         )
         super().__init__(name, **options)
         self._compensator = compensator or self._described()
@@ -56,16 +61,13 @@ class Feedforward(SignalNode):
         arrived = self.reference.rows
         if not arrived.available:
             return
-        if self._next is None:
-            self._due = arrived.start
-            self._next = self._due - self._compensator.preview
-            rows = arrived.take(arrived.available)
+        first, start = self._next, arrived.start
+        rows = arrived.take(arrived.available)
+        if first is None:
+            self._due, first = start, start - self._compensator.preview
             self._compensator.settle(rows[0])
-        else:
-            rows = arrived.take(arrived.available)
         output = self._compensator.process(rows)
-        first = self._next
-        self._next += len(output)
+        self._next = first + len(output)
         if self._next > self._due:  # rows before the first reference are the compensator's filling
             start = max(first, self._due)
             self.feedforward.send(start, output[start - first :])

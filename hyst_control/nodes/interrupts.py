@@ -14,7 +14,7 @@ from types import FrameType
 _count = 0
 """Interrupts heard since `listen`."""
 _held = False
-"""Whether an interrupt is only counted."""
+"""True while an interrupt is only counted."""
 
 
 def listen() -> None:
@@ -25,7 +25,7 @@ def listen() -> None:
 
 
 def heard() -> bool:
-    """Whether an interrupt has come, also one that a library has swallowed."""
+    """True once an interrupt has come, also one that a library has swallowed."""
     return _count > 0
 
 

@@ -7,21 +7,33 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from hyst_control.nodes.base import EndingNode, SignalNode
-from hyst_control.nodes.message_io import Reception
+from hyst_control.nodes.message_io import CallbackSubscription, LocalReceiver
 
 MOST_AT_ONCE = 64
 """Messages that are taken before the executor has its turn again, for timers, services and what comes from outside."""
 
 
 def hand_over(nodes: Sequence[EndingNode], executor: Any, failed: Callable[[BaseException], None]) -> None:
-    """Link the senders of nodes on one executor with the receivers of the same topics. `failed` is told what a callback raised."""
+    """Link the senders of nodes on one executor with the receivers of the same topics.
+
+    Parameters
+    ----------
+    nodes : sequence of EndingNode
+        The nodes of the executor.
+    executor : EventsExecutor
+        The executor.
+    failed : callable
+        Told what a callback raised.
+    """
     signal_nodes = [node for node in nodes if isinstance(node, SignalNode)]
     if len(signal_nodes) < 2:
         return
     exchange = _Exchange(executor, failed)
-    receivers = [receiver for node in signal_nodes for receiver in (*node.receptions, *node.polled)]
+    receivers: list[LocalReceiver] = []
+    for node in signal_nodes:
+        receivers += [*node.receptions, *node.polled]
     for receiver in receivers:
-        if isinstance(receiver, Reception):
+        if isinstance(receiver, CallbackSubscription):
             receiver.post = exchange.post
     for node in signal_nodes:
         for sender in node.senders:
@@ -33,10 +45,10 @@ class _Exchange:
 
     def __init__(self, executor: Any, failed: Callable[[BaseException], None]) -> None:
         self._executor, self._failed = executor, failed
-        self._due: deque[Reception] = deque()
+        self._due: deque[CallbackSubscription] = deque()
         self._scheduled = False
 
-    def post(self, reception: Reception) -> None:
+    def post(self, reception: CallbackSubscription) -> None:
         self._due.append(reception)
         if not self._scheduled:
             self._scheduled = True

@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 QUEUE = QoSProfile(history=QoSHistoryPolicy.KEEP_LAST, depth=5000, reliability=QoSReliabilityPolicy.RELIABLE)
 
 
-class Receiver(Protocol):
-    """What a message may be handed to within a process, instead of being sent to its subscription."""
+class LocalReceiver(Protocol):
+    """LocalReceiver within the process: messages are handed to it instead of being sent to its subscription."""
 
     topic: str
     raw: bool
@@ -38,18 +38,27 @@ class Sender:
     Once it is `linked`, its messages are handed to the receivers within the process for as long as these are the only ones. When
     somebody else has been seen to listen all go through the middleware, for good: its messages and those handed over would overtake
     each other.
+
+    Parameters
+    ----------
+    node : Node
+        The node that publishes.
+    topic, label : str
+        Topic, and the column label of its messages.
+    objects : bool
+        Send message objects in place of serialized bytes.
     """
 
     def __init__(self, node: Node, topic: str, label: str, objects: bool = False) -> None:
         self.publisher = node.create_publisher(Float64MultiArray, topic, QUEUE)
         self.topic = self.publisher.topic_name
         self.within = False
-        """Whether messages are handed over."""
+        """True while messages are handed over."""
         self._encoder = Encoder(label)
         self._objects = objects
-        self._receivers: Sequence[Receiver] = ()
+        self._receivers: Sequence[LocalReceiver] = ()
 
-    def link(self, receivers: Sequence[Receiver]) -> None:
+    def link(self, receivers: Sequence[LocalReceiver]) -> None:
         """Hand messages over to these, which are all subscribers of this topic within the process."""
         self._receivers, self.within = receivers, not self._objects and all(receiver.raw for receiver in receivers)
 
@@ -71,15 +80,29 @@ class Sender:
         self.publisher.publish(to_message(self._encoder.label, block))
 
 
-class Reception:
-    """A subscription that calls back for every message: `callback(label, block (N, C))`, or `refused(reason)` for what is none."""
+class CallbackSubscription:
+    """A subscription that calls back for every message.
+
+    Parameters
+    ----------
+    node : Node
+        The node that subscribes.
+    topic : str
+        Topic.
+    callback : callable
+        Called with the column label and the block (N, C) of a message.
+    refused : callable
+        Called with the reason why a message cannot be read.
+    objects : bool
+        Take message objects in place of serialized bytes.
+    """
 
     def __init__(
         self, node: Node, topic: str, callback: Callable[[str, Array], None], refused: Callable[[str], None], objects: bool = False
     ) -> None:
         self._callback, self._refused, self._decoder = callback, refused, Decoder()
         self.raw = not objects
-        self.post: Callable[[Reception], None] | None = None
+        self.post: Callable[[CallbackSubscription], None] | None = None
         """Told of every message that was handed over: `take` is due."""
         self._handed: deque[bytes] = deque()
         if self.raw:
@@ -124,8 +147,18 @@ class Reception:
         self._callback(label, block)
 
 
-class Intake:
-    """A subscription whose messages are taken when it suits the owner, many at a time, instead of one callback for each."""
+class PolledSubscription:
+    """A subscription whose messages are taken when it suits the owner, many at a time, instead of one callback for each.
+
+    Parameters
+    ----------
+    node : Node
+        The node that subscribes.
+    topic : str
+        Topic.
+    objects : bool
+        Take message objects in place of serialized bytes.
+    """
 
     def __init__(self, node: Node, topic: str, objects: bool = False) -> None:
         self._decoder, self.raw = Decoder(), not objects
@@ -138,10 +171,21 @@ class Intake:
         self._handed.append((raw, time.time_ns()))
 
     def take(self, refused: Callable[[str], None], merge: bool = False) -> list[tuple[str, Array, int]]:
-        """(label, block (N, C), time of reception in ns) of every message that has arrived; `refused(reason)` for what is none.
+        """Take the messages that have arrived.
 
-        At most as many messages as the queue holds: a source that sends faster than this takes must not keep the owner here.
-        merge: successive messages of one form become one block, received when the last of them was.
+        At most as many as the queue holds: a source that sends faster than this takes must not keep the owner here.
+
+        Parameters
+        ----------
+        refused : callable
+            Called with the reason why a message cannot be read.
+        merge : bool
+            Make one block of successive messages of one form, received when the last of them was.
+
+        Returns
+        -------
+        list of (str, ndarray, int)
+            Column label, block (N, C) and time of reception in ns since the epoch.
         """
         handle, raw = self.subscription.handle, self.raw
         found = list(self._handed)  # before those that the middleware carried: they were sent before

@@ -17,9 +17,20 @@ from hyst_control.errors import InputError
 
 @dataclass(frozen=True)
 class Setting:
-    """One parameter. The type is that of the default; an integer where a real number is due is accepted and converted.
+    """One parameter of a node, of the type of its default; an integer in place of a real number is accepted and converted.
 
-    `live`: may be changed while the node runs; the others are read once at the start.
+    Attributes
+    ----------
+    name, unit, text : str
+        Name, unit ("" for texts and truth values), and meaning.
+    default : bool, int, float, str or tuple of one of them
+        Default value.
+    lower, upper : float, optional
+        Range of the value, or of each value of a list.
+    choices : tuple of str
+        Values that are allowed; empty for all.
+    live : bool
+        May be changed while the node runs; the others are read once at the start.
     """
 
     name: str
@@ -32,33 +43,47 @@ class Setting:
     live: bool = False
 
     def convert(self, value: Any) -> Any:
-        """The value in the type of the default. Raises `InputError` that names the parameter and what is due."""
+        """Convert a value to the type of the default.
+
+        Parameters
+        ----------
+        value : object
+            As it was given; a list where the default is a tuple.
+
+        Raises
+        ------
+        InputError
+            Names the parameter, what it must be, and the value.
+        """
         if isinstance(self.default, tuple):
             if isinstance(value, (str, bytes)) or not hasattr(value, "__iter__"):
-                raise InputError(f"{self.name}: {value!r}, a list is due")
+                raise InputError(f"{self.name}: must be a list, got {value!r}")
             return tuple(self._scalar(item, type(self.default[0])) for item in value)
         return self._scalar(value, type(self.default))
 
     def _scalar(self, value: Any, kind: type) -> Any:
+        """Convert one value to this type."""
         if kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
-        if type(value) is not kind:
+        given: type = type(value)
+        if given is not kind:  # a truth value is no integer here
             names = {float: "a number", int: "an integer", bool: "true or false", str: "a text"}
-            raise InputError(f"{self.name}: {value!r}, {names[kind]} is due{self._unit()}")
-        if kind is float and not math.isfinite(value):
-            raise InputError(f"{self.name}: {value!r} is not a finite number")
+            raise InputError(f"{self.name}: must be {names[kind]}{self._unit()}, got {value!r}")
+        if isinstance(value, float) and not math.isfinite(value):
+            raise InputError(f"{self.name}: must be a finite number{self._unit()}, got {value!r}")
         if self.lower is not None and value < self.lower or self.upper is not None and value > self.upper:
             lower, upper = (f"{limit:g}" if limit is not None else "any" for limit in (self.lower, self.upper))
-            raise InputError(f"{self.name}: {value!r} is out of range: {lower} to {upper}{self._unit()} is allowed")
+            raise InputError(f"{self.name}: must be {lower} to {upper}{self._unit()}, got {value!r}")
         if self.choices and value not in self.choices:
-            raise InputError(f"{self.name}: {value!r}, one of {', '.join(self.choices)} is due")
+            raise InputError(f"{self.name}: must be one of {', '.join(self.choices)}, got {value!r}")
         return value
 
     def descriptor(self) -> ParameterDescriptor:
         """The ROS descriptor; typed dynamically, so that an integer for a real number reaches `convert`."""
         choices = f", one of {', '.join(self.choices)}" if self.choices else ""
-        unit = f" [{self.unit}]" if self.unit else ""
-        descriptor = ParameterDescriptor(description=f"{self.text}{choices}{unit}", dynamic_typing=True, read_only=not self.live)
+        descriptor = ParameterDescriptor(
+            description=f"{self.text}{choices}{self._unit()}", dynamic_typing=True, read_only=not self.live
+        )
         if self.lower is not None or self.upper is not None:
             lower = -1e300 if self.lower is None else self.lower
             upper = 1e300 if self.upper is None else self.upper
@@ -69,13 +94,30 @@ class Setting:
         return descriptor
 
     def _unit(self) -> str:
-        return f" {self.unit}" if self.unit else ""
+        return f" [{self.unit}]" if self.unit else ""
 
 
 def declare(node: Node, settings: Iterable[Setting], changed: Callable[[str, Any], None]) -> SimpleNamespace:
-    """Declare the settings on the node and return their values, kept up to date for those that may change.
+    """Declare settings as parameters of a node.
 
-    `changed(name, value)` is called after a live change. Raises `InputError` naming node, parameter and remedy.
+    Parameters
+    ----------
+    node : Node
+        The node.
+    settings : iterable of Setting
+        Its parameters.
+    changed : callable
+        Called with name and value after a live change.
+
+    Returns
+    -------
+    SimpleNamespace
+        Their values by name, kept up to date for those that may change.
+
+    Raises
+    ------
+    InputError
+        Names node, parameter and remedy.
     """
     table = {setting.name: setting for setting in settings}
     values = SimpleNamespace()

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from hyst_control.control.pi import PI
 from hyst_control.errors import InputError
-from hyst_control.nodes.base import TIMER, SignalNode
+from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.common_parameters import TIMER
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.sensor_watch import MOTION, MeasurementWatch
@@ -23,8 +24,8 @@ class PiFeedback(SignalNode):
     """`command` = limited (`feedforward` + `feedback`), in V.
 
     With `feedback: true` it goes tick by tick, as measurements come; without, it passes blocks of any length (open loop).
-    Stopped, disabled, with a measurement that is frozen or out of range, and under the timer with inputs that are stale or of two
-    minds, or ticks that take too long, the command goes to `safe_command` at `safe_rate`. It comes back by itself when the fault is
+    Stopped, disabled, with a measurement that is frozen or out of range, and under the timer with stale or conflicting
+    inputs, or ticks that take too long, the command goes to `safe_command` at `safe_rate`. It comes back by itself when the fault is
     over, or with `recovery: manual` after `~/reset`, and in both cases without a jump.
     """
 
@@ -103,7 +104,8 @@ class PiFeedback(SignalNode):
         self.command = self.output("command", "V")
         self.feedback = self.output("feedback", "V")
         self.feedforward = self.input("feedforward", "V")
-        self.reference = self.measurement = None
+        self.reference: Input | None = None
+        self.measurement: Input | None = None
         if given.feedback:
             self.reference = self.input("reference", self.unit)
             self.measurement = self.input("measurement", self.unit)
@@ -129,14 +131,14 @@ class PiFeedback(SignalNode):
                 self._open_loop(first, ahead)
             return
         if count == 1:
-            self._closed_loop(first, ahead, *others)
+            self._closed_loop(first, ahead, others[0], others[1])
             return
         for row in range(count):
             now = slice(row, row + 1)
             self._closed_loop(first + row, ahead[now], others[0][now], others[1][now])
 
     def tick(self, tick: int) -> None:
-        self._fill(tick - self.missed)
+        self._fill(tick - self.tick_timer.missed)
         fault, rows = self._timing_fault(), self.feedforward.rows
         running = not np.isnan(self._controller.command).any()
         if self.measurement is None:
@@ -149,9 +151,9 @@ class PiFeedback(SignalNode):
             else:
                 rows.skip_to(tick + 1)
             return
-        newest = [signal.rows.newest(tick) for signal in self.inputs]
-        if all(row is not None for row in newest):
-            self._closed_loop(tick, *(row[None] for row in newest), fault)
+        newest = [row[None] for signal in self.inputs if (row := signal.rows.newest(tick)) is not None]
+        if len(newest) == len(self.inputs):
+            self._closed_loop(tick, newest[0], newest[1], newest[2], fault)
         elif self._newest is not None:  # nothing came since a reset
             self._to_safety(tick, 1)
 
@@ -191,15 +193,15 @@ class PiFeedback(SignalNode):
         if stale:
             return f"no {' and no '.join(stale)} for {self.settings.timeout:g} s"
         now = time.monotonic()
-        contradictory = [signal.topic for signal in self.inputs if now - signal.conflicted < self.settings.timeout]
+        contradictory = [signal.topic for signal in self.inputs if now - signal.rows.conflicted < self.settings.timeout]
         if contradictory:
             return f"two sources of {' and '.join(contradictory)}"
-        if 0 < self.settings.overrun_ticks <= self.overrun_streak:
+        if 0 < self.settings.overrun_ticks <= self.tick_timer.overrun_streak:
             return "ticks take longer than their time"
         return ""
 
     def _safe_now(self, fault: str, tick: int, count: int) -> bool:
-        """Whether to go on; otherwise the command goes on towards its safe value for `count` ticks."""
+        """True when the loop may go on; otherwise move the command towards its safe value for `count` ticks."""
         if fault and fault != self._fault:
             self.counts["faults"] += 1
             self.warn(fault, f"{fault}: the command goes to its safe value")
@@ -258,13 +260,14 @@ class PiFeedback(SignalNode):
     @property
     def _safe_rate(self) -> float:
         """V/s; never above the slew limit."""
-        return min(self.settings.safe_rate, self.settings.slew_limit or np.inf)
+        return float(min(self.settings.safe_rate, self.settings.slew_limit or np.inf))
 
     def _fill(self, first: int) -> None:
         """Timer: in ticks that were missed the command before was held: say so, for whoever reads the record."""
-        if self.missed and self._newest is not None and self._newest[0] + 1 == first:
+        missed = self.tick_timer.missed
+        if missed and self._newest is not None and self._newest[0] + 1 == first:
             _, command, feedback = self._newest
-            self._publish(first, np.repeat(command, self.missed, axis=0), np.repeat(feedback, self.missed, axis=0))
+            self._publish(first, np.repeat(command, missed, axis=0), np.repeat(feedback, missed, axis=0))
 
     def _publish(self, first: int, command: Any, feedback: Any) -> None:
         self.feedback.send(first, feedback)  # first: once the command is out, a killed node could not make up for it

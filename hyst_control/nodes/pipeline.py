@@ -3,47 +3,37 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import sys
 from collections.abc import Callable
 
-from hyst_control.errors import InputError
 from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.diagnosis import DiagnosisNode
-from hyst_control.nodes.hampi_feedforward import HampiFeedforward
-from hyst_control.nodes.mhl_feedforward import MhlFeedforward
-from hyst_control.nodes.pi_feedback import PiFeedback
-from hyst_control.nodes.recorder import Recorder
-from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_control.nodes.run import main as run_main
-from hyst_plant_sim.node import PlantNode
+from hyst_control.processes.node_list import NODES
 
-NODES: dict[str, Callable[[], SignalNode]] = {
-    "reference_generator": ReferenceGenerator,
-    "hampi_feedforward": HampiFeedforward,
-    "mhl_feedforward": MhlFeedforward,
-    "pi_feedback": PiFeedback,
-    "plant": PlantNode,
-    "recorder": Recorder,
-    "diagnosis": DiagnosisNode,
-}
+COMPOSABLE = tuple(name for name, node in NODES.items() if node.node_class)
 DEFAULT = ("reference_generator", "hampi_feedforward", "pi_feedback", "plant", "recorder")
 
 
+def node_class(name: str) -> Callable[..., SignalNode]:
+    """Class of a node that can be composed, by its name; its module is imported now."""
+    entry = NODES[name]
+    found: Callable[..., SignalNode] = getattr(importlib.import_module(entry.module), entry.node_class)
+    return found
+
+
 def main() -> int:
-    """The executable: names of nodes, then ROS arguments; parameters come per node from one `--params-file`."""
+    """Run the executable: names of nodes, then ROS arguments; parameters come per node from one `--params-file`."""
     arguments = sys.argv[1:]
     split = arguments.index("--ros-args") if "--ros-args" in arguments else len(arguments)
     parser = argparse.ArgumentParser(prog="pipeline", description=__doc__, epilog="Behind them: --ros-args --params-file FILE.yaml")
-    parser.add_argument("nodes", nargs="*", metavar="NODE", help=f"of {', '.join(NODES)}; default: {' '.join(DEFAULT)}")
+    parser.add_argument("nodes", nargs="*", metavar="NODE", help=f"of {', '.join(COMPOSABLE)}; default: {' '.join(DEFAULT)}")
     chosen = parser.parse_args(arguments[:split]).nodes or DEFAULT
-    try:
-        for name in chosen:
-            if name not in NODES:
-                raise InputError(f"pipeline: {name!r} is not a node: {', '.join(NODES)}")
-    except InputError as error:
-        print(error, file=sys.stderr)
-        return 2
-    return run_main(*(NODES[name] for name in chosen), args=[sys.argv[0], *arguments[split:]])
+    for name in chosen:
+        if name not in COMPOSABLE:
+            print(f"pipeline: {name!r} is not a node: give some of {', '.join(COMPOSABLE)}", file=sys.stderr)
+            return 2
+    return run_main(*(node_class(name) for name in chosen), args=[sys.argv[0], *arguments[split:]])
 
 
 if __name__ == "__main__":

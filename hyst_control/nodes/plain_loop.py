@@ -35,7 +35,7 @@ MOST_WAITING = 5000  # rows of a signal
 
 
 class PlainNode(Node):
-    """What the four have in common: a period, rows in, rows out."""
+    """Base of the four: a period, rows in, rows out."""
 
     def __init__(self, name: str, settings: Mapping[str, Any]) -> None:
         super().__init__(name)

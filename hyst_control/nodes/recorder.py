@@ -14,8 +14,8 @@ from hyst_control.nodes.message_io import QUEUE
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.recorded_topic import RecordedTopic
 from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.signal_ports import REPEAT_INTERVAL
 from hyst_control.records.bag_writer import BagWriter
+from hyst_control.records.row_repetition import REPEAT_INTERVAL, RepetitionBackoff
 
 SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
 PROGRESS_INTERVAL = 64  # ticks
@@ -43,7 +43,7 @@ class Recorder(SignalNode):
     )
 
     _failure = ""
-    """Why the bag could not be written any further."""
+    """Reason why the bag could not be written any further."""
 
     def __init__(self, name: str = "recorder", **options: Any) -> None:
         super().__init__(name, **options)
@@ -53,8 +53,11 @@ class Recorder(SignalNode):
         self._writer = BagWriter(self.settings.output)
         self._progress = self.create_publisher(Int64, "recorded", QUEUE)
         self.told = -1
-        self._repeated = 0.0  # s, monotonic clock: when it was told again last
-        self._topics = [RecordedTopic(self, topic) for topic in self.settings.topics]
+        self._repetition = RepetitionBackoff(time.monotonic(), longest=REPEAT_INTERVAL)  # of what was told
+        self._topics = [
+            RecordedTopic(self, topic, self.store, self.repeat_progress, self.settings.merge, self.settings.ticks)
+            for topic in self.settings.topics
+        ]
         for topic in self._topics:
             self._writer.add_topic(topic.name)
         self.every(DRAIN_INTERVAL[self.settings.schedule], self._drain)
@@ -70,17 +73,22 @@ class Recorder(SignalNode):
             except OSError as error:
                 self._failed(error)
 
+    def repeat_progress(self) -> None:
+        """Tell again how far every topic is complete, unless that was told a moment ago."""
+        self.progress(repeat=True)
+
     def progress(self, repeat: bool = False) -> None:
         """Tell how far every topic is complete, unless that is little more than what was told last; `repeat`: tell it again."""
-        if not all(topic.joined for topic in self._topics):
+        if not all(topic.rows.joined for topic in self._topics):
             return
-        last = min(topic.end for topic in self._topics) - 1
+        last = min(topic.rows.awaited for topic in self._topics) - 1
         wanted = self.settings.ticks
-        done = wanted and (last >= wanted - 1 if self.lockstep else all(topic.arrived >= wanted for topic in self._topics))
+        done = wanted and (last >= wanted - 1 if self.lockstep else all(topic.recorded >= wanted for topic in self._topics))
         now = time.monotonic()
-        repeat = repeat and now - self._repeated > REPEAT_INTERVAL
+        repeat = repeat and self._repetition.due(now)
         if repeat or done or last - self.told >= (PROGRESS_INTERVAL if self.told >= 0 else 1):
-            self.told, self._repeated = last, now
+            self.told = last
+            self._repetition.progress(now)
             self._progress.publish(Int64(data=last))
         if done and not self.finished.done():
             self.close()
@@ -116,7 +124,7 @@ class Recorder(SignalNode):
             try:
                 with undivided():
                     for topic in self._topics:
-                        topic.store()
+                        topic.write()
                     self._writer.flush()
             except OSError as error:
                 self._failed(error)

@@ -15,8 +15,9 @@ from hyst_control.model_file import load_model
 from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.signal_ports import KEPT_ROWS, Input
+from hyst_control.nodes.signal_ports import Input
 from hyst_control.records import excitation
+from hyst_control.records.row_repetition import KEPT_ROWS
 
 Array = NDArray[np.float64]
 
@@ -35,7 +36,9 @@ class ReferenceGenerator(SignalNode):
         Setting("lead", 0, "samples", "rows published ahead, for a feedforward that previews", 0, 10_000_000),
         Setting("repeat", False, "", "start the signal again at its end"),
         Setting("model", "", "", "model file: a signal beyond the stroke that it can reach is refused"),
-        Setting("limits", (0.0, 0.0), "V", "rating of the drive for that, lower and upper; equal: the model's valid range"),
+        Setting(
+            "limits", (0.0, 0.0), "V", "rating of the drive for that, lower and upper; equal: the model's valid range", -1e6, 1e6
+        ),
         Setting("retry", 0.2, "s", "time after which the first rows are published again while nobody answers", 1e-3, 60.0),
     )
 
@@ -63,15 +66,15 @@ class ReferenceGenerator(SignalNode):
 
     def advance(self) -> None:
         arrived = self.measurement.rows
-        if arrived.end > self._end:  # first measurement, or restarted in a run under way: nobody lacks earlier rows
-            self._end = arrived.end - 1
+        if arrived.awaited > self._end:  # first measurement, or restarted in a run under way: nobody lacks earlier rows
+            self._end = arrived.awaited - 1
         if arrived.available:
             arrived.take(arrived.available)
-        while self._end < arrived.end + self.settings.lead:
+        while self._end < arrived.awaited + self.settings.lead:
             self._publish()
 
     def repeat(self, source: Input, tick: int) -> None:
-        self._send_again(max(0, min(tick, (source.rows.end or 0) - 2 * self.settings.block)))
+        self._send_again(max(0, min(tick, source.rows.awaited - 2 * self.settings.block)))
 
     def tick(self, tick: int) -> None:
         self.measurement.rows.skip_to(tick)  # only lockstep is paced by it
@@ -81,7 +84,7 @@ class ReferenceGenerator(SignalNode):
         if self._origin is None:
             self._origin = tick
         lead, block = self.settings.lead, self.settings.block
-        first = max(tick - self.missed, self._origin)
+        first = max(tick - self.tick_timer.missed, self._origin)
         self.reference.send(first + lead, self.rows(first - self._origin, tick + block - first))
 
     def reset(self) -> None:
@@ -97,7 +100,7 @@ class ReferenceGenerator(SignalNode):
     def _send_again(self, first: int) -> None:
         count = min(self._end - first, KEPT_ROWS)
         if count > 0:
-            self.reference.send_again(self.reference.block(first, self.rows(first, count)))
+            self.reference.repeat_rows(first, self.rows(first, count))
 
     def _publish(self) -> None:
         block = self.settings.block
@@ -116,9 +119,10 @@ class ReferenceGenerator(SignalNode):
                 spec = {
                     "signal": signal,
                     **{
-                        name: list(parameter.value) if hasattr(parameter.value, "tolist") else parameter.value
-                        for name, parameter in self.get_parameters_by_prefix("").items()
+                        name: list(value) if hasattr(value, "tolist") else value
+                        for name in self.get_parameters_by_prefix("")
                         if name not in own and not name.startswith(FOREIGN)
+                        for value in [self.get_parameter(name).value]
                     },
                 }
             return excitation.build(spec, self.period, len(self.axes))
@@ -131,7 +135,7 @@ class ReferenceGenerator(SignalNode):
         rows = np.asarray(signal, dtype=np.float64)
         rows = rows[:, None] if rows.ndim == 1 else rows
         if rows.ndim != 2 or rows.shape[1] != len(self.axes) or not len(rows):
-            raise InputError(f"{self.get_name()}: signal of shape {rows.shape}: rows by {len(self.axes)} axes are due")
+            raise InputError(f"{self.get_name()}: signal: must be rows by {len(self.axes)} axes, got shape {rows.shape}")
         if not np.isfinite(rows).all():
             row = np.argwhere(~np.isfinite(rows))[0, 0]
             raise InputError(f"{self.get_name()}: signal: holds NaN or infinity in row {row}")

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -19,7 +20,7 @@ from rclpy.task import Future
 from hyst_control.errors import InputError
 from hyst_control.nodes import interrupts
 from hyst_control.nodes.base import EndingNode, SignalNode
-from hyst_control.nodes.exit_watchdog import leave_within
+from hyst_control.nodes.exit_watchdog import exit_within
 from hyst_control.nodes.intra_process import hand_over
 from hyst_control.processes import environment
 
@@ -32,12 +33,25 @@ def spin(executor: Any, future: Future, timeout: float = FOREVER) -> None:
 
 
 def run(
-    nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER, leaving: Callable[[int], None] = lambda status: None
+    nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER, on_closed: Callable[[int], None] = lambda status: None
 ) -> int | None:
-    """Spin the nodes on one executor until all that end by themselves have ended; the greatest of their exit statuses.
+    """Spin the nodes on one executor until all that end by themselves have ended; then close and destroy them, whatever happened.
 
-    None when that took longer than the timeout (s). The nodes are closed and destroyed whatever happens. `leaving` is told the status,
-    0 after an interrupt, when nothing is left to do but to destroy them.
+    Parameters
+    ----------
+    nodes : sequence of EndingNode
+        The nodes; alone, one may also fail that does not end by itself.
+    context : Context
+        Their context.
+    timeout : float
+        Time in s after which they are ended.
+    on_closed : callable
+        Told the exit status, 0 after an interrupt, when nothing is left to do but to destroy them.
+
+    Returns
+    -------
+    int or None
+        The greatest of their exit statuses; None when the timeout was over before.
     """
     executor = EventsExecutor(context=context)
     ended, waiting = Future(), [node for node in nodes if node.ends or len(nodes) == 1]  # alone, a node may also fail
@@ -66,25 +80,25 @@ def run(
         with interrupts.uninterrupted():
             gc.unfreeze()
             status = ended.result() if ended.done() and ended.exception() is None else 0
-            close(nodes, lambda: leaving(status) if expected else None)
+            close(nodes, lambda: on_closed(status) if expected else None)
             executor.shutdown()
 
 
 def tick_together(nodes: Sequence[EndingNode]) -> None:
     """Let one timer tick all nodes of one interval, in the order of their phases: every timer wakes two threads."""
-    paced = [node for node in nodes if isinstance(node, SignalNode) and node.paced]
-    for interval in {node.interval for node in paced}:
-        group = sorted((node for node in paced if node.interval == interval), key=lambda node: node.phase)
+    paced = [node for node in nodes if isinstance(node, SignalNode) and node.tick_timer.paced]
+    for interval in {node.tick_timer.interval for node in paced}:
+        group = sorted((node for node in paced if node.tick_timer.interval == interval), key=lambda node: node.tick_timer.phase)
         if len(group) > 1:
             for node in group[1:]:
-                node.set_timer(None)
-            group[0].set_timer(lambda group=group: _tick(group))
+                node.tick_by(None)
+            group[0].tick_by(partial(_tick, group))
 
 
 def _tick(group: Sequence[SignalNode]) -> None:
     now = time.monotonic()
     for node in group:
-        node.on_timer(now)
+        node.tick_timer.call(now)
 
 
 def close(nodes: Sequence[EndingNode], closed: Callable[[], None] = lambda: None) -> None:
@@ -118,7 +132,7 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
 
 def _initialise(args: Sequence[str] | None) -> None:
     try:
-        rclpy.init(args=args)
+        rclpy.init(args=None if args is None else list(args))
     except Exception as error:  # of the middleware's own kinds: arguments or parameter files that it cannot read
         text = " ".join(str(error).split()).removeprefix("failed to initialize rcl: ").partition(", at ")[0]
         raise InputError(f"ROS arguments: {text}: in a parameter file quote texts such as 'y', 'on' or 'no'") from None
@@ -131,12 +145,12 @@ def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | N
         for factory in factories:
             nodes.append(factory())
         if interrupts.heard():  # and yet we are here: some library has swallowed the interrupt
-            close(nodes, lambda: leave_within(0))
+            close(nodes, lambda: exit_within(0))
             return 0
-        return run(nodes, rclpy.get_default_context(), leaving=leave_within) or 0
+        return run(nodes, rclpy.get_default_context(), on_closed=exit_within) or 0
     except ExternalShutdownException:
         return 0
     except InputError as error:
         print(error, file=sys.stderr)
-        close(nodes, lambda: leave_within(2))
+        close(nodes, lambda: exit_within(2))
         return 2

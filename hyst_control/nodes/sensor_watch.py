@@ -14,8 +14,14 @@ MOTION = 0.01
 class MeasurementWatch:
     """Looks at one sample after the other.
 
-    lower, upper: range of the measurement; frozen_ticks: samples of one and the same value after which the sensor counts as frozen,
-    counted from when the command has moved by `motion` V (a stage at rest may well measure a constant); 0 for never.
+    Parameters
+    ----------
+    lower, upper : float
+        Range of the measurement, in its unit.
+    frozen_ticks : int
+        Samples of one and the same value after which the sensor counts as frozen; 0 for never.
+    motion : float
+        Way in V that the command must have moved before they are counted: a stage at rest may well measure a constant.
     """
 
     def __init__(self, lower: float, upper: float, frozen_ticks: int, motion: float) -> None:

@@ -4,191 +4,211 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
-from typing import TYPE_CHECKING
+from collections import Counter
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.nodes.message_io import Reception, Sender
-from hyst_control.nodes.rows import DUPLICATE, FULL, GAP, Rows
-from hyst_control.records.signal_message import label_for
-
-if TYPE_CHECKING:
-    from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.message_io import PolledSubscription, Sender
+from hyst_control.records.row_repetition import SentRows
+from hyst_control.records.signal_rows import Receipt, SignalRows, first_tick, tick_at
 
 Array = NDArray[np.float64]
 
-KEPT_ROWS, KEPT_BLOCKS = 4096, 8
-MOST_LOST = 1024  # lost ticks that are remembered, to know them when they come late
-REPEAT_INTERVAL, LONGEST_INTERVAL = 0.02, 0.5
-"""s, between two repetitions, and for which nothing new must have come: what goes on lacks nothing, and of two sources of one signal,
-which bring every tick twice, each repetition would cause others. Twice as long after each that brought nothing, up to the longest."""
-LONGEST_JOINING = 2.0  # s, for which a newly heard signal is waited to be repeated
 REPEATED_ROWS = 64
 """In one message, or as many as the node streams: the middleware's queues keep room for the longest message in each of their places."""
 
 
-class Joining:
-    """Whether a newly heard signal is heard from its first row on, in lockstep.
+class InputOwner(Protocol):
+    """Node as its inputs see it: they tell it what has come."""
 
-    Who is discovered while rows are being sent hears the later ones only, and would go on without those before. So rows count from
-    tick 0 on, or from where they are repeated from: as long as somebody lacks rows the run stands still, and all are sent again.
-    """
+    counts: Counter[str]
+    lockstep: bool
+    period: float
 
-    def __init__(self) -> None:
-        self._first: int | None = None
-        self._since = 0.0  # s, monotonic clock
+    def drop(self, topic: str, kind: str, reason: str) -> None:
+        """Count a refused message, and say so once in a while."""
 
-    def complete(self, tick: int) -> bool:
-        """Whether rows from this tick on, which have just come, may be the first ones."""
-        now = time.monotonic()
-        if self._first is None:
-            self._first, self._since = tick, now
-            return tick == 0
-        return tick <= self._first or now - self._since > LONGEST_JOINING  # of a run that goes on nothing is repeated
+    def advance(self) -> None:
+        """Lockstep: use whatever rows are there."""
+
+    def arrived(self, source: Input, tick: int, stamp: int) -> None:
+        """Timer: rows of `source` up to this tick came at this time (ns since the epoch)."""
+
+    def repeat(self, source: Input, tick: int) -> None:
+        """Lockstep: rows of `source` from this tick on were repeated; what followed from them may have been lost."""
+
+    def out_of_order(self, source: Input, tick: int) -> None:
+        """Lockstep: rows of `source` from `tick` on came while earlier ones are missing."""
 
 
 class Input:
-    """One subscribed signal: rows by tick, and what is known about its health."""
+    """One subscribed signal: what its messages are worth, told to the node, and the rows that they brought.
 
-    def __init__(self, node: SignalNode, topic: str, unit: str, contiguous: bool) -> None:
-        self.node, self.topic = node, topic
-        self.label = label_for(node.axes, unit)
-        self.rows = Rows(contiguous, node.settings.most_waiting)
-        self.arrived, self._repeated = time.monotonic(), -math.inf  # s, monotonic clock
-        self._patience = REPEAT_INTERVAL
-        self._again = math.inf  # oldest tick that came again since new rows came or a repetition
-        self.conflicted = -math.inf  # s, monotonic clock: when two sources disagreed last
+    Parameters
+    ----------
+    owner : InputOwner
+        The node.
+    topic, label : str
+        Topic, and the column label that its messages must have.
+    rows : SignalRows
+        State of the signal.
+    intake : PolledSubscription, optional
+        Timer: where messages are taken by `poll`.
+    """
+
+    def __init__(
+        self, owner: InputOwner, topic: str, label: str, rows: SignalRows, intake: PolledSubscription | None = None
+    ) -> None:
+        self.topic, self.label, self.rows = topic, label, rows
+        self._owner, self._intake = owner, intake
         self._seen_label: str | None = None
-        self._newest: tuple[int, Array] | None = None  # rows that came last, and the tick of the first of them
-        self._lost: deque[int] = deque(maxlen=MOST_LOST)
-        self._joining = Joining()
-        if node.lockstep:
-            node.receptions.append(Reception(node, topic, self._receive, self._refused, node.settings.message_objects))
-        else:
-            self._intake = node.intake(topic)
 
     def poll(self) -> None:
         """Timer: take what has arrived."""
-        if not self.node.lockstep:
-            for label, block, stamp in self._intake.take(self._refused):
-                self._receive(label, block, stamp)
+        if self._intake is not None:
+            for label, block, stamp in self._intake.take(self.refused):
+                self.receive(label, block, stamp)
 
-    def _refused(self, reason: str) -> None:
-        self.node.drop(self.topic, "unreadable", reason)
+    def refused(self, reason: str) -> None:
+        """Count a message that cannot be read."""
+        self._owner.drop(self.topic, "unreadable", reason)
 
-    def _receive(self, label: str, block: Array, stamp: int = 0) -> None:
-        node = self.node
+    def receive(self, label: str, block: Array, stamp: int = 0) -> None:
+        """Take in a message.
+
+        Parameters
+        ----------
+        label : str
+            Its column label.
+        block : ndarray, shape (N, 1 + A)
+            Its rows, column 0 the time in s; may be read-only.
+        stamp : int
+            Time of reception in ns since the epoch.
+        """
+        owner = self._owner
         if label is not self._seen_label:
             if label != self.label:
-                node.drop(self.topic, "wrong label", f"its columns are {label!r}, {self.label!r} is due")
+                owner.drop(self.topic, "wrong label", f"its columns must be {self.label!r}, got {label!r}")
                 return
             self._seen_label = label
         if not len(block):
             return
-        if not all(map(math.isfinite, block.ravel().tolist())):
-            node.drop(self.topic, "not finite", "it holds a NaN or an infinity")
+        values = block.ravel().tolist()
+        if not all(map(math.isfinite, values)):
+            owner.drop(self.topic, "not finite", "it holds a NaN or an infinity")
             return
-        tick = tick_of(block, node.period)
+        tick = tick_at(values[0], owner.period) if len(block) == 1 else first_tick(block, owner.period)
         if tick is None:
-            node.drop(
-                self.topic,
-                "off the clock",
-                f"its times are not successive multiples of the period {node.period:g} s: is rate_hz the same everywhere?",
-            )
+            owner.drop(self.topic, "off the clock", off_the_clock(owner.period))
             return
-        due, rows = self.rows.end, block[:, 1:].copy()  # the message is read-only
-        if due is None and self.rows.contiguous and not self._joining.complete(tick):
-            node.counts[f"{self.topic}: joining"] += 1
-            return
-        outcome = self.rows.append(tick, rows)
-        if outcome is DUPLICATE:
-            self._seen_before(tick, rows)
-            return
-        if outcome is GAP:
-            node.drop(self.topic, "out of order", f"tick {self.rows.end} is due, {tick} came")
-            node.out_of_order(self, tick)
-            return
-        if outcome is FULL:
-            node.drop(
-                self.topic,
-                "too many waiting",
-                f"{self.rows.available} rows wait to be used: does another input stand still, or is "
-                "the time of this one ahead? A lead may be longer with a greater most_waiting",
-            )
-            return
-        self.arrived = time.monotonic()
-        self._patience, self._again = REPEAT_INTERVAL, math.inf
-        self._newest = tick, rows
-        if node.lockstep:
-            node.advance()
-            return
-        if due is not None and tick > due:
-            node.counts[f"{self.topic}: lost"] += tick - due
-            self._lost.extend(range(max(due, tick - MOST_LOST), tick))
-        node.arrived(self, tick + len(block) - 1, stamp)
+        missed = self.rows.missed
+        receipt = self.rows.receive(tick, block[:, 1:].copy(), time.monotonic())  # the message is read-only
+        if receipt is not Receipt.ACCEPTED:
+            self._not_accepted(receipt, tick)
+        elif owner.lockstep:
+            owner.advance()
+        else:
+            if self.rows.missed > missed:
+                owner.counts[f"{self.topic}: lost"] += self.rows.missed - missed
+            owner.arrived(self, tick + len(block) - 1, stamp)
 
     def forget(self) -> None:
         """Begin anew: the next rows may have any tick."""
-        self.rows.clear()
-        self._newest = None
-        self._lost.clear()
-        self._joining = Joining()
-        self.conflicted = -math.inf
-
-    def _seen_before(self, tick: int, rows: Array) -> None:
-        """Rows of ticks that were there: a repetition, a late one, a second source, or a clock that was set back."""
-        node, end = self.node, tick + len(rows)
-        if (self.rows.end - end) * node.period >= node.settings.backwards and not node.lockstep:
-            node.drop(
-                self.topic, "time ran backwards", f"tick {tick} comes after tick {self.rows.end - 1}: ~/reset takes the new time"
-            )
-            return
-        if not node.lockstep and tick in self._lost:
-            node.counts[f"{self.topic}: late"] += 1
-            return
-        node.counts[f"{self.topic}: duplicate"] += 1
-        if self._contradicts(tick, rows):
-            self.conflicted = time.monotonic()
-            node.drop(self.topic, "conflict", f"tick {tick} came twice, with other values: do two nodes publish it?")
-        now = time.monotonic()
-        self._again = min(tick, self._again)
-        if node.lockstep and now - max(self._repeated, self.arrived) > self._patience:  # in the middle of a burst, maybe
-            self._repeated, self._patience = now, min(2 * self._patience, LONGEST_INTERVAL)
-            oldest, self._again = int(self._again), math.inf
-            node.repeat(self, oldest)
-
-    def _contradicts(self, tick: int, rows: Array) -> bool:
-        """Whether these rows differ from those that came last in a tick that both have."""
-        if self._newest is None:
-            return False
-        first, newest = self._newest
-        begin, end = max(first, tick), min(first + len(newest), tick + len(rows))
-        return begin < end and not np.array_equal(rows[begin - tick : end - tick], newest[begin - first : end - first])
+        self.rows.forget()
 
     @property
     def age(self) -> float:
         """Seconds since the newest rows arrived, or since the start."""
-        return time.monotonic() - self.arrived
+        return time.monotonic() - self.rows.arrived
+
+    def _not_accepted(self, receipt: Receipt, tick: int) -> None:
+        """Count rows that were refused or known, and do what follows from it."""
+        owner, rows = self._owner, self.rows
+        if receipt is Receipt.JOINING:
+            owner.counts[f"{self.topic}: joining"] += 1
+        elif receipt is Receipt.GAP:
+            owner.drop(self.topic, "out of order", f"tick {rows.end} must come next, got {tick}")
+            owner.out_of_order(self, tick)
+        elif receipt is Receipt.FULL:
+            owner.drop(
+                self.topic,
+                "too many waiting",
+                f"{rows.available} rows wait to be used: does another input stand still, or is "
+                "the time of this one ahead? A lead may be longer with a greater most_waiting",
+            )
+        elif receipt is Receipt.CLOCK_RESET:
+            owner.drop(
+                self.topic, "time ran backwards", f"tick {tick} comes after tick {(rows.end or 0) - 1}: ~/reset takes the new time"
+            )
+        elif receipt is Receipt.LATE and not owner.lockstep:
+            owner.counts[f"{self.topic}: late"] += 1
+        else:
+            owner.counts[f"{self.topic}: duplicate"] += 1
+            if receipt is Receipt.CONFLICT:
+                owner.drop(self.topic, "conflict", f"tick {tick} came twice, with other values: do two nodes publish it?")
+            if owner.lockstep:
+                oldest = rows.repetition_due(time.monotonic())
+                if oldest is not None:
+                    owner.repeat(self, oldest)
 
 
 class Output:
-    """One published signal; the newest rows, KEPT_ROWS and KEPT_BLOCKS messages at least, are kept to be repeated."""
+    """One published signal; the newest rows are kept to be repeated.
 
-    def __init__(self, node: SignalNode, topic: str, unit: str) -> None:
-        self._node = node
-        self._columns = len(node.axes) + 1
-        self._sender = Sender(node, topic, label_for(node.axes, unit), node.settings.message_objects)
-        self._kept: deque[Array] = deque()
-        self._kept_rows = 0
-        self._end = 0
-        node.senders.append(self._sender)
-        self.publisher = self._sender.publisher
+    Parameters
+    ----------
+    sender : Sender
+        Publisher of the topic.
+    columns : int
+        Number of columns of a message: the time and one per axis.
+    period : float
+        Time in s between two ticks.
+    block : int
+        Rows that the node streams in one message.
+    """
 
-    def block(self, tick: int, rows: Array) -> Array:
+    def __init__(self, sender: Sender, columns: int, period: float, block: int) -> None:
+        self.sender, self.publisher = sender, sender.publisher
+        self.sent = SentRows()
+        self._columns, self._period, self._block = columns, period, block
+
+    def send(self, tick: int, rows: Array) -> None:
+        """Publish rows (N, A) of the ticks from `tick` on."""
+        block = self._with_times(tick, rows)
+        self.sender.send(block)
+        self.sent.add(tick, block)
+
+    def repeat(self, first: int = 0) -> None:
+        """Publish the rows from this tick on again, as far back as they are kept; the newest message when there are none."""
+        rows = self.sent.since(first)
+        if rows is None:
+            self.repeat_newest()
+        else:
+            self._send_in_parts(rows)
+
+    def repeat_rows(self, tick: int, rows: Array) -> None:
+        """Publish rows (N, A) of the ticks from `tick` on, which were published before."""
+        self._send_in_parts(self._with_times(tick, rows))
+
+    def repeat_newest(self) -> None:
+        """Publish the newest message again."""
+        if self.sent.newest is not None:
+            self.sender.send(self.sent.newest)
+
+    def clear(self) -> None:
+        """Forget the rows that were kept."""
+        self.sent.clear()
+
+    def _send_in_parts(self, block: Array) -> None:
+        step = max(REPEATED_ROWS, self._block)
+        for begin in range(0, len(block), step):
+            self.sender.send(block[begin : begin + step])
+
+    def _with_times(self, tick: int, rows: Array) -> Array:
         """Rows (N, A) of the ticks from `tick` on with their times, (N, 1 + A)."""
-        count, period = len(rows), self._node.period
+        count, period = len(rows), self._period
         block = np.empty((count, self._columns))
         if count == 1:
             block[0, 0] = tick * period
@@ -197,51 +217,7 @@ class Output:
         block[:, 1:] = rows
         return block
 
-    def send(self, tick: int, rows: Array) -> None:
-        """Publish rows (N, A) of the ticks from `tick` on."""
-        count = len(rows)
-        block = self.block(tick, rows)
-        self._sender.send(block)
-        if tick != self._end:
-            self.clear()  # what is kept are successive ticks
-        self._end = tick + count
-        self._kept.append(block)
-        self._kept_rows += count
-        while self._kept_rows - len(self._kept[0]) >= KEPT_ROWS and len(self._kept) > KEPT_BLOCKS:
-            self._kept_rows -= len(self._kept.popleft())
 
-    def repeat(self, first: int = 0) -> None:
-        """Publish the rows from this tick on again, as far back as they are kept; the newest message when there are none."""
-        begin = max(first - (self._end - self._kept_rows), 0)
-        if begin >= self._kept_rows:
-            self.repeat_newest()
-        else:
-            self.send_again(np.concatenate(self._kept)[begin:])
-
-    def send_again(self, block: Array) -> None:
-        """Publish a block (N, C) that was published before, column 0 the time."""
-        step = max(REPEATED_ROWS, self._node.settings.block)
-        for begin in range(0, len(block), step):
-            self._sender.send(block[begin : begin + step])
-
-    def repeat_newest(self) -> None:
-        """Publish the newest message again."""
-        if self._kept:
-            self._sender.send(self._kept[-1])
-
-    def clear(self) -> None:
-        """Forget the rows that were kept."""
-        self._kept.clear()
-        self._kept_rows = 0
-
-
-def tick_of(block: Array, period: float) -> int | None:
-    """Tick of the first row of a block (N, C), or None when its times are not successive multiples of the period (s)."""
-    first = float(block[0, 0]) / period
-    tick = round(first)
-    if abs(first - tick) > 1e-3 or tick < 0:
-        return None
-    rows = len(block)
-    if rows > 1 and np.max(np.abs(block[:, 0] / period - np.arange(tick, tick + rows))) > 1e-3:
-        return None
-    return tick
+def off_the_clock(period: float) -> str:
+    """Reason why a message is refused whose times are no ticks of this period (s)."""
+    return f"its times are not successive multiples of the period {period:g} s: is rate_hz the same everywhere?"

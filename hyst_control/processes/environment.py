@@ -1,4 +1,4 @@
-"""What the environment must hold before rclpy is initialised; what the user has set stands."""
+"""Environment variables that rclpy needs before it is initialized; those that the user has set stand."""
 
 from __future__ import annotations
 

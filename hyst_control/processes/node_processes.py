@@ -15,24 +15,22 @@ from typing import Any
 
 from hyst_control.errors import InputError
 from hyst_control.processes import environment
+from hyst_control.processes.node_list import NODES
 from hyst_control.processes.ros_domain import lock_of
-
-MODULES = {
-    "reference_generator": "hyst_control.nodes.reference_generator",
-    "hampi_feedforward": "hyst_control.nodes.hampi_feedforward",
-    "mhl_feedforward": "hyst_control.nodes.mhl_feedforward",
-    "pi_feedback": "hyst_control.nodes.pi_feedback",
-    "plant": "hyst_plant_sim.node",
-    "recorder": "hyst_control.nodes.recorder",
-    "identification": "hyst_control.nodes.identification",
-    "diagnosis": "hyst_control.nodes.diagnosis",
-    "pipeline": "hyst_control.nodes.pipeline",
-    "monitor": "hyst_control.nodes.diagnostics_monitor",
-}
 
 
 class Processes:
-    """Nodes as processes on one ROS domain; all are ended on the way out. Parameters and logs go to `folder`."""
+    """Nodes as processes on one ROS domain; all are ended on the way out.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of parameter files and logs; made where it is missing.
+    domain : int
+        ROS domain.
+    namespace : str
+        Namespace of the nodes.
+    """
 
     def __init__(self, folder: Path, domain: int, namespace: str = "") -> None:
         self.folder, self.namespace = Path(folder), namespace
@@ -46,12 +44,14 @@ class Processes:
         """Start an executable with its parameters; its output goes to `name`.log."""
         name = name or node
         file = self._write(name, {"/**": parameters})
-        return self.run(name, MODULES[node], "--ros-args", "-r", f"__node:={name}", *self._remaps(), "--params-file", str(file))
+        return self.run(
+            name, NODES[node].module, "--ros-args", "-r", f"__node:={name}", *self._remaps(), "--params-file", str(file)
+        )
 
     def compose(self, parameters: Mapping[str, Mapping[str, Any]], name: str = "pipeline") -> subprocess.Popen[bytes]:
         """Start nodes as one process: parameters by the node's name."""
         file = self._write(name, {f"/**/{node}": own for node, own in parameters.items()})
-        return self.run(name, MODULES["pipeline"], *parameters, "--ros-args", *self._remaps(), "--params-file", str(file))
+        return self.run(name, NODES["pipeline"].module, *parameters, "--ros-args", *self._remaps(), "--params-file", str(file))
 
     def run(self, name: str, module: str, *arguments: str) -> subprocess.Popen[bytes]:
         """Start a module as a process on the domain; its output goes to `name`.log."""
@@ -84,7 +84,19 @@ class Processes:
     def wait(self, *names: str, timeout: float) -> None:
         """Wait until these nodes have ended by themselves.
 
-        Raises `InputError` with a node's last line when any of the nodes fails, and TimeoutError after `timeout` s.
+        Parameters
+        ----------
+        *names : str
+            Names of the nodes.
+        timeout : float
+            Longest time in s.
+
+        Raises
+        ------
+        InputError
+            When any node fails, with its last line.
+        TimeoutError
+            When the time is over.
         """
         end = time.monotonic() + timeout
         while any(self.running[name].poll() is None for name in names):

@@ -12,7 +12,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 
-from hyst_control.nodes.message_io import Reception, Sender
+from hyst_control.nodes.message_io import CallbackSubscription, Sender
 from hyst_control.nodes.run import spin
 
 
@@ -37,14 +37,18 @@ class Bench:
     def listen(self, *topics):
         for topic in topics:
             rows = self.heard.setdefault(topic, [])
-            Reception(self.probe, topic, lambda label, block, rows=rows: rows.append(block.copy()), pytest.fail)
+            CallbackSubscription(self.probe, topic, lambda label, block, rows=rows: rows.append(block.copy()), pytest.fail)
 
     def listen_to_diagnostics(self):
         """From now on `said` holds the newest entries by node, the status' message among them."""
 
         def note(message):
             for status in message.status:
-                self.said[status.name] = {"message": status.message, **{each.key: each.value for each in status.values}}
+                self.said[status.name] = {
+                    "level": status.level,
+                    "message": status.message,
+                    **{each.key: each.value for each in status.values},
+                }
 
         self.probe.create_subscription(DiagnosticArray, "/diagnostics", note, 10)
 

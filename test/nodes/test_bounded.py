@@ -11,14 +11,15 @@ import pytest
 from loop_case import MODEL, RATE, parameters, recorded
 
 from hyst_control.model_file import Simulator, load_model
-from hyst_control.nodes import base, recorder, signal_ports
+from hyst_control.nodes import node_diagnostics, recorder, signal_ports
 from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
-from hyst_control.nodes.pipeline import DEFAULT, NODES
+from hyst_control.nodes.pipeline import DEFAULT, node_class
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
-from hyst_control.nodes.signal_ports import KEPT_ROWS, REPEAT_INTERVAL, REPEATED_ROWS
+from hyst_control.nodes.signal_ports import REPEATED_ROWS, Output
+from hyst_control.records.row_repetition import KEPT_ROWS, REPEAT_INTERVAL
 from hyst_plant_sim.node import PlantNode
 
 PERIOD = 1e-3
@@ -29,7 +30,7 @@ LABELS = {"reference": "t[s],x[um]", "measurement": "t[s],x[um]", "feedforward":
 def bring(signal, ticks, value=1.0):
     """One message of one row per tick, as the middleware would hand them over."""
     for tick in ticks:
-        signal._receive(signal.label, np.array([[tick * PERIOD, value]]))
+        signal.receive(signal.label, np.array([[tick * PERIOD, value]]))
 
 
 class Log:
@@ -46,7 +47,7 @@ def test_inputs_of_a_loop_whose_reference_stands_still_stay_bounded(bench, monke
     node, log = bench.add(PiFeedback, most_waiting=MOST, upper=50, start="first_command"), Log()
     bench.listen_to_diagnostics()
     monkeypatch.setattr(node, "get_logger", lambda: log)
-    monkeypatch.setattr(base, "LOG_INTERVAL", 1e9)
+    monkeypatch.setattr(node_diagnostics, "LOG_INTERVAL", 1e9)
     for signal in (node.feedforward, node.measurement):
         bring(signal, range(20 * MOST))
         assert signal.rows.available == MOST == len(signal.rows._blocks)
@@ -56,10 +57,10 @@ def test_inputs_of_a_loop_whose_reference_stands_still_stay_bounded(bench, monke
     assert "most_waiting" in log.lines[0]
     bench.until(lambda: bench.said.get("/pi_feedback: loop", {}).get("measurement: too many waiting") == "1")
     bring(node.reference, range(MOST))  # it was only late: what waits is used, and there is room again
-    assert [signal.rows.available for signal in node.inputs] == [0, 0, 0] and node.command._end == MOST
+    assert [signal.rows.available for signal in node.inputs] == [0, 0, 0] and node.command.sent.end == MOST
     for signal in node.inputs:
         bring(signal, [MOST])
-    assert node.command._end == MOST + 1
+    assert node.command.sent.end == MOST + 1
 
 
 def test_rows_ahead_of_the_clock_stay_bounded(bench):
@@ -100,8 +101,8 @@ def test_two_loops_on_one_domain_leave_memory_as_it_is(bench, name):
     finally:
         tracemalloc.stop()
     assert all(len(signal.rows._blocks) <= signal.rows.available <= MOST for signal in node.inputs)
-    kept = [port for port in vars(node).values() if hasattr(port, "_kept")]
-    assert kept and all(port._kept_rows <= KEPT_ROWS + settings.get("lead", 0) + 1 for port in kept)
+    kept = [port for port in vars(node).values() if isinstance(port, Output)]
+    assert kept and all(port.sent.count <= KEPT_ROWS + settings.get("lead", 0) + 1 for port in kept)
     assert sum(node.counts.values()) > 10 * MOST
     assert grown < 600 * 4 * MOST  # bytes; a row that stays costs more than 200 of them, and each signal brought 10000 messages
 
@@ -166,7 +167,7 @@ def test_what_is_repeated_is_what_may_be_lacking_in_messages_of_bounded_size(ben
     node = bench.add(MAKES["feedforward"][0], rate_hz=1 / PERIOD, kind="proportional", gain=[1.0])
     sent = []
     bring(node.reference, range(2 * KEPT_ROWS))
-    node.feedforward._sender.send = lambda block: sent.append(np.rint(block[:, 0] / PERIOD).astype(int))
+    node.feedforward.sender.send = lambda block: sent.append(np.rint(block[:, 0] / PERIOD).astype(int))
     for tick, expected in (
         (2 * KEPT_ROWS - 3, range(2 * KEPT_ROWS - 3, 2 * KEPT_ROWS)),
         (2 * KEPT_ROWS, [2 * KEPT_ROWS - 1]),
@@ -182,15 +183,15 @@ def test_what_is_repeated_is_what_may_be_lacking_in_messages_of_bounded_size(ben
 def test_a_diagnosis_whose_measurement_never_comes_stays_bounded(bench):
     node = bench.add(DiagnosisNode, model=MODEL, rate_hz=1 / PERIOD, most_waiting=MOST)
     for first in range(0, 20 * MOST, 50):
-        node._command._receive(np.column_stack([np.arange(first, first + 50) * PERIOD, np.ones(50)]))
+        node._command.receive(np.column_stack([np.arange(first, first + 50) * PERIOD, np.ones(50)]))
         node._drain()
-    assert node._command.waiting <= MOST + 50 and node.counts["command: too many waiting"] > 0
+    assert node._command.rows.available <= MOST + 50 and node.counts["command: too many waiting"] > 0
     node.enabled = False
     for first in range(0, 20 * MOST, 50):
-        node._command._receive(np.column_stack([np.arange(first, first + 50) * PERIOD, np.ones(50)]))
-        node._measurement._receive(np.column_stack([np.arange(first, first + 50) * PERIOD, np.ones(50)]))
+        node._command.receive(np.column_stack([np.arange(first, first + 50) * PERIOD, np.ones(50)]))
+        node._measurement.receive(np.column_stack([np.arange(first, first + 50) * PERIOD, np.ones(50)]))
         node._drain()
-    assert node._command.waiting == node._measurement.waiting == 0
+    assert node._command.rows.available == node._measurement.rows.available == 0
 
 
 def test_the_recorder_beside_two_sources_stores_each_tick_once(bench, tmp_path, monkeypatch):
@@ -204,7 +205,7 @@ def test_the_recorder_beside_two_sources_stores_each_tick_once(bench, tmp_path, 
     for tick in range(4000):
         clock.now += PERIOD
         for value in (1.0, 2.0):
-            topic._receive(LABELS["command"], np.array([[tick * PERIOD, value]]))
+            topic.receive(LABELS["command"], np.array([[tick * PERIOD, value]]))
         assert topic._pending_rows < 64
     assert node.counts["/command: duplicate"] == 4000 and len(told) <= 4.0 / REPEAT_INTERVAL + 4000 / recorder.PROGRESS_INTERVAL + 1
     node.close()
@@ -240,7 +241,7 @@ def test_the_loop_allocates_nothing_that_stays(bench, tmp_path):
     nodes = {}
     for name in DEFAULT:
         if name != "recorder":
-            make = NODES[name] if name != "plant" else lambda **options: PlantNode(plant=plant, **options)
+            make = node_class(name) if name != "plant" else lambda **options: PlantNode(plant=plant, **options)
             nodes[name] = bench.add(make, **settings[name])
     bench.until(nodes["plant"].finished.done, timeout=60)
     before, after = plant.blocks

@@ -14,7 +14,7 @@ from hyst_control.diagnose.parameter_uncertainty import scatter_of
 from hyst_control.errors import InputError
 from hyst_control.model_file import Simulator, load_model, simulate
 from hyst_control.nodes.diagnosis import DiagnosisNode
-from hyst_control.nodes.pipeline import DEFAULT, NODES
+from hyst_control.nodes.pipeline import DEFAULT, node_class
 from hyst_control.records.bag_reader import read_bag
 from hyst_plant_sim.node import PlantNode
 from hyst_plant_sim.physics import load_plant
@@ -47,7 +47,7 @@ def run_loop(bench, tmp_path, plant, count, **changes):
     node = bench.add(DiagnosisNode, output=str(tmp_path / "diagnosis"), **{**SETTINGS, **changes})
     nodes = {}
     for name in DEFAULT:
-        make = NODES[name] if name != "plant" else lambda **options: PlantNode(plant=plant, **options)
+        make = node_class(name) if name != "plant" else lambda **options: PlantNode(plant=plant, **options)
         nodes[name] = bench.add(make, **settings[name])
     bench.until(lambda: nodes["plant"].finished.done() and nodes["recorder"].finished.done(), timeout=60)
     bench.until(lambda: len(bench.rows("residual")) >= count)

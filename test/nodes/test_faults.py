@@ -23,8 +23,8 @@ from hyst_control.nodes.message_io import QUEUE, to_message
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
-from hyst_control.nodes.signal_ports import REPEAT_INTERVAL
 from hyst_control.processes.node_processes import Processes
+from hyst_control.records.row_repetition import REPEAT_INTERVAL
 from hyst_plant_sim.node import PlantNode
 from hyst_plant_sim.physics import load_plant
 
@@ -180,7 +180,7 @@ def ReferenceGenerator_of(signal):
     [
         (PlantNode, {}, "plant"),
         (PlantNode, {"model": "nowhere.yaml"}, "nowhere.yaml"),
-        (PlantNode, {"plant": "pea", "effects": "delay"}, "plant: effects: 'delay', a list"),
+        (PlantNode, {"plant": "pea", "effects": "delay"}, r"plant: effects: must be a list .*, got 'delay'"),
         (PlantNode, {"plant": "pea", "effects": "[{name: dealy}]"}, "'dealy' is unknown"),
         (PlantNode, {"plant": "pea", "parameters": "{colour: 1}"}, "parameters.colour"),
         (PlantNode, {"model": MODEL, "parameters": "{noise: 0.0}"}, "put them into the model file"),
@@ -320,6 +320,30 @@ def test_middleware_that_never_comes_back_does_not_keep_a_node_from_ending(tmp_p
         assert process.wait(40) == 0
         assert processes.log("stuck").read_text() == "stuck\n"
     assert (tmp_path / "bag" / "metadata.yaml").exists()
+
+
+@pytest.mark.parametrize("status", [0, 3])
+def test_exit_watchdog_keeps_the_status_while_the_interpreter_is_locked(status):
+    """The lock is held by a call that does not come back: no Python code could end the process."""
+    program = (
+        "import ctypes\n"
+        "from hyst_control.nodes.exit_watchdog import exit_within\n"
+        f"exit_within({status}, 0.2)\n"
+        "ctypes.PyDLL(None).sleep(1000)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], timeout=60, capture_output=True)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (status, b"", b"")
+
+
+def test_a_row_without_a_time_does_not_end_the_recorder(bench, tmp_path):
+    """A NaN as a value is evidence and stored; as a time it is no tick."""
+    node = bench.add(Recorder, output=str(tmp_path / "bag"), topics=["command"], rate_hz=1 / PERIOD)
+    [command] = node._topics
+    for time_of_row in (0.0, np.nan, PERIOD):
+        command.receive("t[s],x[V]", np.array([[time_of_row, np.nan]]))
+    node.close()
+    assert node.counts["/command: off the clock"] == 1
+    np.testing.assert_array_equal(recorded(tmp_path / "bag")["command"], [[0.0, np.nan], [PERIOD, np.nan]])
 
 
 def test_interrupt_that_a_library_swallows_ends_the_node_all_the_same(tmp_path, domain, monkeypatch):

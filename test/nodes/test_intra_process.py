@@ -8,8 +8,8 @@ from loop_case import RATE, assert_same_bits, offline, parameters, recorded
 from rclpy.parameter import Parameter
 
 from hyst_control.nodes.base import EndingNode
-from hyst_control.nodes.message_io import Reception
-from hyst_control.nodes.pipeline import DEFAULT, NODES
+from hyst_control.nodes.message_io import CallbackSubscription
+from hyst_control.nodes.pipeline import DEFAULT, node_class
 from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_control.nodes.run import run
 
@@ -26,7 +26,7 @@ class Late(EndingNode):
     def _join(self):
         if self._due():
             self._timer.cancel()
-            Reception(self, self._topic, lambda label, block: self.heard.append(block.copy()), pytest.fail)
+            CallbackSubscription(self, self._topic, lambda label, block: self.heard.append(block.copy()), pytest.fail)
 
 
 def make(context, kind, settings):
@@ -52,7 +52,7 @@ def test_nothing_goes_through_the_middleware_while_nobody_outside_listens(tmp_pa
     for own in settings.values():
         own["schedule"] = schedule
         own["rate_hz"] = RATE if schedule == "lockstep" else 500.0
-    nodes = [make(ros_context, NODES[name], settings[name]) for name in DEFAULT]
+    nodes = [make(ros_context, node_class(name), settings[name]) for name in DEFAULT]
     counts = sent_by_middleware(monkeypatch, nodes)
     assert run(nodes, ros_context, timeout=60.0) == 0
     assert counts == {}
@@ -62,7 +62,7 @@ def test_nothing_goes_through_the_middleware_while_nobody_outside_listens(tmp_pa
 def test_who_joins_in_the_middle_hears_every_row_from_then_on_and_the_loop_goes_on_to_the_bit(tmp_path, ros_context, monkeypatch):
     count = 12000
     settings = parameters(tmp_path, count)
-    nodes = [make(ros_context, NODES[name], settings[name]) for name in DEFAULT]
+    nodes = [make(ros_context, node_class(name), settings[name]) for name in DEFAULT]
     plant = nodes[DEFAULT.index("plant")]
     late = Late("measurement", lambda: plant.status()["tick"] > 500, context=ros_context)
     counts = sent_by_middleware(monkeypatch, nodes)
@@ -79,7 +79,7 @@ def test_what_was_handed_over_is_taken_before_what_the_middleware_brings(ros_con
     node = make(ros_context, ReferenceGenerator, {"signal": "sine", "frequency": 5.0, "amplitude": 1.0})
     try:
         heard = []
-        reception = Reception(node, "x", lambda label, block: heard.append(block[0, 0]), pytest.fail)
+        reception = CallbackSubscription(node, "x", lambda label, block: heard.append(block[0, 0]), pytest.fail)
         encode = node.senders[0]._encoder.encode
         for tick in range(3):
             reception.hand(encode(np.array([[float(tick), 0.0]])))
@@ -94,7 +94,7 @@ def test_what_was_handed_over_is_taken_before_what_the_middleware_brings(ros_con
 def test_what_a_node_raises_in_a_callback_ends_the_run_with_it(tmp_path, ros_context, error, statuses):
     """An interrupt among it: all that is left then is to destroy the nodes."""
     settings = parameters(tmp_path, 200)
-    nodes = [make(ros_context, NODES[name], settings[name]) for name in DEFAULT]
+    nodes = [make(ros_context, node_class(name), settings[name]) for name in DEFAULT]
     plant = nodes[DEFAULT.index("plant")]
     advance = plant.advance
 
@@ -105,5 +105,5 @@ def test_what_a_node_raises_in_a_callback_ends_the_run_with_it(tmp_path, ros_con
 
     plant.advance, told = broken, []
     with pytest.raises(error, match="in a callback"):
-        run(nodes, ros_context, timeout=60.0, leaving=told.append)
+        run(nodes, ros_context, timeout=60.0, on_closed=told.append)
     assert told == statuses

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
 
 import numpy as np
 import pytest
 from loop_case import recorded
 
-from hyst_control.nodes import signal_ports
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.interrupts import uninterrupted
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
+from hyst_control.records.signal_rows import LONGEST_JOINING
 
 PERIOD = 1e-3
 
@@ -27,12 +28,12 @@ def rows(first, last):
 def feedforward(bench):
     node = bench.add(lambda **options: Feedforward("feedforward", **options), rate_hz=1 / PERIOD, kind="proportional", gain=[10.0])
     sent = []
-    node.feedforward._sender.send = lambda block: sent.extend(np.rint(block[:, 0] / PERIOD).astype(int))
+    node.feedforward.sender.send = lambda block: sent.extend(np.rint(block[:, 0] / PERIOD).astype(int))
     return node, sent
 
 
 def receive(input_, block):
-    input_._receive(input_.label, block)
+    input_.receive(input_.label, block)
 
 
 def test_a_burst_heard_from_its_middle_on_is_taken_when_it_is_sent_again(feedforward):
@@ -55,12 +56,12 @@ def test_a_run_under_way_is_taken_up_where_its_repetition_begins(feedforward):
 def test_a_run_that_goes_on_and_repeats_nothing_is_taken_up_after_a_while(feedforward, monkeypatch):
     node, sent = feedforward
     now = [100.0]
-    monkeypatch.setattr(signal_ports.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
     for tick in range(500, 5000):
         now[0] += PERIOD
         receive(node.reference, rows(tick, tick + 1))
     assert sent[-1] == 4999 and sent == list(range(sent[0], 5000))
-    assert 500 + signal_ports.LONGEST_JOINING / PERIOD <= sent[0] <= 505 + signal_ports.LONGEST_JOINING / PERIOD
+    assert 500 + LONGEST_JOINING / PERIOD <= sent[0] <= 505 + LONGEST_JOINING / PERIOD
 
 
 def test_after_a_reset_the_first_rows_are_waited_for_again(feedforward):
@@ -79,9 +80,9 @@ def test_feedback_whose_inputs_begin_apart_starts_with_all_of_them(bench):
     receive(node.feedforward, rows(17, 41))
     receive(node.measurement, rows(0, 1))
     receive(node.reference, rows(0, 41))
-    assert node.command._end == 0
+    assert node.command.sent.end == 0
     receive(node.feedforward, rows(0, 41))
-    assert node.command._end == 1
+    assert node.command.sent.end == 1
 
 
 @pytest.mark.parametrize("merge", [1, 8, 64])
@@ -90,14 +91,14 @@ def test_the_recorder_stores_what_was_sent_before_it_was_heard(bench, tmp_path, 
     reference, command = node._topics
     told = []
     node._progress.publish = lambda message: told.append(message.data)
-    command._receive("t[s],x[V]", rows(0, 1))
+    command.receive("t[s],x[V]", rows(0, 1))
     for first, last in ((24, 32), (32, 41)):
-        reference._receive("t[s],x[um]", rows(first, last))
+        reference.receive("t[s],x[um]", rows(first, last))
     node._flush()
     node.progress()
     assert not told  # the plant waits: what was missed comes again
     for first, last in ((0, 16), (16, 32), (32, 41), (41, 50)):
-        reference._receive("t[s],x[um]", rows(first, last))
+        reference.receive("t[s],x[um]", rows(first, last))
     node.progress()
     assert told == [0]
     node.close()
@@ -108,14 +109,14 @@ def test_the_recorder_keeps_all_it_heard_of_a_run_that_it_joined_late(bench, tmp
     node = bench.add(Recorder, output=str(tmp_path / "bag"), topics=["command"], rate_hz=1 / PERIOD)
     [command] = node._topics
     for first, last in ((700, 705), (705, 706), (708, 720)):  # 706 and 707 are lost: no burst that comes again
-        command._receive("t[s],x[V]", rows(first, last))
+        command.receive("t[s],x[V]", rows(first, last))
     node.close()
     np.testing.assert_array_equal(recorded(tmp_path / "bag")["command"], np.concatenate([rows(700, 706), rows(708, 720)]))
 
 
 def test_the_recorder_closed_before_it_knew_keeps_what_it_heard(bench, tmp_path):
     node = bench.add(Recorder, output=str(tmp_path / "bag"), topics=["command"], rate_hz=1 / PERIOD)
-    node._topics[0]._receive("t[s],x[V]", rows(700, 705))
+    node._topics[0].receive("t[s],x[V]", rows(700, 705))
     node.close()
     np.testing.assert_array_equal(recorded(tmp_path / "bag")["command"], rows(700, 705))
 

@@ -7,14 +7,16 @@ import pytest
 from loop_case import assert_same_bits, offline, parameters, recorded
 from rclpy.parameter import Parameter
 
-from hyst_control.nodes.pipeline import DEFAULT, NODES
+from hyst_control.nodes.pipeline import DEFAULT, node_class
 from hyst_control.nodes.run import run
 from hyst_control.processes.node_processes import Processes
 
 
 def composed(context, settings, order=DEFAULT):
     nodes = [
-        NODES[name](context=context, parameter_overrides=[Parameter(key, value=value) for key, value in settings[name].items()])
+        node_class(name)(
+            context=context, parameter_overrides=[Parameter(key, value=value) for key, value in settings[name].items()]
+        )
         for name in order
     ]
     assert run(nodes, context, timeout=60.0) == 0

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import signal
+import time
 
 import numpy as np
 import pytest
 from loop_case import assert_same_bits, offline, parameters, recorded
 from rclpy.parameter import Parameter
 
-from hyst_control.nodes import recorded_topic
 from hyst_control.nodes.interrupts import uninterrupted
-from hyst_control.nodes.pipeline import NODES
+from hyst_control.nodes.pipeline import node_class
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.run import run
+from hyst_control.records.signal_rows import GAP_PATIENCE
 
 PERIOD = 1e-3
 LISTENERS = [
@@ -45,7 +46,7 @@ class Lossy:
 def composed(context, settings, lost):
     """Run the loop; `lost`: numbers of messages by (node, topic)."""
     nodes = {
-        name: NODES[name](context=context, parameter_overrides=[Parameter(key, value=value) for key, value in own.items()])
+        name: node_class(name)(context=context, parameter_overrides=[Parameter(key, value=value) for key, value in own.items()])
         for name, own in settings.items()
     }
     lossy = {
@@ -91,7 +92,7 @@ def rows(first, last):
 
 def test_rows_that_never_come_again_are_a_gap_after_a_while(bench, tmp_path, monkeypatch):
     now = [100.0]
-    monkeypatch.setattr(recorded_topic.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
     node = bench.add(Recorder, output=str(tmp_path / "bag"), topics=["command"], rate_hz=1 / PERIOD, merge=4)
     [command] = node._topics
     arriving = []
@@ -99,13 +100,13 @@ def test_rows_that_never_come_again_are_a_gap_after_a_while(bench, tmp_path, mon
     for first, last in ((0, 10), (12, 20), (30, 33)):
         arriving.append(rows(first, last))
         command.drain()
-    now[0] += 0.9 * recorded_topic.PATIENCE
+    now[0] += 0.9 * GAP_PATIENCE
     command.drain()
     node.progress()
-    assert node.told == 9 and command.end == 10
-    now[0] += 0.2 * recorded_topic.PATIENCE
+    assert node.told == 9 and command.rows.end == 10
+    now[0] += 0.2 * GAP_PATIENCE
     command.drain()
-    assert command.end == 33 and node.counts["/command: missed ticks"] == 12
+    assert command.rows.end == 33 and node.counts["/command: missed ticks"] == 12
     arriving.append(rows(33, 40))
     command.drain()
     node.close()
@@ -120,7 +121,7 @@ def test_what_waits_behind_a_gap_is_bounded(bench, tmp_path):
     ends = []
     while arriving:
         command.drain()
-        ends.append(command.end)
+        ends.append(command.rows.end)
     assert ends == [10, 10, 10, 120]
 
 
@@ -128,7 +129,7 @@ def test_rows_behind_a_gap_are_kept_when_the_recorder_is_closed(bench, tmp_path)
     node = bench.add(Recorder, output=str(tmp_path / "bag"), topics=["command"], rate_hz=1 / PERIOD)
     [command] = node._topics
     for first, last in ((0, 10), (12, 20), (14, 25)):
-        command._receive("t[s],x[V]", rows(first, last))
+        command.receive("t[s],x[V]", rows(first, last))
     node.close()
     np.testing.assert_array_equal(recorded(tmp_path / "bag")["command"], np.concatenate([rows(0, 10), rows(12, 25)]))
 

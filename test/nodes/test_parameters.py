@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import importlib
+
 import pytest
 import yaml
 from rclpy.parameter import Parameter
 
 from hyst_control.config_files import config_folders, config_path
-from hyst_control.nodes.base import COMMON
+from hyst_control.nodes.common_parameters import COMMON
 from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.hampi_feedforward import HampiFeedforward
 from hyst_control.nodes.identification import Identification
 from hyst_control.nodes.mhl_feedforward import MhlFeedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
+from hyst_control.nodes.pipeline import COMPOSABLE, node_class
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
+from hyst_control.processes import node_list
 from hyst_control.records.excitation import KINDS
 from hyst_plant_sim.node import PlantNode
 
@@ -60,6 +64,27 @@ def test_every_parameter_of_a_node_is_described(name, ros_context, tmp_path):
             assert not settings[parameter].unit or f"[{settings[parameter].unit}]" in described
     finally:
         node.destroy_node()
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_every_parameter_says_what_it_is_and_numbers_their_unit_and_range(name, ros_context, tmp_path):
+    node = started(name, ros_context, tmp_path)
+    node.destroy_node()
+    for setting in (*COMMON, *node.SETTINGS):
+        value = setting.default[0] if isinstance(setting.default, tuple) else setting.default
+        assert setting.text, setting.name
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            assert setting.unit and setting.lower is not None and setting.upper is not None, setting.name
+            assert setting.lower <= value <= setting.upper
+
+
+def test_the_list_of_nodes_is_what_there_is():
+    """Every entry has its module with an executable and its class; what composes is what a parameter file can configure."""
+    for name, entry in node_list.NODES.items():
+        module = importlib.import_module(entry.module)
+        assert callable(module.main)
+        assert not entry.node_class or node_class(name).__module__ == entry.module
+    assert set(COMPOSABLE) == set(NODES) - {"identification"}
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)

@@ -19,7 +19,7 @@ from hyst_control.cli import main
 from hyst_control.config_files import config_folders
 from hyst_control.errors import InputError
 from hyst_control.identify.workflow import identify_bags
-from hyst_control.nodes.pipeline import NODES
+from hyst_control.nodes.pipeline import node_class
 from hyst_control.nodes.run import run
 from hyst_control.processes.node_processes import Processes
 from hyst_control.records.bag_reader import read_bag
@@ -232,7 +232,7 @@ def test_four_devices_run_side_by_side(tmp_path, ros_context):
         np.save(tmp_path / f"device{device}" / "reference.npy", signal(count, device))
         for name, own in parameters(tmp_path / f"device{device}", count).items():
             nodes.append(
-                NODES[name](
+                node_class(name)(
                     context=ros_context,
                     namespace=f"/device{device}",
                     parameter_overrides=[Parameter(key, value=value) for key, value in own.items()],

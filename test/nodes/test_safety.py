@@ -163,7 +163,7 @@ def test_fault_goes_to_safety_and_back_by_itself(bench, break_it):
 
 def test_ticks_that_take_too_long_are_a_fault(bench, monkeypatch):
     node = bench.add(PiFeedback, **SETTINGS, overrun_ticks=3, kp=0.5, ki=100.0)
-    node.set_timer(None)  # ticked by hand: a node that takes longer than its time leaves none to the test
+    node.tick_by(None)  # ticked by hand: a node that takes longer than its time leaves none to the test
     node._controller.reset(np.full(1, 30.0))
     senders = [
         bench.sender(topic, f"t[s],x[{unit}]") for topic, unit in [("reference", "um"), ("measurement", "um"), ("feedforward", "V")]
@@ -174,7 +174,7 @@ def test_ticks_that_take_too_long_are_a_fault(bench, monkeypatch):
         now = time.monotonic()
         for sender, value in zip(senders, (4.0, 3.75, 30.0)):
             sender.send(np.array([[int(now / PERIOD) * PERIOD, value]]))
-        node.on_timer(now)
+        node.tick_timer.call(now)
     assert node.counts["overruns"] >= 4 and node.trouble() == "ticks take longer than their time"
     assert commands[-1] < commands[2] and np.diff(commands).min() >= -SAFE_RATE * PERIOD * 3
 

@@ -1,0 +1,115 @@
+"""A node's words about itself: its entry in `/diagnostics`, and log lines that do not repeat themselves."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+
+from hyst_control.records.signal_rows import Wait
+
+DIAGNOSTICS_INTERVAL = 1.0  # s
+LOG_INTERVAL = 5.0  # s, between two log lines about one thing
+REPORTED_WAIT = 0.1
+"""s; shorter waits are those of a loop that runs."""
+WAIT_WARNING = 2.0
+"""s, from which on a wait is warned of: what was lost is sent again long before that."""
+
+
+@dataclass(frozen=True)
+class NodeHealth:
+    """State that decides about the level and message of a node's diagnostics.
+
+    Attributes
+    ----------
+    trouble : str
+        What keeps the node from its work, in its own words; "" when nothing does.
+    stale : sequence of str
+        Inputs that are too old, under the timer.
+    rivals : sequence of str
+        Inputs that several nodes publish.
+    waits : sequence of Wait
+        Signals that are waited for, in lockstep.
+    enabled : bool
+        Whether the node may work.
+    """
+
+    trouble: str = ""
+    stale: Sequence[str] = ()
+    rivals: Sequence[str] = ()
+    waits: Sequence[Wait] = ()
+    enabled: bool = True
+
+    @property
+    def waiting_for(self) -> str:
+        """Waits worth reporting, such as `reference@1234 (3.2 s)`, or "none"."""
+        return ", ".join(str(wait) for wait in self.waits if wait.seconds >= REPORTED_WAIT) or "none"
+
+    @property
+    def entries(self) -> dict[str, Any]:
+        """Entries of the diagnostics."""
+        return {
+            "stale": ", ".join(self.stale) or "none",
+            "several sources": ", ".join(self.rivals) or "none",
+            "waiting_for": self.waiting_for,
+            "enabled": self.enabled,
+        }
+
+    @property
+    def warning(self) -> str:
+        """The first of the reasons to warn, "" when there is none."""
+        if self.trouble:
+            return self.trouble
+        if self.stale:
+            return f"stale: {', '.join(self.stale)}"
+        if self.rivals:
+            return f"several sources: {', '.join(self.rivals)}"
+        if any(wait.seconds >= WAIT_WARNING for wait in self.waits):
+            return f"waiting for {self.waiting_for}"
+        return ""
+
+    @property
+    def warns(self) -> bool:
+        """True when the level is WARN."""
+        return bool(self.warning) or not self.enabled
+
+
+class DiagnosticsPublisher:
+    """Publisher of a node's status on `/diagnostics`."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+
+    def publish(self, health: NodeHealth, values: Mapping[str, Any]) -> None:
+        """Publish level and message from the health, and these entries."""
+        status = DiagnosticStatus(
+            name=f"{self._node.get_fully_qualified_name()}: loop",
+            hardware_id="hyst_control",
+            level=DiagnosticStatus.WARN if health.warns else DiagnosticStatus.OK,
+            message=health.warning or "running",
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)
+
+
+class ThrottledWarnings:
+    """Log lines of a node: one per key and `LOG_INTERVAL`."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._logged: dict[str, float] = {}
+
+    def warn(self, key: str, text: str) -> None:
+        """Log this unless a line with this key was logged a short while ago."""
+        now = time.monotonic()
+        if now - self._logged.get(key, -math.inf) >= LOG_INTERVAL:
+            self._logged[key] = now
+            self._node.get_logger().warning(text)

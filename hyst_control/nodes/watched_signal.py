@@ -1,0 +1,86 @@
+"""A signal that is only listened to: rows with their ticks, from messages that are taken when it suits, in both schedules."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.signal_ports import off_the_clock
+from hyst_control.records.signal_message import label_for
+from hyst_control.records.signal_rows import Missing, Receipt, successive_parts
+
+Array = NDArray[np.float64]
+Ticks = NDArray[np.int64]
+
+
+class WatchedSignal:
+    """One signal: rows with their ticks, in order and each once.
+
+    While more than `most_waiting` rows wait for the other signal, the oldest of them are dropped.
+
+    Parameters
+    ----------
+    node : SignalNode
+        The node that listens.
+    topic, unit : str
+        Topic, and the unit of its values.
+    restarted : callable
+        Called when the time of the signal begins anew; forgets what was heard.
+    """
+
+    def __init__(self, node: SignalNode, topic: str, unit: str, restarted: Callable[[], None]) -> None:
+        self._node, self._topic, self._restarted = node, topic, restarted
+        self._label = label_for(node.axes, unit)
+        self._intake = node.intake(topic)
+        self.rows = node.signal_rows(topic, Missing.SKIP, drop_oldest=True, clock_may_be_set_back=True)
+
+    def forget(self) -> None:
+        """Begin anew: the next rows may have any tick."""
+        self.rows.forget()
+
+    def drain(self) -> None:
+        """Take everything that has arrived."""
+        for label, block, _ in self._intake.take(self._refused, merge=True):
+            if label != self._label:
+                self._node.drop(self._topic, "wrong label", f"its columns must be {self._label!r}, got {label!r}")
+            else:
+                self.receive(block)
+
+    def receive(self, block: Array) -> None:
+        """Take in rows (N, 1 + A) of one or several messages, column 0 the time in s."""
+        for tick, part in successive_parts(block, self._node.period):
+            if tick is None:
+                self._node.drop(self._topic, "off the clock", off_the_clock(self._node.period))
+                continue
+            finite = np.logical_and.reduce(np.isfinite(part), axis=1)
+            if finite.all():
+                self._receive_rows(tick, part[:, 1:].copy())  # the message is read-only
+            else:
+                self._node.drop(self._topic, "not finite", "it holds a NaN or an infinity")
+                for stretch in np.split(np.arange(len(part)), np.flatnonzero(np.diff(finite)) + 1):
+                    if finite[stretch[0]]:
+                        self._receive_rows(tick + int(stretch[0]), part[stretch, 1:])
+
+    def _refused(self, reason: str) -> None:
+        self._node.drop(self._topic, "unreadable", reason)
+
+    def _receive_rows(self, tick: int, rows: Array) -> None:
+        node, state = self._node, self.rows
+        missed, dropped, now = state.missed, state.dropped, time.monotonic()
+        receipt = state.receive(tick, rows, now)
+        if receipt is Receipt.CLOCK_RESET:
+            node.counts["time ran backwards"] += 1
+            self._restarted()
+            state.receive(tick, rows, now)
+        elif receipt is not Receipt.ACCEPTED:
+            node.counts[f"{self._topic}: duplicate"] += 1
+        elif state.missed > missed:
+            node.counts[f"{self._topic}: missed ticks"] += state.missed - missed
+        if state.dropped > dropped:
+            node.drop(
+                self._topic, "too many waiting", f"{state.available} rows wait for their pair: does the other signal stand still?"
+            )

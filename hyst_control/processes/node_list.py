@@ -1,0 +1,33 @@
+"""All nodes: the one list of their executables, modules and classes.
+
+Data only, and without an import of this package, so that `setup.py` can run it before anything is installed.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class NodeEntry(NamedTuple):
+    """One node."""
+
+    module: str
+    """Module whose `main` is the executable."""
+    node_class: str = ""
+    """Name of its class, where the node can be composed with others in one process; else ""."""
+    installed: bool = True
+    """True when the executable is installed."""
+
+
+NODES = {
+    "reference_generator": NodeEntry("hyst_control.nodes.reference_generator", "ReferenceGenerator"),
+    "hampi_feedforward": NodeEntry("hyst_control.nodes.hampi_feedforward", "HampiFeedforward"),
+    "mhl_feedforward": NodeEntry("hyst_control.nodes.mhl_feedforward", "MhlFeedforward"),
+    "pi_feedback": NodeEntry("hyst_control.nodes.pi_feedback", "PiFeedback"),
+    "plant": NodeEntry("hyst_plant_sim.node", "PlantNode"),
+    "recorder": NodeEntry("hyst_control.nodes.recorder", "Recorder"),
+    "identification": NodeEntry("hyst_control.nodes.identification"),
+    "diagnosis": NodeEntry("hyst_control.nodes.diagnosis", "DiagnosisNode"),
+    "pipeline": NodeEntry("hyst_control.nodes.pipeline"),
+    "monitor": NodeEntry("hyst_control.nodes.diagnostics_monitor", installed=False),
+}
