@@ -49,13 +49,14 @@ class Kind(Enum):
 class Scattering(Enum):
     """The way in which an identified parameter is uncertain.
 
-    A `tolerance` of the model file is relative for all of them but `NONE`, which never scatters. The others tell an
-    identification in which coordinates its covariance is to be stated.
+    A `tolerance` of the model file is relative for all of them but `COMPANION`, which is absolute, of size 1 and needs none, and
+    `NONE`, which never scatters. The others tell an identification in which coordinates its covariance is to be stated.
     """
 
     RELATIVE = "relative"
     ABSOLUTE = "absolute"
     POLES = "frequency and damping of the poles"
+    COMPANION = "free in every hypothesis, about 0"
     NONE = "none"
 
 

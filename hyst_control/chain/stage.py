@@ -208,6 +208,10 @@ class Stage:
             raise InputError(f"{self.name}: mixes the axes: it cannot be split by axis, take all axes together")
         return replace(self, **{key: known.of_axis(getattr(self, key), axis) for key, known in self.declarations().items()})
 
+    def for_record(self, index: int) -> Stage:
+        """The stage in one of several records, by its index; what differs from record to record answers for each."""
+        return self
+
     def spread(self, names: Sequence[str], axes: int) -> Stage:
         """The stage with some parameters as one value per axis where they were one for all.
 
@@ -235,7 +239,11 @@ class Stage:
         """
         return replace(self, **values)
 
-    # Answers to effects and control.
+    # Answers to effects, control and diagnosis.
+
+    def companion_size(self, index: tuple[int, ...]) -> float:
+        """Amount in the measurement's unit that 1 stands for in a parameter that scatters as a companion, at an index."""
+        return 1.0
 
     def with_loop_width(self, width: Array) -> Stage | None:
         """The stage with wider or narrower loops.

@@ -5,6 +5,7 @@ a model, command and noise calibrates its threshold on simulated records without
 
 example:
   hyst diagnose record --model hampi.yaml --json gap.json --report gap.html --augmented better.yaml
+  hyst diagnose today --model hampi.yaml --baseline yesterday
 """
 
 from __future__ import annotations
@@ -19,6 +20,13 @@ JSON = "gap report"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bags", nargs="+", metavar="BAG", help="recorded bags of one plant")
     parser.add_argument("--model", required=True, metavar="MODEL.yaml", help="model file of the simulator")
+    parser.add_argument(
+        "--baseline",
+        nargs="+",
+        default=[],
+        metavar="CLEAN",
+        help="clean records of the same plant: what the model leaves on them is its own error; best with the same command",
+    )
     parser.add_argument("--report", metavar="OUT.html", help="page to write, for people")
     parser.add_argument("--augmented", metavar="OUT.yaml", help="model file to write: the model with the effects added")
     parser.add_argument("--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the catalogue")
@@ -61,6 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
             progress=not arguments.quiet and sys.stderr.isatty(),
             warm_up=arguments.warm_up,
             on=arguments.on,
+            baseline=arguments.baseline,
         )
     )
     return 0

@@ -96,9 +96,9 @@ def attribute(diagnosis: Diagnosis) -> Attribution:
 
     """
     found_by_checks = _without_waveform(diagnosis)
-    named = _waveforms(diagnosis) + found_by_checks
+    named = sorted(_waveforms(diagnosis) + found_by_checks, key=lambda effect: (-round(effect.probability, 3), -effect.share))
     return Attribution(
-        tuple(sorted(named, key=lambda effect: (-round(effect.probability, 3), -effect.share))),
+        (*named, *_companions(diagnosis)),
         _candidates(diagnosis, found_by_checks),
         _parameters(diagnosis),
     )
@@ -150,6 +150,23 @@ def _waveforms(diagnosis: Diagnosis) -> list[Named]:
         named.append(Named(name, axes, probability, values, others, unit[0], unit[1], value, ci90, fitted, share))
     total = sum(effect.share for effect in named) or 1.0
     return [replace(effect, share=effect.share / total) for effect in named]
+
+
+def _companions(diagnosis: Diagnosis) -> list[Named]:
+    """Zero and drift of the session where they are named: behind everything structural."""
+    unit = diagnosis.model.units["measurement"]
+    gap = sum(float(np.sum(np.mean(part.gap() ** 2, axis=0))) for part in diagnosis.parts)
+    return [
+        Named(
+            one.effect,
+            (diagnosis.model.axes[part.axes[one.axis]],),
+            1.0,
+            {one.parameter: (one.value, one.ci90, unit)},
+            share=min(one.rms**2 / gap, 1.0) if gap else 1.0,
+        )
+        for part in diagnosis.parts
+        for one in part.decision.companions
+    ]
 
 
 def _axes_of(part: AxisDiagnosis, scored: Scored, index: int) -> Axes:
@@ -280,5 +297,7 @@ def _parameters(diagnosis: Diagnosis) -> tuple[tuple[str, float], ...]:
     for part in diagnosis.parts:
         axis = f" ({diagnosis.model.axes[part.axes[0]]})" if len(diagnosis.parts) > 1 else ""
         scatter = part.linearised.scatter.coefficients
-        found += [(c.name + axis, float(z)) for c, z in zip(scatter, part.coefficients, strict=True) if abs(z) > least]
+        found += [
+            (c.name + axis, float(z)) for c, z in zip(scatter, part.coefficients, strict=True) if abs(z) > least and not c.companion
+        ]
     return tuple(sorted(found, key=lambda item: -abs(item[1])))

@@ -8,9 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hyst_control.chain.stage import Array
+from hyst_control.diagnose.baseline import Baseline, with_baseline
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.evidence import Evidence
-from hyst_control.diagnose.evidence_collection import collect, residual_evidence, stated_energy, stated_noise, white_noise
+from hyst_control.diagnose.evidence_collection import (
+    collect,
+    companions,
+    residual_evidence,
+    stated_energy,
+    stated_noise,
+    white_noise,
+)
 from hyst_control.diagnose.hypothesis import catalogue
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.hypothesis_search import Found, Scored, search
@@ -19,6 +27,7 @@ from hyst_control.diagnose.parameter_uncertainty import scatter_of
 from hyst_control.diagnose.policy import Decision, contenders, decide, detected, practical_floor
 from hyst_control.diagnose.problem import Piece, Problem, check_units, split
 from hyst_control.diagnose.record_checks import effect_found_by, lattice_of, lines, record_evidence
+from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import RecordCheck
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
@@ -45,6 +54,8 @@ class AxisDiagnosis:
         Numbers that the decision is based on.
     decision : Decision
         Verdict, reasons, and what is named.
+    baseline : Baseline, optional
+        Clean records, as they were used.
 
     """
 
@@ -55,6 +66,7 @@ class AxisDiagnosis:
     hypotheses: tuple[Scored, ...]
     evidence: Evidence
     decision: Decision
+    baseline: Baseline | None = None
 
     @property
     def chosen(self) -> Scored:
@@ -121,6 +133,7 @@ def diagnose(
     progress: Callable[[str], None] = lambda _: None,
     warm_up: float = 0.0,
     configuration: Configuration = CONFIGURATION,
+    baseline: Sequence[Record] = (),
 ) -> Diagnosis:
     """Diagnose records against a model.
 
@@ -142,6 +155,8 @@ def diagnose(
         s, as in `problem_of`.
     configuration : Configuration
         All values.
+    baseline : sequence of Record
+        Clean records of the same plant, or of its sisters.
 
     Returns
     -------
@@ -154,11 +169,13 @@ def diagnose(
 
     """
     problem, notes = problem_of(records, model, warm_up, configuration)
+    clean = split(_clean_problem(baseline, problem, warm_up, configuration)) if baseline else None
     parts = []
     axis = 0
-    for part in split(problem):
+    for index, part in enumerate(split(problem)):
         count = len(part.model.axes)
-        parts.append(_axis(part, tuple(range(axis, axis + count)), seed, without, cache, progress, configuration))
+        beside = with_baseline(part, clean[index], configuration.baseline) if clean else None
+        parts.append(_axis(part, beside, tuple(range(axis, axis + count)), seed, without, cache, progress, configuration))
         axis += count
     notes += [note for part in parts for note in _outlier_notes(part)]
     return Diagnosis(model, problem, tuple(parts), tuple(notes), seed, configuration)
@@ -243,8 +260,12 @@ def problem_of(
         outside = float(np.mean((commands < valid[0] - 1e-9) | (commands > valid[1] + 1e-9)))
         if outside > 0:
             notes.append(f"{outside:.1%} of the command lies outside the {valid[0]:g} … {valid[1]:g} V that the model is valid for")
-    residuals = problem.rows(problem.measured() - problem.simulate(model.chain.stages))
-    return _with_noise(problem, residuals, configuration), notes
+    return _with_noise(problem, _residuals(problem), configuration), notes
+
+
+def _residuals(problem: Problem) -> Array:
+    """Measured minus simulated (M, A) of the nominal model, measurement unit."""
+    return problem.rows(problem.measured() - problem.simulate(problem.model.chain.stages))
 
 
 def _with_noise(problem: Problem, residuals: Array, configuration: Configuration) -> Problem:
@@ -261,8 +282,18 @@ def _with_noise(problem: Problem, residuals: Array, configuration: Configuration
     return replace(problem, sigma=np.array(sigma))
 
 
+def _clean_problem(baseline: Sequence[Record], problem: Problem, warm_up: float, configuration: Configuration) -> Problem:
+    clean, _ = problem_of(baseline, problem.model, warm_up, configuration)
+    if abs(clean.sample_time - problem.sample_time) > 1e-6 * problem.sample_time:
+        raise InputError(
+            f"baseline: has a sample time of {clean.sample_time:g} s, the record {problem.sample_time:g} s: record both at one rate"
+        )
+    return clean
+
+
 def _axis(
     problem: Problem,
+    baseline: Baseline | None,
     axes: tuple[int, ...],
     seed: int,
     without: Sequence[str],
@@ -271,6 +302,9 @@ def _axis(
     configuration: Configuration,
 ) -> AxisDiagnosis:
     thresholds = configuration.policy
+    if baseline is not None:
+        problem = _with_noise(baseline.problem, _residuals(baseline.problem), configuration)
+        without = [*without, *(name for name, effect in EFFECTS.items() if effect.companion is not None)]
     stated = stated_noise(problem.model)
     checks = frozenset(check for check in RecordCheck if _is_used(check, without))
     progress("coefficients of the model")
@@ -292,16 +326,25 @@ def _axis(
     progress("records without a gap")
     null = threshold(linearised, members, seed, cache=cache, configuration=configuration)
     floor = _floor(problem, stated, configuration)
+    if baseline is not None:
+        floor = max(floor, float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2))))
     leaves = stated_energy(stated, problem.sigma)
     found = search(linearised, members, null + thresholds.margin, floor, leaves, progress, configuration)
     collected = collect(found, null, floor, stated, record, checks, configuration)
     evidence = collected.evidence.with_residuals(
         {
-            index: residual_evidence(problem, collected.hypotheses[index], findings, checks, configuration)
+            index: residual_evidence(
+                problem,
+                collected.hypotheses[index],
+                findings,
+                checks,
+                configuration,
+                companions(linearised, collected.hypotheses[index], baseline.usual_zero, found.temper) if baseline else (),
+            )
             for index in contenders(collected.evidence, thresholds)
         }
     )
-    return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decide(evidence, thresholds))
+    return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decide(evidence, thresholds), baseline)
 
 
 def _is_used(check: RecordCheck, without: Sequence[str]) -> bool:

@@ -88,6 +88,10 @@ class ResidualEvidence:
         Error (rms, measurement unit) that they bring, by axis.
     flicker : FlickerEvidence or None
         1/f noise, in units of the noise; None where it was not looked for.
+    predictable : float
+        Share of it that follows the command; 1 where it was not looked for.
+    companions : tuple of CompanionEvidence
+        As this hypothesis has them; none without clean records.
 
     """
 
@@ -96,6 +100,45 @@ class ResidualEvidence:
     outliers: tuple[int, ...]
     outliers_rms: tuple[float, ...]
     flicker: FlickerEvidence | None = None
+    predictable: float = 1.0
+    companions: tuple[CompanionEvidence, ...] = ()
+
+
+@dataclass(frozen=True)
+class CompanionEvidence:
+    """Companion of all hypotheses, which differs from session to session, as the best explanation has it.
+
+    Parameters
+    ----------
+    effect : str
+        Its name among the effects.
+    parameter : str
+        Of that effect.
+    axis : int
+        Index in the problem.
+    value : float
+        Relative to the clean records, measurement unit.
+    deviation : float
+        Standard deviation, measurement unit.
+    usual : float
+        Largest value between clean records; NaN where there is but one.
+    rms : float
+        Error that it brings, measurement unit.
+
+    """
+
+    effect: str
+    parameter: str
+    axis: int
+    value: float
+    deviation: float
+    usual: float
+    rms: float
+
+    @property
+    def ci90(self) -> tuple[float, float]:
+        """90 % interval."""
+        return self.value - 1.645 * self.deviation, self.value + 1.645 * self.deviation
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,24 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NoiseSettings
-from hyst_control.diagnose.evidence import Evidence, Finding, FlickerEvidence, HypothesisEvidence, RecordEvidence, ResidualEvidence
+from hyst_control.diagnose.evidence import (
+    CompanionEvidence,
+    Evidence,
+    Finding,
+    FlickerEvidence,
+    HypothesisEvidence,
+    RecordEvidence,
+    ResidualEvidence,
+)
 from hyst_control.diagnose.flicker_estimation import flicker
+from hyst_control.diagnose.hypothesis_fit import Linearised
 from hyst_control.diagnose.hypothesis_search import Found, Scored, strain
 from hyst_control.diagnose.noise_floor import noise_of
+from hyst_control.diagnose.predictability import predictable_share
 from hyst_control.diagnose.problem import Problem
 from hyst_control.diagnose.record_checks import outliers
 from hyst_control.diagnose.unexplained_residual import leftover
+from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import RecordCheck
 from hyst_control.model_file import Model
 
@@ -98,6 +109,7 @@ def residual_evidence(
     findings: Sequence[Finding],
     checks: frozenset[RecordCheck],
     configuration: Configuration = CONFIGURATION,
+    beside: tuple[CompanionEvidence, ...] = (),
 ) -> ResidualEvidence:
     """Measure what a hypothesis leaves.
 
@@ -113,6 +125,8 @@ def residual_evidence(
         Checks whose effect is in the catalogue.
     configuration : Configuration
         All values.
+    beside : tuple of CompanionEvidence
+        Companions, as the hypothesis has them.
 
     Returns
     -------
@@ -131,7 +145,60 @@ def residual_evidence(
         tuple(count for count, _ in counted),
         tuple(rms for _, rms in counted),
         _flicker(problem, scored, configuration) if RecordCheck.FALLING_SPECTRUM in checks else None,
+        1.0 if problem.slowest is None else _predictable(problem, rows, configuration.baseline.blocks),
+        beside,
     )
+
+
+def companions(linearised: Linearised, scored: Scored, usual: Array, temper: float) -> tuple[CompanionEvidence, ...]:
+    """Measure the zero and the drift of a session as a hypothesis has them.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        The problem.
+    scored : Scored
+        Fit of the hypothesis.
+    usual : ndarray, shape (A, 3)
+        Largest zero, drift and curvature between clean records, measurement unit; NaN where there is but one.
+    temper : float
+        Weight of a sample.
+
+    Returns
+    -------
+    tuple of CompanionEvidence
+        By record, axis and effect.
+
+    """
+    variances = np.diag(scored.solution.covariance) / temper
+    effects = {effect.companion.degree: effect for effect in EFFECTS.values() if effect.companion is not None}
+    found = []
+    for coefficient, z, variance in zip(linearised.scatter.coefficients, scored.solution.z, variances, strict=False):
+        if not coefficient.companion or coefficient.index[-1] not in effects:
+            continue
+        _, axis, degree = coefficient.index
+        companion = effects[degree].companion
+        assert companion is not None
+        size = linearised.scatter.size(coefficient)
+        found.append(
+            CompanionEvidence(
+                effects[degree].name,
+                companion.parameter,
+                axis,
+                companion.factor * size * float(z),
+                abs(companion.factor) * size * float(np.sqrt(variance)),
+                abs(companion.factor) * float(usual[axis, degree]),
+                size * abs(float(z)) / float(np.sqrt(2.0 * degree + 1.0)),
+            )
+        )
+    return tuple(found)
+
+
+def _predictable(problem: Problem, rows: Array, blocks: int) -> float:
+    """Share of the remainder (M, A) that follows the command."""
+    edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in problem.pieces)])
+    commands = [piece.counted(piece.command) for piece in problem.pieces]
+    return predictable_share(commands, [rows[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)], blocks)
 
 
 def stated_noise(model: Model) -> Array:

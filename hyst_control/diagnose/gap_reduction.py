@@ -63,8 +63,7 @@ def held_out(
     count = len(linearised.measured)
     fold = (np.arange(count) * settings.blocks // count) % 2
     unknowns = scored.candidate.unknowns() if scored.candidate else None
-    nominal = np.zeros(linearised.count)
-    before = (linearised.measured - linearised.simulate(nominal)) ** 2
+    before = (linearised.measured - linearised.simulate(linearised.companions(none.solution.z))) ** 2
     after, before_fitted, after_fitted = before.copy(), np.empty(count), np.empty(count)
     without = Linearised(linearised.problem, linearised.scatter, none.solution.z)
     within = (
@@ -80,7 +79,7 @@ def held_out(
             continue
         both = fit(within, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=settings.rounds)
         after_fitted[rows] = (linearised.measured - linearised.simulate(both.z, unknowns, both.x))[rows] ** 2
-        after[rows] = (linearised.measured - linearised.simulate(nominal, unknowns, both.x))[rows] ** 2
+        after[rows] = (linearised.measured - linearised.simulate(linearised.companions(both.z), unknowns, both.x))[rows] ** 2
     return HeldOut(before, after, before_fitted, after_fitted)
 
 

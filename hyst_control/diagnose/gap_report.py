@@ -70,7 +70,44 @@ def gap_report(
             "notes": list(diagnosis.notes),
         }
     )
+    if any(part.baseline for part in diagnosis.parts):
+        document |= _finite(_beside_clean_records(diagnosis))
     return document
+
+
+def _beside_clean_records(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Clean records as they were used, and what differs from session to session."""
+    unit, rows = diagnosis.model.units["measurement"], []
+    for part in diagnosis.parts:
+        left = part.evidence.hypotheses[part.decision.chosen].residual
+        rows += [
+            {
+                "name": one.effect,
+                "axis": diagnosis.model.axes[part.axes[one.axis]],
+                "value": one.value,
+                "ci90": list(one.ci90),
+                "usual": one.usual,
+                "rms": one.rms,
+                "unit": unit,
+            }
+            for one in (left.companions if left else ())
+        ]
+    used = [part.baseline for part in diagnosis.parts if part.baseline]
+    return {
+        "baseline": {
+            "same_command": all(one.carried for one in used),
+            "repeatability": [float(value) for one in used for value in one.repeatability],
+            "unit": unit,
+        },
+        "companions": rows,
+        "predictable": {
+            "share": max(
+                left.predictable
+                for part in diagnosis.parts
+                if (left := part.evidence.hypotheses[part.decision.chosen].residual) is not None
+            )
+        },
+    }
 
 
 def _finite(value: Any) -> Any:

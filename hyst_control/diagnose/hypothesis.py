@@ -33,6 +33,8 @@ class Member:
     """Hz, of a line."""
     fixed: tuple[tuple[str, float], ...] = ()
     """Parameters that are counts, and so are tried instead of fitted."""
+    elsewhere: str = ""
+    """Place, where it is not the effect's usual one."""
 
     @property
     def name(self) -> str:
@@ -52,6 +54,10 @@ class Member:
     def is_extra(self) -> bool:
         """True where it is added to the output instead of standing in the chain."""
         return self.is_line or (self.effect.couples and len(self.problem.model.axes) == 1)
+
+    @property
+    def place(self) -> str:
+        return self.elsewhere or self.effect.place
 
     @property
     def variant(self) -> tuple[Any, ...]:
@@ -225,7 +231,7 @@ class Candidate:
         def stages(nominal: tuple[Stage, ...], x: Array) -> tuple[Stage, ...]:
             for member, part in parts:
                 if not member.is_extra:
-                    nominal = insert(nominal, member.effect.place, member.stage(x[part]))
+                    nominal = insert(nominal, member.place, member.stage(x[part]))
             return nominal
 
         def extra(x: Array) -> Array:
@@ -278,11 +284,21 @@ def catalogue(problem: Problem, lines: Mapping[str, Sequence[float]], without: S
                 Member(effect, together if axis is None else parameters, problem, axis)
                 for axis in ([None] if effect.shared else axes)
             ]
+    if problem.slowest is not None:
+        found += [replace(member, elsewhere=place) for member in found for place in member.effect.also_at]
     return found
 
 
 def _counted(effect: Effect, parameters: tuple[Parameter, ...], problem: Problem, axes: Sequence[int | None]) -> list[Member]:
-    """An effect with a parameter that is a count: every count tried by itself, and what is fitted without any."""
+    """An effect with a parameter that is a count: every count tried by itself, and what is fitted without any.
+
+    Counts that only make sense beside the effect's other parameters are tried with these.
+    """
+    beside = [parameter for parameter in parameters if parameter.beside_others]
+    if beside:
+        (count,) = beside
+        others = tuple(parameter for parameter in parameters if parameter is not count)
+        return [Member(effect, others, problem, axis, fixed=((count.name, value),)) for axis in axes for value in count.starts]
     absent = {parameter.name: parameter.absent for parameter in parameters}
     counts = [parameter for parameter in parameters if parameter.counted]
     fitted = tuple(replace(parameter, starts=_present(parameter)) for parameter in parameters if not parameter.counted)

@@ -92,6 +92,10 @@ class Linearised:
         """Vectors (M, P) without what the scattered coefficients explain of them, shrunk by their prior."""
         return vectors - self.columns @ cho_solve(self.factor, self.columns.T @ vectors) if self.count else vectors
 
+    def companions(self, z: Array) -> Array:
+        """The companions' values of z (K,), the coefficients at the nominal ones."""
+        return z * self.scatter.companions if self.count else z
+
     def simulate(self, z: Array, unknowns: Unknowns | None = None, x: Array | None = None) -> Array:
         stages = self.scatter.at(z)
         if unknowns is None:

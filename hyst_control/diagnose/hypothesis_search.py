@@ -24,6 +24,7 @@ from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, Se
 from hyst_control.diagnose.hypothesis import Candidate, Member
 from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, Unknowns, fit, refined
 from hyst_control.diagnose.policy import strained as are_strained
+from hyst_control.diagnose.problem import Problem
 from hyst_control.errors import InputError
 from hyst_control.parallel import forked
 
@@ -87,7 +88,7 @@ class Found:
 
 
 def inflated(linearised: Linearised, factor: float) -> Linearised:
-    """The same columns with every tolerance multiplied.
+    """The same columns with every tolerance multiplied; companions stay as they are.
 
     Parameters
     ----------
@@ -102,10 +103,14 @@ def inflated(linearised: Linearised, factor: float) -> Linearised:
 
     """
     wide = copy(linearised)
+    factors = np.where(linearised.scatter.companions > 0, 1.0, factor)
     wide.scatter = replace(
-        linearised.scatter, coefficients=tuple(replace(c, tolerance=c.tolerance * factor) for c in linearised.scatter.coefficients)
+        linearised.scatter,
+        coefficients=tuple(
+            replace(c, tolerance=c.tolerance * float(f)) for c, f in zip(linearised.scatter.coefficients, factors, strict=True)
+        ),
     )
-    wide.columns, wide.gram = linearised.columns * factor, linearised.gram * factor**2
+    wide.columns, wide.gram = linearised.columns * factors, linearised.gram * np.outer(factors, factors)
     wide.factor = cho_factor(wide.gram + np.eye(wide.count)) if wide.count else None
     return wide
 
@@ -171,7 +176,7 @@ def search(
         grown = _grown(linearised, parents, members, settings.promise * threshold, none.solution.misfit, progress, configuration)
         if not grown:
             break
-        gain, weight = best - grown[0][1].misfit, _temper(grown[0][1].residual)
+        gain, weight = best - grown[0][1].misfit, _temper(linearised.problem, grown[0][1].residual)
         relieved = strained(parents[0][1]) and not strained(grown[0][1])
         if gain * weight < threshold or (2.0 * gain / size < floor**2 and not relieved):
             break
@@ -181,7 +186,7 @@ def search(
     for candidate, solution in _pruned(linearised, combinations):
         (combinations if len(candidate.members) > 1 else fits).append((candidate, solution))
     everything = [solution for _, solution in fits + combinations] + [none.solution]
-    temper = _temper(min(everything, key=lambda solution: solution.misfit).residual)
+    temper = _temper(linearised.problem, min(everything, key=lambda solution: solution.misfit).residual)
     alternatives = np.log(max(len(members), 1))
 
     def scored(candidate: Candidate, solution: Solution) -> Scored:
@@ -289,10 +294,29 @@ def _occam(solution: Solution, temper: float) -> float:
     return 0.5 * max(float(value), 0.0) if sign > 0 else 0.0
 
 
-def _temper(residual: Array) -> float:
-    """How much a residual's samples count: 1 for white noise of the stated size, less for what is larger and correlated."""
+def _temper(problem: Problem, residual: Array) -> float:
+    """Weight of a residual's samples: 1 for white noise of the stated size, less for what is larger and correlated.
+
+    Beside clean records what is left is no model's error but the machine's own variation from run to run. It is slow, so that
+    its samples count as few as are independent: M over the integral of the autocorrelation (Geyer, Statistical Science 7, 1992).
+    """
     size = float(np.mean(residual**2))
-    return 1.0 / max(size, 1.0)
+    return 1.0 / max(size, 1.0) / (1.0 if problem.slowest is None else _correlation_length(problem, residual))
+
+
+def _correlation_length(problem: Problem, residual: Array) -> float:
+    """Integral of the autocorrelation (samples), over the lags before it first falls to 0; the largest of the axes'."""
+    lengths = []
+    for column in residual.reshape(-1, len(problem.model.axes)).T:
+        centered = column - column.mean()
+        spectrum = np.abs(np.fft.rfft(centered, 2 * len(centered))) ** 2
+        correlation = np.fft.irfft(spectrum)[: len(centered)]
+        if correlation[0] <= 0:
+            continue
+        correlation /= correlation[0]
+        first = int(np.argmax(correlation <= 0)) or len(correlation)
+        lengths.append(1.0 + 2.0 * float(correlation[1:first].sum()))
+    return max([1.0, *lengths])
 
 
 def settled(linearised: Linearised, z: Array | None = None) -> Solution:
@@ -483,4 +507,4 @@ def _merged(pair: Candidate, candidate: Candidate, x: Array, member: Member, sta
 
 
 def _same(one: Candidate, other: Candidate) -> bool:
-    return [(m.variant, m.fixed) for m in one.members] == [(m.variant, m.fixed) for m in other.members]
+    return [(m.variant, m.fixed, m.place) for m in one.members] == [(m.variant, m.fixed, m.place) for m in other.members]

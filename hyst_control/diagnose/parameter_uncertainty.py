@@ -20,7 +20,10 @@ from hyst_control.model_file import Model
 
 @dataclass(frozen=True)
 class Coefficient:
-    """One uncertain number: the stage it is in (indices from the chain down through branches), its field and index in it."""
+    """One uncertain number: the stage it is in (indices from the chain down through branches), its field and index in it.
+
+    tolerance: relative, 1 sigma; of a companion, which is free about 0 in every hypothesis, absolute.
+    """
 
     path: tuple[int, ...]
     field: str
@@ -28,6 +31,7 @@ class Coefficient:
     axis: int | None
     tolerance: float
     name: str
+    companion: bool = False
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,15 @@ class Scatter:
     model: Model
     coefficients: tuple[Coefficient, ...]
     _known: dict[bytes, tuple[Stage, ...]] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def companions(self) -> Array:
+        """1 for every companion among the coefficients, else 0; (K,)."""
+        return np.array([float(coefficient.companion) for coefficient in self.coefficients])
+
+    def size(self, coefficient: Coefficient) -> float:
+        """What a companion of 1 stands for, measurement unit."""
+        return coefficient.tolerance * _find(self.model.chain.stages, coefficient.path).companion_size(coefficient.index)
 
     def at(self, z: Array) -> tuple[Stage, ...]:
         """The stages for nuisance values z (K,)."""
@@ -55,7 +68,10 @@ class Scatter:
                 changed = changes.setdefault(coefficient.path, {})
                 if coefficient.field not in changed:
                     changed[coefficient.field] = np.array(getattr(stage, coefficient.field), dtype=float)
-                changed[coefficient.field][coefficient.index] *= 1.0 + coefficient.tolerance * value
+                if coefficient.companion:
+                    changed[coefficient.field][coefficient.index] += coefficient.tolerance * value
+                else:
+                    changed[coefficient.field][coefficient.index] *= 1.0 + coefficient.tolerance * value
         return tuple(_changed(stage, (i,), changes) for i, stage in enumerate(self.model.chain.stages))
 
 
@@ -73,6 +89,9 @@ def _named(stage: Stage, tolerance: Mapping[str, float]) -> dict[str, float]:
     """Tolerance by parameter of a stage, of those that scatter."""
     found = {}
     for name, declaration in stage.declarations().items():
+        if declaration.scatter is Scattering.COMPANION:
+            found[name] = 1.0
+            continue
         value = tolerance.get(f"{stage.name}.{name}", tolerance.get(name))
         if value and declaration.scatter is not Scattering.NONE and getattr(stage, name) is not None:
             found[name] = float(np.max(value))
@@ -101,7 +120,9 @@ def _coefficients(stage: Stage, path: tuple[int, ...], tolerance: Mapping[str, f
             continue  # lists of different lengths per axis: not scattered
         per_axis = len(axes) > 1 and known[name].per_axis is not None
         for index in np.ndindex(value.shape):
-            if value[index] != 0.0:
+            if known[name].scatter is Scattering.COMPANION:
+                found.append(Coefficient(path, name, index, None, share, f"{stage.name}.{name}{list(index)}", companion=True))
+            elif value[index] != 0.0:
                 place = index[1:] if per_axis else index
                 label = name + "".join(f"[{i}]" for i in place) + (f" ({axes[index[0]]})" if per_axis else "")
                 found.append(Coefficient(path, name, index, index[0] if per_axis else None, share, label))

@@ -21,6 +21,7 @@ import numpy as np
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import Thresholds
 from hyst_control.diagnose.evidence import (
+    CompanionEvidence,
     Evidence,
     Finding,
     FlickerEvidence,
@@ -70,6 +71,9 @@ class Reason(str, Enum):
     RECORD_CHECK = "record_check"
     """Effect: a check of the record found an effect without a waveform."""
 
+    SESSION_DIFFERS = "session_differs"
+    """Effect: zero or drift of the session differ, more than between clean records."""
+
     NOISE_EXPLAINS_MORE = "noise_explains_more"
     """Effect: 1/f noise explains more than any effect with a waveform."""
 
@@ -104,6 +108,8 @@ class Decision:
         Effects without a waveform.
     outliers : tuple of Outliers
         What excess noise consists of, where it is outliers.
+    companions : tuple of CompanionEvidence
+        Zero and drift of the session, where they are named.
 
     """
 
@@ -115,6 +121,7 @@ class Decision:
     remainder: float
     findings: tuple[Finding, ...] = ()
     outliers: tuple[Outliers, ...] = ()
+    companions: tuple[CompanionEvidence, ...] = ()
 
     def of(self, name: str) -> float:
         """Probability that an effect is at work.
@@ -187,6 +194,7 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
     left = 0.0 if outweighed else _remainder(evidence, chosen, thresholds)
     remainder = max([left, *(_share_of_outliers(evidence, one) for one in outliers)])
     names = evidence.hypotheses[chosen].names
+    companions = tuple(one for one in _residual(evidence, chosen).companions if _unusual(one, evidence, thresholds))
 
     left_too_much, too_many = left > thresholds.unknown_share, len(names) > thresholds.most_effects
     listed = (chosen,) if left_too_much or too_many else _listed(evidence, claims, probability, thresholds)
@@ -200,8 +208,10 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
             reasons |= {Reason.TOO_MANY_EFFECTS}
     elif len(listed) > 1:
         verdict, reasons = Verdict.AMBIGUOUS, {Reason.SEVERAL_EXPLANATIONS}
-    elif effects or findings:
+    elif effects or findings or (companions and not listed):
         verdict = Verdict.EFFECT
+        if companions:
+            reasons |= {Reason.SESSION_DIFFERS}
         if effects:
             sure = probability[key(evidence.hypotheses[chosen])] >= thresholds.sure_probability
             reasons |= {Reason.ONE_EXPLANATION if sure else Reason.NO_OTHER_EXPLANATION}
@@ -212,7 +222,7 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
     else:
         beyond = any(_beats_null(one, evidence, thresholds) for one in evidence.hypotheses)
         verdict, reasons = Verdict.NO_GAP, {Reason.BELOW_PRACTICAL_SIZE if beyond else Reason.BELOW_NULL}
-    return Decision(verdict, _ordered(reasons), chosen, listed, probability, remainder, findings, outliers)
+    return Decision(verdict, _ordered(reasons), chosen, listed, probability, remainder, findings, outliers, companions)
 
 
 def contenders(evidence: Evidence, thresholds: Thresholds) -> tuple[int, ...]:
@@ -408,6 +418,13 @@ def _listed(
     return tuple(index for name, index in best.items() if probability[name] >= least)
 
 
+def _unusual(companion: CompanionEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
+    """Whether a session differs more than chance, the practical size, and clean records have it."""
+    size = evidence.floor * evidence.noise[companion.axis]
+    usual = 0.0 if np.isnan(companion.usual) else thresholds.unusual * companion.usual
+    return companion.rms > size and abs(companion.value) > max(thresholds.companion_deviations * companion.deviation, usual)
+
+
 def _residual(evidence: Evidence, index: int) -> ResidualEvidence:
     residual = evidence.hypotheses[index].residual
     if residual is None:
@@ -420,7 +437,8 @@ def _remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float
     before, after = evidence.hypotheses[0].energy, _residual(evidence, chosen).energy
     if not after - evidence.stated > max(evidence.floor**2, thresholds.least_excess * evidence.stated):
         return 0.0
-    return float(np.clip((after - evidence.stated) / max(before - evidence.stated, 1e-12), 0.0, 1.0))
+    share = float(np.clip((after - evidence.stated) / max(before - evidence.stated, 1e-12), 0.0, 1.0))
+    return share * _residual(evidence, chosen).predictable  # what does not follow the command, no effect would explain
 
 
 def _share_of_outliers(evidence: Evidence, outliers: Outliers) -> float:

@@ -41,16 +41,17 @@ class Problem:
     sample_time: float
     hold: str
     sigma: Array
+    slowest: float | None = None
+    """Lowest frequency (Hz) that the command excites; only where clean records keep the model's own error apart."""
 
     def simulate(self, stages: Sequence[Stage]) -> Array:
         """Simulated measurement of all rows that count, (M,), in units of the noise. Raises `InputError` like the stages do."""
         sampling = Sampling(self.sample_time, len(self.model.axes), self.hold)
-        chain = Chain(tuple(stages))
         with np.errstate(all="ignore"):  # a fit may try a chain that is unstable, and turns back
-            return np.concatenate([self._piece(chain, sampling, piece) for piece in self.pieces])
+            return np.concatenate([self._piece(stages, sampling, index, piece) for index, piece in enumerate(self.pieces)])
 
-    def _piece(self, chain: Chain, sampling: Sampling, piece: Piece) -> Array:
-        running = chain.filter(sampling)
+    def _piece(self, stages: Sequence[Stage], sampling: Sampling, index: int, piece: Piece) -> Array:
+        running = Chain(tuple(stage.for_record(index) for stage in stages)).filter(sampling)
         first = running.settle(piece.command[0])
         output = running.process(piece.command)
         if self.hold == "zoh":
@@ -78,6 +79,7 @@ class Problem:
             slew,
             (float(measurement.min()), float(measurement.max())),
             len(self.model.axes),
+            self.slowest,
         )
 
 

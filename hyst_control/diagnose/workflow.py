@@ -38,6 +38,7 @@ def diagnose_bags(
     progress: bool = False,
     warm_up: float = 0.0,
     on: str | None = None,
+    baseline: Sequence[str | Path] = (),
 ) -> str:
     """Diagnose bags and write what is asked for.
 
@@ -65,6 +66,8 @@ def diagnose_bags(
         s at the beginning of each record that do not count.
     on : str, optional
         A bag or a .npy file with the command (N, A) of a run to come, for which the report then says how far the gap will shrink.
+    baseline : sequence of path
+        Clean records of the same plant, or of its sisters.
 
     Returns
     -------
@@ -85,8 +88,9 @@ def diagnose_bags(
             raise InputError(f"{path}: {Path(path).resolve().parent} is no folder: choose one that exists")
     nominal = load_model(model)
     records = [read_bag(bag, namespace, unit) for bag in bags]
+    clean = [read_bag(bag, namespace, unit) for bag in baseline]
     coming = None if on is None else _command(on, namespace, unit)
-    document, diagnosis, better = diagnosed(records, nominal, seed, without, cache, augmented, progress, warm_up)
+    document, diagnosis, better = diagnosed(records, nominal, seed, without, cache, augmented, progress, warm_up, clean)
     if coming is not None:
         try:
             document["foreseen"] = {"command": str(on), **foresee(diagnosis, coming).document()}
@@ -112,6 +116,7 @@ def diagnosed(
     augmented: str | None = None,
     progress: bool = False,
     warm_up: float = 0.0,
+    baseline: Sequence[Record] = (),
 ) -> tuple[dict[str, Any], Diagnosis, Model | None]:
     """Diagnose records, with the report.
 
@@ -125,6 +130,8 @@ def diagnosed(
         As in `diagnose_bags`.
     augmented : str, optional
         Path that the report names for the augmented model.
+    baseline : sequence of Record
+        Clean records of the same plant, or of its sisters.
 
     Returns
     -------
@@ -142,7 +149,7 @@ def diagnosed(
 
     """
     tell = step if progress else (lambda text: None)
-    diagnosis = diagnose(records, model, seed, without, cache, progress=tell, warm_up=warm_up)
+    diagnosis = diagnose(records, model, seed, without, cache, progress=tell, warm_up=warm_up, baseline=baseline)
     tell("shrink on held-out blocks")
     attribution = attribute(diagnosis)
     better = augmented_model(diagnosis) if attribution.effects else None

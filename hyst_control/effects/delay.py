@@ -7,8 +7,12 @@ from hyst_control.effects.effect import Effect, Parameter, Surroundings
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """tau: up to 20 samples, 5 ms at most."""
+    """tau: up to 20 samples, 5 ms at most; up to a period of the slowest excited line beside clean records."""
     ts = around.sample_time
+    if around.slowest is not None:
+        upper = max(1.0 / around.slowest, 2.5 * ts)
+        starts = (0.3 * ts, *(share * upper for share in (0.003, 0.01, 0.03, 0.1, 0.25, 0.5)))
+        return (Parameter("tau", "s", 0.0, starts, 0.0, upper, 0.1 * upper),)
     upper = min(20.0 * ts, max(5e-3, 2.5 * ts))
     return (Parameter("tau", "s", 0.0, (0.3 * ts, 2.0 * ts), 0.0, upper, min(2.0 * ts, upper)),)
 
@@ -20,4 +24,5 @@ EFFECT = Effect(
     parameters,
     lambda values, around: Delay(values["tau"]),
     separating_record="the amplifier's output voltage",
+    also_at=("sensor",),
 )

@@ -54,6 +54,9 @@ class Surroundings:
         (lower, upper) of the record, in its unit.
     axes
         Their number.
+    slowest
+        Lowest frequency (Hz) that the command excites, where clean records keep the model's own error apart, so that effects may be
+        as large as physics allows; None where they do not.
     """
 
     sample_time: float
@@ -62,6 +65,7 @@ class Surroundings:
     slew: float
     measurement: tuple[float, float]
     axes: int
+    slowest: float | None = None
 
     @property
     def stroke(self) -> float:
@@ -94,6 +98,8 @@ class Parameter:
     counted
         Whether it is a number of things, whose starts are tried one by one instead of fitted, each with the effect's other
         parameters absent.
+    beside_others
+        Whether such a number is tried with the effect's other parameters fitted.
     """
 
     name: str
@@ -106,6 +112,7 @@ class Parameter:
     logarithmic: bool = False
     told: bool = True
     counted: bool = False
+    beside_others: bool = False
 
 
 @dataclass(frozen=True)
@@ -125,6 +132,15 @@ class Line:
     harmonics: tuple[int, ...] = (1,)
     swells: int = 1
     skirt: float = 0.0
+
+
+@dataclass(frozen=True)
+class Companion:
+    """An effect that is a Legendre polynomial over the record: its degree, and `parameter` = factor · the polynomial's coefficient."""
+
+    degree: int
+    parameter: str
+    factor: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -163,6 +179,10 @@ class Effect:
         that suggests its frequencies.
     separating_record
         What to record besides where no excitation tells it from another effect; None: another sensor.
+    companion
+        Of an effect that differs from session to session, and so is free in every hypothesis where clean records are at hand.
+    also_at
+        Further places that an engineer would call by the same name; beside clean records they differ.
     """
 
     name: str
@@ -179,3 +199,5 @@ class Effect:
     line: Line | None = None
     record_check: RecordCheck | None = None
     separating_record: str | None = None
+    companion: Companion | None = None
+    also_at: tuple[str, ...] = ()

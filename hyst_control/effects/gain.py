@@ -20,4 +20,5 @@ EFFECT = Effect(
     "The gain of amplifier, piezo or sensor is 1 + gain times the model's.",
     lambda around: (Parameter("gain", "", 0.0, (0.01,), -0.2, 0.2, 0.03),),
     lambda values, around: Gain(factor(values["gain"])),
+    also_at=("drive",),
 )

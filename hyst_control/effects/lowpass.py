@@ -85,8 +85,15 @@ def lowpass_system(cutoff: float, order: int) -> LinearSystem:
 
 
 def cutoff_parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """The cutoff, from what the record is just long enough to show up to what its sampling hardly does."""
+    """The cutoff, from what the record is just long enough to show up to what its sampling hardly does.
+
+    Beside clean records from a tenth of the lowest excited frequency, and of first and second order.
+    """
     nyquist = 0.5 / around.sample_time
+    if around.slowest is not None:
+        starts = tuple(np.geomspace(0.3 * around.slowest, nyquist, 6).tolist())
+        cutoff = Parameter("cutoff", "Hz", np.inf, starts, 0.1 * around.slowest, 5.0 * nyquist, 1.5, logarithmic=True)
+        return (cutoff, Parameter("order", "", 0.0, (1.0, 2.0), 1.0, 2.0, 1.0, counted=True, beside_others=True))
     starts = tuple(share * nyquist for share in (0.03, 0.2, 0.7))
     lower = min(3.0 / around.duration, 0.01 * nyquist)
     return (Parameter("cutoff", "Hz", np.inf, starts, lower, 5.0 * nyquist, 1.5, logarithmic=True),)

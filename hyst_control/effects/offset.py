@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hyst_control.chain.memoryless import Offset
-from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.effects.effect import Companion, Effect, Parameter
 
 EFFECT = Effect(
     "offset",
@@ -13,4 +13,5 @@ EFFECT = Effect(
         Parameter("offset", "unit", 0.0, (0.01 * around.stroke,), -0.5 * around.stroke, 0.5 * around.stroke, 0.05 * around.stroke),
     ),
     lambda values, around: Offset(values["offset"]),
+    companion=Companion(0, "offset"),
 )

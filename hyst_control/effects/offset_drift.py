@@ -10,7 +10,7 @@ import numpy as np
 
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import per_axis_scalar, register
-from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.effects.effect import Companion, Effect, Parameter
 from hyst_control.effects.gain_drift import tau_parameter
 from hyst_control.effects.time_dependent import TimedStage
 
@@ -38,4 +38,5 @@ EFFECT = Effect(
         tau_parameter(around),
     ),
     lambda values, around: OffsetDrift(values["change"], values["tau"]),
+    companion=Companion(1, "change", 2.0),
 )

@@ -1,0 +1,216 @@
+"""Clean records beside the new one: what a model leaves on them is its own error, and no gap.
+
+Where a clean record has the same command, up to a shift, the error is carried over sample by sample:
+
+    predicted new record = E_out( y_clean + [ M_E(u_new) - M(u_clean) ] ) + zero(t)
+
+with E_out the sensor's effects, which act on the machine's whole output, and M_E the model with the effects of its drive. The
+coefficients' error cancels with the rest. Without a model the clean record alone says what the sensor's side should show.
+
+Where no clean record has that command, the size of what the model leaves on the clean ones is an error that it states of itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import correlate
+
+from hyst_control.chain.parameter import Array
+from hyst_control.diagnose.configuration import BaselineSettings
+from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.diagnose.session import SHAPES, CarriedError, SessionZero
+
+LOW_SHARE = 0.02
+"""Share of a command's power below its lowest excited frequency."""
+
+
+@dataclass(frozen=True)
+class Match:
+    """Clean record with the same command: row k of the new record is row k + shift of the clean one, for k in begin … end."""
+
+    clean: Piece
+    shift: int
+    begin: int
+    end: int
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """Clean records as a diagnosis uses them.
+
+    Parameters
+    ----------
+    problem : Problem
+        The new records, their model with what the clean ones taught.
+    carried : bool
+        Whether the model's error is carried sample by sample.
+    repeatability : ndarray, shape (A,)
+        Error (rms, measurement unit) between clean records of one command, or periods of one; of the model on clean records where
+        no command is the same; 0 where a single clean record tells nothing.
+    usual_zero : ndarray, shape (A, 3)
+        Largest zero, drift and curvature between clean records; NaN where there is but one.
+    floor : ndarray, shape (A,)
+        Rms (measurement unit) that an effect must take off to be told from what the clean records show.
+    """
+
+    problem: Problem
+    carried: bool
+    repeatability: Array
+    usual_zero: Array
+    floor: Array
+
+
+def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) -> Baseline:
+    """Take what clean records teach into a problem.
+
+    Parameters
+    ----------
+    problem : Problem
+        The new records.
+    clean : Problem
+        Clean records of the same axes, with the same sample time.
+    settings : BaselineSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    Baseline
+    """
+    matches = [matching(piece.command, clean.pieces, settings) for piece in problem.pieces]
+    spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
+    if all(matches):
+        return _carried(problem, clean, matches, spans, settings)
+    residuals = [piece.measurement - _simulated(clean, index, piece) for index, piece in enumerate(clean.pieces)]
+    left = [_without_zero(rows) for rows in residuals]
+    repeatability = np.sqrt(np.mean(np.concatenate([rows for rows, _ in left]) ** 2, axis=0))
+    zeros = np.stack([shares for _, shares in left])
+    usual = np.max(np.abs(zeros), axis=0) if len(zeros) > 1 else np.full((len(spans), len(SHAPES)), np.nan)
+    model = problem.model
+    stated = np.maximum(
+        np.broadcast_to(np.atleast_1d(np.asarray(model.noise.get("sigma", 0.0), dtype=float)), len(spans)), repeatability
+    )
+    model = replace(model.with_stages((*model.chain.stages, _zero(problem, spans, settings))), noise={"sigma": stated.tolist()})
+    beside = replace(problem, model=model, slowest=_slowest(problem))
+    return Baseline(beside, False, repeatability, usual, settings.other_command * repeatability)
+
+
+def _carried(
+    problem: Problem, clean: Problem, matches: Sequence[Sequence[Match]], spans: Array, settings: BaselineSettings
+) -> Baseline:
+    pieces, series, differences, zeros = [], [], [], []
+    for piece, found in zip(problem.pieces, matches, strict=True):
+        begin, end = max(match.begin for match in found), min(match.end for match in found)
+        kept = np.zeros(len(piece.command), dtype=bool)
+        kept[begin:end] = True
+        pieces.append(replace(piece, keep=kept if piece.keep is None else kept & piece.keep))
+        simulated = _simulated(problem, len(series), piece)
+        errors = []
+        for match in found:
+            rows = np.clip(np.arange(len(piece.command)) + match.shift, 0, len(match.clean.command) - 1)
+            errors.append(match.clean.measurement[rows] - simulated)
+        series.append(np.mean(errors, axis=0))
+        for error in errors[1:]:
+            left, shares = _without_zero((error - errors[0])[begin:end])
+            differences.append(left)
+            zeros.append(np.abs(shares))
+        if len(errors) == 1:
+            differences += _between_periods(piece.command[begin:end], errors[0][begin:end], settings)
+    durations = np.array([len(piece.command) for piece in pieces]) * problem.sample_time
+    repeatability = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if differences else np.zeros(len(spans))
+    usual = np.max(zeros, axis=0) if zeros else np.full((len(spans), len(SHAPES)), np.nan)
+    stages = (*problem.model.chain.stages, CarriedError(tuple(series)), SessionZero.absent(settings.zero_share * spans, durations))
+    model = replace(problem.model.with_stages(stages), tolerance={}, noise={"sigma": repeatability.tolist()})
+    beside = replace(problem, model=model, pieces=tuple(pieces), slowest=_slowest(problem))
+    return Baseline(beside, True, repeatability, usual, settings.same_floor * repeatability)
+
+
+def matching(command: Array, clean: Sequence[Piece], settings: BaselineSettings) -> list[Match]:
+    """Find the clean records that have the same command up to a shift.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N, A)
+        Of the new record, V.
+    clean : sequence of Piece
+        Candidates.
+    settings : BaselineSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    list of Match
+    """
+    found = []
+    for piece in clean:
+        other = piece.command
+        if len(other) >= len(command) and _same(command, other[: len(command)], settings):
+            shift = 0
+        else:
+            shift = _shift(command, other)
+        begin, end = max(0, -shift), min(len(command), len(other) - shift)
+        if end - begin >= settings.overlap * len(command) and _same(
+            command[begin:end], other[begin + shift : end + shift], settings
+        ):
+            found.append(Match(piece, shift, begin, end))
+    return found
+
+
+def _same(one: Array, other: Array, settings: BaselineSettings) -> bool:
+    span = max(float(np.ptp(one)), 1e-300)
+    return bool(np.sqrt(np.mean((one - other) ** 2)) <= settings.same_command * span)
+
+
+def _shift(command: Array, other: Array) -> int:
+    """Shift at which two commands are most alike: where the cross-correlation of what moves in them is largest."""
+    one, two = (rows - rows.mean(axis=0) for rows in (command, other))
+    total = np.sum([correlate(two[:, axis], one[:, axis], mode="full", method="fft") for axis in range(command.shape[1])], axis=0)
+    return int(np.argmax(total)) - (len(command) - 1)
+
+
+def _between_periods(command: Array, error: Array, settings: BaselineSettings) -> list[Array]:
+    """Differences (N, A) between neighboring periods of a periodic command; none where it is not."""
+    rows = command - command.mean(axis=0)
+    total = np.sum([correlate(rows[:, axis], rows[:, axis], mode="full", method="fft") for axis in range(rows.shape[1])], axis=0)
+    right = total[len(rows) :]  # from lag 1 on
+    least = int(np.argmax(right < 0.5 * total[len(rows) - 1])) if np.any(right < 0.5 * total[len(rows) - 1]) else len(rows)
+    if 2 * least >= len(rows):
+        return []
+    period = least + int(np.argmax(right[least : len(rows) // 2])) + 1
+    if not _same(command[period:], command[:-period], settings):
+        return []
+    count = len(rows) // period
+    whole = error[: count * period].reshape(count, period, -1)
+    return [_without_zero(later - earlier)[0] for earlier, later in zip(whole[:-1], whole[1:], strict=True)]
+
+
+def _simulated(problem: Problem, index: int, piece: Piece) -> Array:
+    """Simulated measurement (N, A) of all rows of a record, measurement unit."""
+    alone = replace(problem, pieces=(replace(piece, keep=None),), sigma=np.ones(len(problem.sigma)))
+    return alone.rows(alone.simulate([stage.for_record(index) for stage in problem.model.chain.stages]))
+
+
+def _slowest(problem: Problem) -> float:
+    """Lowest frequency (Hz) of the command: a fiftieth of its power lies below."""
+    found = []
+    for piece in problem.pieces:
+        rows = (piece.command - piece.command.mean(axis=0)) * np.hanning(len(piece.command))[:, None]
+        power = np.sum(np.abs(np.fft.rfft(rows, axis=0)) ** 2, axis=1)
+        share = np.cumsum(power) / max(float(power.sum()), 1e-300)
+        lowest = max(int(np.argmax(share >= LOW_SHARE)), 1)
+        found.append(lowest / (len(rows) * problem.sample_time))
+    return min(found)
+
+
+def _without_zero(rows: Array) -> tuple[Array, Array]:
+    """Rows (N, A) without zero, drift and curvature, and these (A, 3)."""
+    basis = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(rows)), len(SHAPES) - 1)
+    shares = np.linalg.lstsq(basis, rows, rcond=None)[0]
+    return np.asarray(rows - basis @ shares, dtype=np.float64), np.asarray(shares.T, dtype=np.float64)
+
+
+def _zero(problem: Problem, spans: Array, settings: BaselineSettings) -> SessionZero:
+    durations = np.array([len(piece.command) for piece in problem.pieces]) * problem.sample_time
+    return SessionZero.absent(settings.zero_share * spans, durations)

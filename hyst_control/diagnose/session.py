@@ -1,0 +1,118 @@
+"""Stages that differ from record to record: the zero of a session, and a model's error carried over from a clean record.
+
+    measurement = sensor effects( model with its effects(command) + carried(t) ) + zero(t)
+
+The sensor's zero and the piezo's remanence differ between sessions, and creep goes on through each: the zero is a companion of
+every hypothesis. What a model leaves on a clean record of the same command is known sample by sample: it is no gap of the next one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hyst_control.chain.parameter import AllAxes, Array, Scattering, all_axes, count
+from hyst_control.chain.stage import Filter, Sampling, Stage
+from hyst_control.effects.time_dependent import TimedStage
+
+SHAPES = ("zero", "drift", "curvature")
+"""Legendre polynomials of degree 0, 1 and 2 over a record, by their names in the gap report."""
+
+
+@dataclass(frozen=True)
+class SessionZero(TimedStage):
+    """Adds scale · Σ shares[record][axis][k] P_k(2 t / duration - 1): zero, drift and its curvature of each record."""
+
+    name: ClassVar[str] = "session_zero"
+    place: ClassVar[str] = "adc"
+    shares: AllAxes = all_axes("", "of the scale, by record, axis and Legendre polynomial", 3, scatter=Scattering.COMPANION)
+    scale: AllAxes = all_axes("unit", "size by axis", 1, scatter=Scattering.NONE)
+    durations: AllAxes = all_axes("s", "length of the records", 1, scatter=Scattering.NONE)
+    record: int = count("index of the record", default=0)
+
+    @classmethod
+    def absent(cls, scale: Array, durations: Array) -> SessionZero:
+        """A zero of 0 in every record.
+
+        Parameters
+        ----------
+        scale : ndarray, shape (A,)
+            Standard deviation of every share, measurement unit.
+        durations : ndarray, shape (R,)
+            Length of the records, s.
+        """
+        return cls(np.zeros((len(durations), len(scale), len(SHAPES))), scale, durations)
+
+    def for_record(self, index: int) -> Stage:
+        return replace(self, record=index)
+
+    def companion_size(self, index: tuple[int, ...]) -> float:
+        return float(np.asarray(self.scale, dtype=float)[index[1]])
+
+    def function(self, axes: int) -> Callable[[Array, Array], Array]:
+        shares, scale = np.asarray(self.shares, dtype=float)[self.record], np.asarray(self.scale, dtype=float)
+        duration = float(np.asarray(self.durations, dtype=float)[self.record])
+        if not shares.any():
+            return lambda u, t: u
+        return lambda u, t: u + scale * np.polynomial.legendre.legval(2.0 * t[:, 0] / duration - 1.0, shares.T).T
+
+
+class CarriedError(Stage):
+    """Adds a known series to each record: what the model left on a clean record of the same command.
+
+    It is no description, but data of a diagnosis: it stands in no model file.
+
+    Parameters
+    ----------
+    series : tuple of ndarray, shape (N, A)
+        By record, measurement unit; row k belongs to t = k sample times.
+    record : int
+        Index of the record.
+    """
+
+    name: ClassVar[str] = "carried_error"
+
+    def __init__(self, series: tuple[Array, ...], record: int = 0) -> None:
+        object.__setattr__(self, "series", series)
+        object.__setattr__(self, "index", record)
+
+    @property
+    def commutes_with_delay(self) -> bool:
+        return False
+
+    __eq__ = object.__eq__
+    __hash__ = object.__hash__
+
+    def parameters(self) -> dict[str, Any]:
+        """A digest of the series, which tells one from another in a cache."""
+        digest = sha256()
+        for rows in self.series:
+            digest.update(np.ascontiguousarray(rows).tobytes())
+        return {"sha256": digest.hexdigest()}
+
+    def for_record(self, index: int) -> Stage:
+        return CarriedError(self.series, index)
+
+    def filter(self, sampling: Sampling) -> Filter:
+        return SeriesAdder(self.series[self.index], sampling)
+
+
+class SeriesAdder(Filter):
+    """Streaming `CarriedError` of one record; beyond the end of the series its last row holds."""
+
+    def __init__(self, series: Array, sampling: Sampling) -> None:
+        self.hold = sampling.hold
+        self.series, self.ahead, self.count = series, int(sampling.ahead or 0), 0
+
+    def settle(self, value: Array) -> Array:
+        self.count = 0
+        return np.asarray(value + self.series[0], dtype=np.float64)
+
+    def process(self, block: Array) -> Array:
+        rows = self.count + self.ahead + np.arange(len(block))
+        self.count += len(block)
+        return np.asarray(block + self.series[np.minimum(rows, len(self.series) - 1)], dtype=np.float64)
