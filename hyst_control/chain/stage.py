@@ -208,8 +208,8 @@ class Stage:
             raise InputError(f"{self.name}: mixes the axes: it cannot be split by axis, take all axes together")
         return replace(self, **{key: known.of_axis(getattr(self, key), axis) for key, known in self.declarations().items()})
 
-    def for_record(self, index: int) -> Stage:
-        """The stage in one of several records, by its index; what differs from record to record answers for each."""
+    def for_record(self, index: int | None) -> Stage:
+        """The stage in one of several records, by its index, or in a run to come (None); what differs between records says how."""
         return self
 
     def spread(self, names: Sequence[str], axes: int) -> Stage:

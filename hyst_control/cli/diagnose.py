@@ -6,6 +6,7 @@ a model, command and noise calibrates its threshold on simulated records without
 example:
   hyst diagnose record --model hampi.yaml --json gap.json --report gap.html --augmented better.yaml
   hyst diagnose today --model hampi.yaml --baseline yesterday
+  hyst diagnose today --baseline yesterday        # the same command: what has changed since?
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ JSON = "gap report"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bags", nargs="+", metavar="BAG", help="recorded bags of one plant")
-    parser.add_argument("--model", required=True, metavar="MODEL.yaml", help="model file of the simulator")
+    parser.add_argument(
+        "--model", metavar="MODEL.yaml", help="model file of the simulator; needed unless a baseline has the same command"
+    )
     parser.add_argument(
         "--baseline",
         nargs="+",

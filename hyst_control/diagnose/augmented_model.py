@@ -39,6 +39,7 @@ def augmented(diagnosis: Diagnosis) -> Model | None:
     """
     count = len(diagnosis.model.axes)
     values: dict[tuple[str, int], dict[str, list[float]]] = {}
+    places: dict[tuple[str, int], str] = {}
     for part in diagnosis.parts:
         candidate, solution = part.chosen.candidate, part.chosen.solution
         if candidate is None:
@@ -48,6 +49,7 @@ def augmented(diagnosis: Diagnosis) -> Model | None:
             axes = part.axes if member.axis is None else (part.axes[member.axis],)
             nth = met.get(member.name, 0)
             met[member.name] = nth + 1
+            places[member.name, nth] = member.place
             found = member.values(solution.x[where]) | _phase(member, solution.x[where])
             for name, value in found.items():
                 slots = values.setdefault((member.name, nth), {}).setdefault(name, [_absent(diagnosis, member.name, name)] * count)
@@ -67,7 +69,7 @@ def augmented(diagnosis: Diagnosis) -> Model | None:
     stages = diagnosis.model.chain.stages
     order = list(EFFECTS)
     for name, nth in sorted(values, key=lambda key: order.index(key[0])):
-        stages = insert(stages, EFFECTS[name].place, _stage(diagnosis, name, values[name, nth]))
+        stages = insert(stages, places.get((name, nth), EFFECTS[name].place), _stage(diagnosis, name, values[name, nth]))
     model = diagnosis.model.with_stages(stages)
     model = replace(model, name=f"{model.name}_augmented")
     return model if noise is None else replace(model, noise={**model.noise, "sigma": noise})

@@ -18,10 +18,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import correlate
 
+from hyst_control.chain import Chain
+from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.configuration import BaselineSettings
 from hyst_control.diagnose.problem import Piece, Problem
 from hyst_control.diagnose.session import SHAPES, CarriedError, SessionZero
+from hyst_control.model_file import Model
+from hyst_control.records.record import Record
 
 LOW_SHARE = 0.02
 """Share of a command's power below its lowest excited frequency."""
@@ -54,6 +58,8 @@ class Baseline:
         Largest zero, drift and curvature between clean records; NaN where there is but one.
     floor : ndarray, shape (A,)
         Rms (measurement unit) that an effect must take off to be told from what the clean records show.
+    clean : Problem
+        The clean records.
     """
 
     problem: Problem
@@ -61,6 +67,30 @@ class Baseline:
     repeatability: Array
     usual_zero: Array
     floor: Array
+    clean: Problem
+
+
+def no_model(record: Record) -> Model:
+    """Make the model of a plant that nobody has modeled: it says 0, and the clean record all there is to say.
+
+    Parameters
+    ----------
+    record : Record
+        With command and measurement.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    InputError
+        Where the record lacks a signal.
+    """
+    command, measurement = record.signal("command"), record.signal("measurement")
+    units = {"command": command.unit, "measurement": measurement.unit}
+    sample_time = record.sample_time(("command", "measurement"))
+    return Model("no model", measurement.axes, units, sample_time, Chain((Gain(0.0),)), record.hold)
 
 
 def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) -> Baseline:
@@ -94,7 +124,7 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
     )
     model = replace(model.with_stages((*model.chain.stages, _zero(problem, spans, settings))), noise={"sigma": stated.tolist()})
     beside = replace(problem, model=model, slowest=_slowest(problem))
-    return Baseline(beside, False, repeatability, usual, settings.other_command * repeatability)
+    return Baseline(beside, False, repeatability, usual, settings.other_command * repeatability, clean)
 
 
 def _carried(
@@ -105,7 +135,8 @@ def _carried(
         begin, end = max(match.begin for match in found), min(match.end for match in found)
         kept = np.zeros(len(piece.command), dtype=bool)
         kept[begin:end] = True
-        pieces.append(replace(piece, keep=kept if piece.keep is None else kept & piece.keep))
+        whole = kept.all() and piece.keep is None
+        pieces.append(replace(piece, keep=None if whole else kept if piece.keep is None else kept & piece.keep))
         simulated = _simulated(problem, len(series), piece)
         errors = []
         for match in found:
@@ -124,7 +155,7 @@ def _carried(
     stages = (*problem.model.chain.stages, CarriedError(tuple(series)), SessionZero.absent(settings.zero_share * spans, durations))
     model = replace(problem.model.with_stages(stages), tolerance={}, noise={"sigma": repeatability.tolist()})
     beside = replace(problem, model=model, pieces=tuple(pieces), slowest=_slowest(problem))
-    return Baseline(beside, True, repeatability, usual, settings.same_floor * repeatability)
+    return Baseline(beside, True, repeatability, usual, settings.same_floor * repeatability, clean)
 
 
 def matching(command: Array, clean: Sequence[Piece], settings: BaselineSettings) -> list[Match]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hyst_control.chain.stage import Array
-from hyst_control.diagnose.baseline import Baseline, with_baseline
+from hyst_control.diagnose.baseline import Baseline, no_model, with_baseline
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.evidence import Evidence
 from hyst_control.diagnose.evidence_collection import (
@@ -28,7 +28,7 @@ from hyst_control.diagnose.policy import Decision, contenders, decide, detected,
 from hyst_control.diagnose.problem import Piece, Problem, check_units, split
 from hyst_control.diagnose.record_checks import effect_found_by, lattice_of, lines, record_evidence
 from hyst_control.effects import EFFECTS
-from hyst_control.effects.effect import RecordCheck
+from hyst_control.effects.effect import PLACES, RecordCheck
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
@@ -126,7 +126,7 @@ class Diagnosis:
 
 def diagnose(
     records: Sequence[Record],
-    model: Model,
+    model: Model | None,
     seed: int = 0,
     without: Sequence[str] = (),
     cache: bool = True,
@@ -141,8 +141,8 @@ def diagnose(
     ----------
     records : sequence of Record
         With command and measurement.
-    model : Model
-        Nominal model.
+    model : Model or None
+        Nominal model; without one the clean records say what is to be expected, of the same command and from the sensor's side.
     seed : int
         Of everything drawn at random.
     without : sequence of str
@@ -168,6 +168,11 @@ def diagnose(
         Where the records cannot be used.
 
     """
+    bare = model is None
+    if model is None:
+        if not baseline:
+            raise InputError("diagnose: needs a model or a baseline, and has neither: give --model, --baseline or both")
+        model = no_model(records[0])
     problem, notes = problem_of(records, model, warm_up, configuration)
     clean = split(_clean_problem(baseline, problem, warm_up, configuration)) if baseline else None
     parts = []
@@ -175,9 +180,15 @@ def diagnose(
     for index, part in enumerate(split(problem)):
         count = len(part.model.axes)
         beside = with_baseline(part, clean[index], configuration.baseline) if clean else None
-        parts.append(_axis(part, beside, tuple(range(axis, axis + count)), seed, without, cache, progress, configuration))
+        if bare and (beside is None or not beside.carried):
+            raise InputError(
+                "baseline: no clean record has the new record's command, which is needed where there is no model: give --model, or a "
+                "clean record of the same command"
+            )
+        parts.append(_axis(part, beside, bare, tuple(range(axis, axis + count)), seed, without, cache, progress, configuration))
         axis += count
     notes += [note for part in parts for note in _outlier_notes(part)]
+    problem = replace(problem, slowest=parts[0].problem.slowest)
     return Diagnosis(model, problem, tuple(parts), tuple(notes), seed, configuration)
 
 
@@ -294,6 +305,7 @@ def _clean_problem(baseline: Sequence[Record], problem: Problem, warm_up: float,
 def _axis(
     problem: Problem,
     baseline: Baseline | None,
+    sensor_side: bool,
     axes: tuple[int, ...],
     seed: int,
     without: Sequence[str],
@@ -307,6 +319,8 @@ def _axis(
         without = [*without, *(name for name, effect in EFFECTS.items() if effect.companion is not None)]
     stated = stated_noise(problem.model)
     checks = frozenset(check for check in RecordCheck if _is_used(check, without))
+    if baseline is not None:
+        checks -= _shown_clean(baseline.clean, checks, configuration)
     progress("coefficients of the model")
     scatter = scatter_of(problem.model)
     linearised = Linearised(problem, scatter)
@@ -323,6 +337,8 @@ def _axis(
         problem = _with_noise(problem, problem.rows(fit(linearised).residual), configuration)
         linearised = Linearised(problem, scatter)
     members = catalogue(problem, suggested, without)
+    if sensor_side:
+        members = [member for member in members if PLACES.index(member.place) > PLACES.index("mechanics")]
     progress("records without a gap")
     null = threshold(linearised, members, seed, cache=cache, configuration=configuration)
     floor = _floor(problem, stated, configuration)
@@ -345,6 +361,12 @@ def _axis(
         }
     )
     return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decide(evidence, thresholds), baseline)
+
+
+def _shown_clean(clean: Problem, checks: frozenset[RecordCheck], configuration: Configuration) -> frozenset[RecordCheck]:
+    """Checks that find their effect in clean records too: it is usual there."""
+    record = record_evidence(clean, _residuals(clean), configuration.checks, configuration.noise)
+    return frozenset(finding.check for finding in detected(record, checks, configuration.policy))
 
 
 def _is_used(check: RecordCheck, without: Sequence[str]) -> bool:

@@ -78,7 +78,7 @@ def foresee(diagnosis: Diagnosis, command: Array) -> Foreseen:
 def _on(part: AxisDiagnosis, command: Array, others: Array | None) -> Problem:
     """The problem of these axes on another command; others (N, B): what the other axes measure."""
     rows = np.ascontiguousarray(command[:, list(part.axes)])
-    return replace(part.problem, pieces=(Piece(rows, np.zeros_like(rows), None, others),))
+    return replace(part.problem, pieces=(Piece(rows, np.zeros_like(rows), None, others, foreseen=True),))
 
 
 def _simulated(part: AxisDiagnosis, problem: Problem, z: Array, effects: bool = False) -> Array:

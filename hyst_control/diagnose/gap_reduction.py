@@ -18,6 +18,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, ReductionSettings
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.hypothesis_search import Scored
+from hyst_control.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,10 @@ def shares(linearised: Linearised, scored: Scored) -> list[float]:
             if members:
                 subset = type(candidate)(tuple(candidate.members[i] for i in members))
                 x = np.concatenate([solution.x[parts[i]] for i in members])
-                simulated = linearised.simulate(solution.z, subset.unknowns(), x)
+                try:
+                    simulated = linearised.simulate(solution.z, subset.unknowns(), x)
+                except InputError:  # an effect that cannot stand without another one of them
+                    simulated = linearised.simulate(solution.z)
             else:
                 simulated = linearised.simulate(solution.z)
             known[members] = -float(np.sum((linearised.measured - simulated) ** 2))

@@ -132,10 +132,11 @@ def _distance(part: AxisDiagnosis, rivals: Sequence[Scored], command: Array) -> 
     others = None if problem.pieces[0].others is None else np.zeros((len(command), problem.pieces[0].others.shape[1]))
     fresh = Problem(
         problem.model,
-        (Piece(np.ascontiguousarray(command[:, axes]), np.zeros((len(command), len(axes))), None, others),),
+        (Piece(np.ascontiguousarray(command[:, axes]), np.zeros((len(command), len(axes))), None, others, foreseen=True),),
         problem.sample_time,
         problem.hold,
         problem.sigma,
+        problem.slowest,
     )
     linearised = Linearised(fresh, Scatter(part.linearised.scatter.model, part.linearised.scatter.coefficients))
     predictions = []

@@ -19,13 +19,15 @@ from hyst_control.model_file import Model
 class Piece:
     """A gapless stretch of a record: command (N, A) in V, measurement (N, A), and which rows (N,) count (None: all).
 
-    others: measurement (N, B) of the plant's other axes, which a simulation of these axes alone does not give.
+    others: measurement (N, B) of the plant's other axes, which a simulation of these axes alone does not give. foreseen: whether it is
+    a run to come, whose session is not known.
     """
 
     command: Array
     measurement: Array
     keep: np.ndarray[tuple[int, ...], np.dtype[np.bool_]] | None = None
     others: Array | None = None
+    foreseen: bool = False
 
     def counted(self, values: Array) -> Array:
         """The rows that count."""
@@ -48,10 +50,13 @@ class Problem:
         """Simulated measurement of all rows that count, (M,), in units of the noise. Raises `InputError` like the stages do."""
         sampling = Sampling(self.sample_time, len(self.model.axes), self.hold)
         with np.errstate(all="ignore"):  # a fit may try a chain that is unstable, and turns back
-            return np.concatenate([self._piece(stages, sampling, index, piece) for index, piece in enumerate(self.pieces)])
+            return np.concatenate(
+                [self._piece(stages, sampling, None if piece.foreseen else index, piece) for index, piece in enumerate(self.pieces)]
+            )
 
     def _piece(self, stages: Sequence[Stage], sampling: Sampling, index: int, piece: Piece) -> Array:
-        running = Chain(tuple(stage.for_record(index) for stage in stages)).filter(sampling)
+        record = None if piece.foreseen else index
+        running = Chain(tuple(stage.for_record(record) for stage in stages)).filter(sampling)
         first = running.settle(piece.command[0])
         output = running.process(piece.command)
         if self.hold == "zoh":

@@ -47,7 +47,9 @@ class SessionZero(TimedStage):
         """
         return cls(np.zeros((len(durations), len(scale), len(SHAPES))), scale, durations)
 
-    def for_record(self, index: int) -> Stage:
+    def for_record(self, index: int | None) -> Stage:
+        if index is None:
+            return SessionZero.absent(np.asarray(self.scale, dtype=float), np.ones(1))
         return replace(self, record=index)
 
     def companion_size(self, index: tuple[int, ...]) -> float:
@@ -94,8 +96,8 @@ class CarriedError(Stage):
             digest.update(np.ascontiguousarray(rows).tobytes())
         return {"sha256": digest.hexdigest()}
 
-    def for_record(self, index: int) -> Stage:
-        return CarriedError(self.series, index)
+    def for_record(self, index: int | None) -> Stage:
+        return CarriedError((np.zeros((1, self.series[0].shape[1])),)) if index is None else CarriedError(self.series, index)
 
     def filter(self, sampling: Sampling) -> Filter:
         return SeriesAdder(self.series[self.index], sampling)

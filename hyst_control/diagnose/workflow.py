@@ -26,7 +26,7 @@ from hyst_control.records.record import Record
 
 def diagnose_bags(
     bags: Sequence[str | Path],
-    model: str | Path,
+    model: str | Path | None = None,
     json: str | None = None,
     report: str | None = None,
     augmented: str | None = None,
@@ -46,8 +46,8 @@ def diagnose_bags(
     ----------
     bags : sequence of path
         Of the plant that the model claims to describe.
-    model : path
-        Nominal model file.
+    model : path, optional
+        Nominal model file; needed unless a clean record has the same command.
     json, report, augmented : str, optional
         Files to write: the report, its page, the model with the effects added.
     without : sequence of str
@@ -86,7 +86,7 @@ def diagnose_bags(
     for path in (json, report, augmented):
         if path is not None and not Path(path).resolve().parent.is_dir():
             raise InputError(f"{path}: {Path(path).resolve().parent} is no folder: choose one that exists")
-    nominal = load_model(model)
+    nominal = None if model is None else load_model(model)
     records = [read_bag(bag, namespace, unit) for bag in bags]
     clean = [read_bag(bag, namespace, unit) for bag in baseline]
     coming = None if on is None else _command(on, namespace, unit)
@@ -109,7 +109,7 @@ def diagnose_bags(
 
 def diagnosed(
     records: Sequence[Record],
-    model: Model,
+    model: Model | None,
     seed: int = 0,
     without: Sequence[str] = (),
     cache: bool = True,
@@ -124,8 +124,8 @@ def diagnosed(
     ----------
     records : sequence of Record
         With command and measurement.
-    model : Model
-        Nominal model.
+    model : Model or None
+        Nominal model, as in `diagnose`.
     seed, without, cache, progress, warm_up
         As in `diagnose_bags`.
     augmented : str, optional
@@ -152,7 +152,7 @@ def diagnosed(
     diagnosis = diagnose(records, model, seed, without, cache, progress=tell, warm_up=warm_up, baseline=baseline)
     tell("shrink on held-out blocks")
     attribution = attribute(diagnosis)
-    better = augmented_model(diagnosis) if attribution.effects else None
+    better = augmented_model(diagnosis) if attribution.effects and model is not None else None
     blocks = [block for record in records for block in replay(record, diagnosis.configuration.replay)]
     document = gap_report(diagnosis, attribution, blocks, str(augmented) if augmented and better is not None else None)
     return document, diagnosis, better

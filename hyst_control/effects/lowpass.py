@@ -93,7 +93,7 @@ def cutoff_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     if around.slowest is not None:
         starts = tuple(np.geomspace(0.3 * around.slowest, nyquist, 6).tolist())
         cutoff = Parameter("cutoff", "Hz", np.inf, starts, 0.1 * around.slowest, 5.0 * nyquist, 1.5, logarithmic=True)
-        return (cutoff, Parameter("order", "", 0.0, (1.0, 2.0), 1.0, 2.0, 1.0, counted=True, beside_others=True))
+        return (cutoff, Parameter("order", "", 1.0, (1.0, 2.0), 1.0, 2.0, 1.0, counted=True, beside_others=True))
     starts = tuple(share * nyquist for share in (0.03, 0.2, 0.7))
     lower = min(3.0 / around.duration, 0.01 * nyquist)
     return (Parameter("cutoff", "Hz", np.inf, starts, lower, 5.0 * nyquist, 1.5, logarithmic=True),)
