@@ -23,7 +23,8 @@ VERSION = 1
 COMMAND_UNITS = ("V",)
 MEASUREMENT_UNITS = ("um", "mrad")
 FORM = "its parameters do not have the form of numbers and lists it needs"
-KEYS = ("format", "version", "name", "axes", "units", "sample_time", "hold", "valid", "chain", "noise", "tolerance")
+KEYS = ("format", "version", "name", "axes", "units", "sample_time", "hold", "valid", "chain", "noise", "tolerance", "discrepancy")
+DISCREPANCY_VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,9 @@ class Model:
         {"sigma": rms in the measurement unit}, a number or one per axis.
     tolerance
         Relative standard deviation by parameter name or "stage.parameter".
+    discrepancy
+        What the model leaves on the records it was identified from: {"version": 1, "rms": by axis, measurement unit, each record's own
+        zero and drift taken off, "zero": largest difference of the records' zeros, drifts and curvatures by axis, None of one record}.
     """
 
     name: str
@@ -61,6 +65,7 @@ class Model:
     valid: Mapping[str, Any] = field(default_factory=dict)
     noise: Mapping[str, Any] = field(default_factory=dict)
     tolerance: Mapping[str, float] = field(default_factory=dict)
+    discrepancy: Mapping[str, Any] = field(default_factory=dict)
 
     def filter(self, sample_time: float | None = None, hold: str | None = None) -> Filter:
         """A running filter of the chain, at the model's own clock and hold unless given."""
@@ -210,6 +215,7 @@ def model_from_document(document: Any) -> Model:
         valid=_ranges(document.get("valid")),
         noise=_noise(document.get("noise"), len(axes)),
         tolerance=_tolerance(document.get("tolerance")),
+        discrepancy=_discrepancy(document.get("discrepancy"), len(axes)),
     )
 
 
@@ -231,6 +237,8 @@ def model_to_document(model: Model) -> dict[str, Any]:
         document["noise"] = _plain(model.noise)
     if model.tolerance:
         document["tolerance"] = _plain(model.tolerance)
+    if model.discrepancy:
+        document["discrepancy"] = _plain(model.discrepancy)
     return document
 
 
@@ -330,6 +338,22 @@ def _tolerance(tolerance: Any) -> dict[str, float]:
         if not _numeric(value) or np.any(np.array(value, dtype=float) < 0):
             raise InputError(f"tolerance.{key}: {value!r}, a relative standard deviation, not negative, is due")
     return {str(key): value for key, value in tolerance.items()}
+
+
+def _discrepancy(discrepancy: Any, axes: int) -> dict[str, Any]:
+    if discrepancy is None:
+        return {}
+    if not isinstance(discrepancy, Mapping) or discrepancy.get("version") != DISCREPANCY_VERSION:
+        raise InputError(
+            f"discrepancy: must be a mapping with version {DISCREPANCY_VERSION}: identify the model again, or leave it out"
+        )
+    for key, shape in (("rms", (axes,)), ("zero", (axes, 3))):
+        value = discrepancy.get(key)
+        if value is None and key == "zero":
+            continue
+        if not _numeric(value) or np.shape(value) != shape or np.any(np.array(value, dtype=float) < 0):
+            raise InputError(f"discrepancy.{key}: must be numbers >= 0 of shape {shape}, got {value!r}")
+    return dict(discrepancy)
 
 
 def _numeric(value: Any) -> bool:

@@ -23,9 +23,10 @@ from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.configuration import BaselineSettings
 from hyst_control.diagnose.problem import Piece, Problem
-from hyst_control.diagnose.session import SHAPES, CarriedError, SessionZero
+from hyst_control.diagnose.session import CarriedError, SessionZero
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
+from hyst_control.records.session_zero import SHAPES, without_zero
 
 LOW_SHARE = 0.02
 """Share of a command's power below its lowest excited frequency."""
@@ -58,8 +59,8 @@ class Baseline:
         Largest zero, drift and curvature between clean records; NaN where there is but one.
     floor : ndarray, shape (A,)
         Rms (measurement unit) that an effect must take off to be told from what the clean records show.
-    clean : Problem
-        The clean records.
+    clean : Problem or None
+        The clean records; None where the model file alone says what was left on them.
     """
 
     problem: Problem
@@ -67,7 +68,7 @@ class Baseline:
     repeatability: Array
     usual_zero: Array
     floor: Array
-    clean: Problem
+    clean: Problem | None
 
 
 def no_model(record: Record) -> Model:
@@ -113,24 +114,51 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     if all(matches):
         return _carried(problem, clean, matches, spans, settings)
-    residuals = [piece.measurement - _simulated(clean, index, piece) for index, piece in enumerate(clean.pieces)]
-    left = [_without_zero(rows) for rows in residuals]
-    repeatability = np.sqrt(np.mean(np.concatenate([rows for rows, _ in left]) ** 2, axis=0))
-    zeros = np.stack([shares for _, shares in left])
-    usual = np.max(np.abs(zeros), axis=0) if len(zeros) > 1 else np.full((len(spans), len(SHAPES)), np.nan)
-    model = problem.model
-    stated = np.maximum(
-        np.broadcast_to(np.atleast_1d(np.asarray(model.noise.get("sigma", 0.0), dtype=float)), len(spans)), repeatability
-    )
-    model = replace(model.with_stages((*model.chain.stages, _zero(problem, spans, settings))), noise={"sigma": stated.tolist()})
+    left = [without_zero(piece.measurement - _simulated(clean, index, piece)) for index, piece in enumerate(clean.pieces)]
+    error = np.sqrt(np.mean(np.concatenate([rows for rows, _ in left]) ** 2, axis=0))
+    zeros = np.abs([shares for _, shares in left]).max(axis=0) if len(left) > 1 else np.full((len(spans), len(SHAPES)), np.nan)
+    return _beside_own_error(problem, error, zeros, clean, settings)
+
+
+def with_discrepancy(problem: Problem, settings: BaselineSettings) -> Baseline:
+    """Take into a problem what its model left on the records that it was identified from, as its file says.
+
+    Parameters
+    ----------
+    problem : Problem
+        The new records; their model states a discrepancy.
+    settings : BaselineSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    Baseline
+    """
+    stated = problem.model.discrepancy
+    error = np.asarray(stated["rms"], dtype=float)
+    zeros = stated.get("zero")
+    usual = np.full((len(error), len(SHAPES)), np.nan) if zeros is None else np.asarray(zeros, dtype=float)
+    return _beside_own_error(problem, error, usual, None, settings)
+
+
+def _beside_own_error(problem: Problem, error: Array, usual: Array, clean: Problem | None, settings: BaselineSettings) -> Baseline:
+    """A model whose own error (A,) is known by its size alone."""
+    spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
+    noise = np.broadcast_to(np.atleast_1d(np.asarray(problem.model.noise.get("sigma", 0.0), dtype=float)), error.shape)
+    stages = (*problem.model.chain.stages, _zero(problem, spans, settings))
+    model = replace(problem.model.with_stages(stages), noise={"sigma": np.maximum(noise, error).tolist()})
+    excess = np.sqrt(np.maximum(error**2 - noise**2, 0.0))
     beside = replace(problem, model=model, slowest=_slowest(problem))
-    return Baseline(beside, False, repeatability, usual, settings.other_command * repeatability, clean)
+    return Baseline(beside, False, error, usual, settings.other_command * excess, clean)
 
 
 def _carried(
     problem: Problem, clean: Problem, matches: Sequence[Sequence[Match]], spans: Array, settings: BaselineSettings
 ) -> Baseline:
-    pieces, series, differences, zeros = [], [], [], []
+    pieces: list[Piece] = []
+    series: list[Array] = []
+    differences: list[Array] = []
+    zeros: list[Array] = []
     for piece, found in zip(problem.pieces, matches, strict=True):
         begin, end = max(match.begin for match in found), min(match.end for match in found)
         kept = np.zeros(len(piece.command), dtype=bool)
@@ -144,7 +172,7 @@ def _carried(
             errors.append(match.clean.measurement[rows] - simulated)
         series.append(np.mean(errors, axis=0))
         for error in errors[1:]:
-            left, shares = _without_zero((error - errors[0])[begin:end])
+            left, shares = without_zero((error - errors[0])[begin:end])
             differences.append(left)
             zeros.append(np.abs(shares))
         if len(errors) == 1:
@@ -180,7 +208,7 @@ def matching(command: Array, clean: Sequence[Piece], settings: BaselineSettings)
         if len(other) >= len(command) and _same(command, other[: len(command)], settings):
             shift = 0
         else:
-            shift = _shift(command, other)
+            shift = _shift(command, other, int(np.ceil(settings.overlap * len(command))))
         begin, end = max(0, -shift), min(len(command), len(other) - shift)
         if end - begin >= settings.overlap * len(command) and _same(
             command[begin:end], other[begin + shift : end + shift], settings
@@ -194,11 +222,17 @@ def _same(one: Array, other: Array, settings: BaselineSettings) -> bool:
     return bool(np.sqrt(np.mean((one - other) ** 2)) <= settings.same_command * span)
 
 
-def _shift(command: Array, other: Array) -> int:
-    """Shift at which two commands are most alike: where the cross-correlation of what moves in them is largest."""
-    one, two = (rows - rows.mean(axis=0) for rows in (command, other))
-    total = np.sum([correlate(two[:, axis], one[:, axis], mode="full", method="fft") for axis in range(command.shape[1])], axis=0)
-    return int(np.argmax(total)) - (len(command) - 1)
+def _shift(command: Array, other: Array, least: int) -> int:
+    """Shift of the smallest mean square difference between two commands, over overlaps of at least so many rows."""
+    rows, shifts = len(command), np.arange(-(len(command) - 1), len(other))
+    begin, end = np.maximum(0, -shifts), np.minimum(rows, len(other) - shifts)
+    squares = [np.concatenate([[0.0], np.cumsum(np.sum(values**2, axis=1))]) for values in (command, other)]
+    products = np.sum(
+        [correlate(other[:, axis], command[:, axis], mode="full", method="fft") for axis in range(command.shape[1])], axis=0
+    )
+    energy = squares[0][end] - squares[0][begin] + squares[1][end + shifts] - squares[1][begin + shifts]
+    difference = (energy - 2.0 * products) / np.maximum(end - begin, 1)
+    return int(shifts[np.argmin(np.where(end - begin >= least, difference, np.inf))])
 
 
 def _between_periods(command: Array, error: Array, settings: BaselineSettings) -> list[Array]:
@@ -214,7 +248,7 @@ def _between_periods(command: Array, error: Array, settings: BaselineSettings) -
         return []
     count = len(rows) // period
     whole = error[: count * period].reshape(count, period, -1)
-    return [_without_zero(later - earlier)[0] for earlier, later in zip(whole[:-1], whole[1:], strict=True)]
+    return [without_zero(later - earlier)[0] for earlier, later in zip(whole[:-1], whole[1:], strict=True)]
 
 
 def _simulated(problem: Problem, index: int, piece: Piece) -> Array:
@@ -233,13 +267,6 @@ def _slowest(problem: Problem) -> float:
         lowest = max(int(np.argmax(share >= LOW_SHARE)), 1)
         found.append(lowest / (len(rows) * problem.sample_time))
     return min(found)
-
-
-def _without_zero(rows: Array) -> tuple[Array, Array]:
-    """Rows (N, A) without zero, drift and curvature, and these (A, 3)."""
-    basis = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(rows)), len(SHAPES) - 1)
-    shares = np.linalg.lstsq(basis, rows, rcond=None)[0]
-    return np.asarray(rows - basis @ shares, dtype=np.float64), np.asarray(shares.T, dtype=np.float64)
 
 
 def _zero(problem: Problem, spans: Array, settings: BaselineSettings) -> SessionZero:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hyst_control.chain.stage import Array
-from hyst_control.diagnose.baseline import Baseline, no_model, with_baseline
+from hyst_control.diagnose.baseline import Baseline, no_model, with_baseline, with_discrepancy
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.evidence import Evidence
 from hyst_control.diagnose.evidence_collection import (
@@ -179,7 +179,7 @@ def diagnose(
     axis = 0
     for index, part in enumerate(split(problem)):
         count = len(part.model.axes)
-        beside = with_baseline(part, clean[index], configuration.baseline) if clean else None
+        beside = _beside(part, clean[index] if clean else None, configuration)
         if bare and (beside is None or not beside.carried):
             raise InputError(
                 "baseline: no clean record has the new record's command, which is needed where there is no model: give --model, or a "
@@ -293,6 +293,13 @@ def _with_noise(problem: Problem, residuals: Array, configuration: Configuration
     return replace(problem, sigma=np.array(sigma))
 
 
+def _beside(problem: Problem, clean: Problem | None, configuration: Configuration) -> Baseline | None:
+    """What clean records, or else the model file, say of the model's own error."""
+    if clean is not None:
+        return with_baseline(problem, clean, configuration.baseline)
+    return with_discrepancy(problem, configuration.baseline) if problem.model.discrepancy else None
+
+
 def _clean_problem(baseline: Sequence[Record], problem: Problem, warm_up: float, configuration: Configuration) -> Problem:
     clean, _ = problem_of(baseline, problem.model, warm_up, configuration)
     if abs(clean.sample_time - problem.sample_time) > 1e-6 * problem.sample_time:
@@ -319,7 +326,7 @@ def _axis(
         without = [*without, *(name for name, effect in EFFECTS.items() if effect.companion is not None)]
     stated = stated_noise(problem.model)
     checks = frozenset(check for check in RecordCheck if _is_used(check, without))
-    if baseline is not None:
+    if baseline is not None and baseline.clean is not None:
         checks -= _shown_clean(baseline.clean, checks, configuration)
     progress("coefficients of the model")
     scatter = scatter_of(problem.model)

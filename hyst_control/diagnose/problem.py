@@ -50,9 +50,7 @@ class Problem:
         """Simulated measurement of all rows that count, (M,), in units of the noise. Raises `InputError` like the stages do."""
         sampling = Sampling(self.sample_time, len(self.model.axes), self.hold)
         with np.errstate(all="ignore"):  # a fit may try a chain that is unstable, and turns back
-            return np.concatenate(
-                [self._piece(stages, sampling, None if piece.foreseen else index, piece) for index, piece in enumerate(self.pieces)]
-            )
+            return np.concatenate([self._piece(stages, sampling, index, piece) for index, piece in enumerate(self.pieces)])
 
     def _piece(self, stages: Sequence[Stage], sampling: Sampling, index: int, piece: Piece) -> Array:
         record = None if piece.foreseen else index
@@ -92,7 +90,8 @@ def axis_model(model: Model, axis: int) -> Model:
     """The model of one axis of a model that does not mix them."""
     noise = {name: value[axis] if np.ndim(value) else value for name, value in model.noise.items()}
     stages = tuple(stage.for_axis(axis) for stage in model.chain.stages)
-    return replace(model, axes=(model.axes[axis],), chain=Chain(stages), noise=noise)
+    discrepancy = {name: [value[axis]] if np.ndim(value) else value for name, value in model.discrepancy.items()}
+    return replace(model, axes=(model.axes[axis],), chain=Chain(stages), noise=noise, discrepancy=discrepancy)
 
 
 def split(problem: Problem) -> list[Problem]:

@@ -18,9 +18,7 @@ import numpy as np
 from hyst_control.chain.parameter import AllAxes, Array, Scattering, all_axes, count
 from hyst_control.chain.stage import Filter, Sampling, Stage
 from hyst_control.effects.time_dependent import TimedStage
-
-SHAPES = ("zero", "drift", "curvature")
-"""Legendre polynomials of degree 0, 1 and 2 over a record, by their names in the gap report."""
+from hyst_control.records.session_zero import SHAPES
 
 
 @dataclass(frozen=True)
@@ -77,6 +75,8 @@ class CarriedError(Stage):
     """
 
     name: ClassVar[str] = "carried_error"
+    series: tuple[Array, ...]
+    index: int
 
     def __init__(self, series: tuple[Array, ...], record: int = 0) -> None:
         object.__setattr__(self, "series", series)

@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from hyst_control import progress
 from hyst_control.errors import InputError
 from hyst_control.files import check_writable, write_json
 from hyst_control.identify import estimator_of, estimators, identify
 from hyst_control.identify.dataset import Dataset, Fit, Report
-from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, save_model
+from hyst_control.model_file import COMMAND_UNITS, DISCREPANCY_VERSION, MEASUREMENT_UNITS, Model, save_model, simulate
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.record import Record
+from hyst_control.records.session_zero import without_zero
 
 NEED = ("command", "measurement")
 
@@ -102,10 +106,40 @@ def identify_bags(
     fits = (identify(datasets, name, method, **given) for name in chosen)
     fit = next(fits) if family is not None else min(fits, key=lambda fit: max(fit.report["held_out_nrmse"]))
     fit = replace(fit, report={**fit.report, "bags": [str(bag) for bag in bags], "notes": [*notes, *fit.report["notes"]]})
+    fit = replace(fit, model=replace(fit.model, discrepancy=discrepancy(fit.model, datasets)))
     save_model(fit.model, output)
     if json_path is not None:
         write_json(json_path, fit.report)
     return Result(fit, Path(output))
+
+
+FILLING = 3
+"""Part of a record that begins amid a motion, by which the hysteresis' memory has filled."""
+
+
+def discrepancy(model: Model, datasets: Sequence[Dataset]) -> dict[str, Any]:
+    """Measure what a model leaves on clean records.
+
+    Parameters
+    ----------
+    model
+        Identified from them.
+    datasets
+        The records.
+
+    Returns
+    -------
+    dict
+        As in the model file: see `Model`.
+    """
+    left = []
+    for data in datasets:
+        error = data.measurement - simulate(model, data.command, data.sample_time, data.hold)
+        begin = 0 if data.start == "settled" else len(error) // FILLING  # the memory of the hysteresis has to fill first
+        left.append(without_zero(error[begin:]))
+    zero = np.ptp([zeros for _, zeros in left], axis=0).tolist() if len(left) > 1 else None
+    rms = np.sqrt(np.mean(np.concatenate([rest for rest, _ in left]) ** 2, axis=0))
+    return {"version": DISCREPANCY_VERSION, "rms": rms.tolist(), **({"zero": zero} if zero else {})}
 
 
 def chosen_families(family: str | None, method: str, options: Mapping[str, object]) -> list[str]:

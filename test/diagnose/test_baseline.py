@@ -1,0 +1,203 @@
+"""Clean records beside the new one, on a machine that the model is not: other hysteresis, creep, a mode of another frequency."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
+from scipy.signal import bilinear, lfilter, lfilter_zi
+
+from hyst_control.chain import Chain, Sampling
+from hyst_control.chain.linear import TransferFunction
+from hyst_control.chain.memoryless import Gain
+from hyst_control.chain.prandtl_ishlinskii import PrandtlIshlinskii
+from hyst_control.diagnose.baseline import matching
+from hyst_control.diagnose.configuration import CONFIGURATION
+from hyst_control.diagnose.predictability import predictable_share
+from hyst_control.diagnose.problem import Piece
+from hyst_control.diagnose.session import CarriedError, SessionZero
+from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.errors import InputError
+from hyst_control.model_file import Model
+from hyst_control.records.record import Record, Signal
+
+RATE = 5000.0
+SETTINGS = CONFIGURATION.baseline
+MODEL = Model(
+    "wrong",
+    ("x",),
+    {"command": "V", "measurement": "um"},
+    1.0 / RATE,
+    Chain((PrandtlIshlinskii((5.0, 20.0, 40.0), (0.004, 0.003, 0.002), w0=0.025), TransferFunction((1e7,), (1.0, 200.0, 1e7)))),
+)
+"""Neither the loop nor the mode (503 Hz) of the machine below."""
+
+
+def sines(frequency: float, cycles: int = 5) -> np.ndarray:
+    """A bipolar sine whose amplitude falls from cycle to cycle, between two rests."""
+    count = int(RATE * cycles / frequency)
+    time = np.arange(count) / RATE
+    envelope = np.interp(time, np.arange(cycles + 1) / frequency, 80.0 * 0.75 ** np.arange(cycles + 1))
+    rest = np.zeros(int(0.02 * RATE))
+    return np.concatenate([rest, envelope * np.sin(2 * np.pi * frequency * time), rest])
+
+
+def machine(command: np.ndarray, seed: int, drive=lambda u: u, sensor=lambda y: y) -> np.ndarray:
+    """Bouc-Wen hysteresis, creep, a mode of 430 Hz, a zero and a slow drift of each session, noise; written for this test alone."""
+    random, z, u = np.random.default_rng(seed), 0.0, drive(command)
+    hysteresis = np.empty(len(u))
+    for k in range(len(u)):
+        step = u[k] - u[k - 1] if k else 0.0
+        z += 0.35 * step - 0.018 * abs(step) * z - 0.006 * step * abs(z)
+        hysteresis[k] = 0.03 * u[k] - 0.03 * z + 2e-5 * u[k] ** 2
+    keep = np.exp(-1.0 / RATE / 0.1)
+    creeping = hysteresis + 0.02 * lfilter([1.0 - keep], [1.0, -keep], hysteresis)
+    mode = bilinear([(2 * np.pi * 430.0) ** 2], [1.0, 0.06 * 2 * np.pi * 430.0, (2 * np.pi * 430.0) ** 2], RATE)
+    zero, drift = 0.1 * random.standard_normal(2)
+    time = np.linspace(-1.0, 1.0, len(u))
+    return sensor(lfilter(*mode, creeping) + zero + 0.2 * drift * time) + 0.002 * random.standard_normal(len(u))
+
+
+def lowpass(cutoff: float, order: int):
+    def through(y: np.ndarray) -> np.ndarray:
+        b, a = bilinear([2 * np.pi * cutoff], [1.0, 2 * np.pi * cutoff], RATE)
+        for _ in range(order):
+            y = lfilter(b, a, y, zi=lfilter_zi(b, a) * y[0])[0]
+        return y
+
+    return through
+
+
+def late(tau: float):
+    def through(y: np.ndarray) -> np.ndarray:
+        time = np.arange(len(y)) / RATE
+        return CubicSpline(time, y)(np.maximum(time - tau, 0.0))
+
+    return through
+
+
+def record(command: np.ndarray, measurement: np.ndarray, source: str) -> Record:
+    time = np.arange(len(command)) / RATE
+    signals = {
+        "command": Signal(time, command[:, None], ("x",), "V"),
+        "measurement": Signal(time, measurement[:, None], ("x",), "um"),
+    }
+    return Record(signals, source)
+
+
+CASES = {  # what is done to the machine, the names that fit, the parameter and its true value
+    "delay of the sensor": ({"sensor": late(2e-3)}, {"delay"}, "tau", 2e-3),
+    "delay of the drive": ({"drive": late(2e-3)}, {"delay"}, "tau", 2e-3),
+    "low-pass": ({"sensor": lowpass(80.0, 1)}, {"sensor_lowpass", "amplifier_lowpass"}, "cutoff", 80.0),
+    "low-pass of second order": ({"sensor": lowpass(80.0, 2)}, {"sensor_lowpass", "amplifier_lowpass"}, "cutoff", 80.0),
+    "gain": ({"sensor": lambda y: 1.05 * y}, {"gain"}, "gain", 0.05),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_change_is_named_beside_a_clean_record_of_the_same_command(name):
+    change, names, parameter, value = CASES[name]
+    command = sines(50.0)
+    new, clean = record(command, machine(command, 1, **change), "new"), record(command, machine(command, 2), "clean")
+    report, *_ = diagnosed([new], MODEL, cache=False, baseline=[clean])
+    first = report["effects"][0]
+    assert report["verdict"] == "effect" and first["name"] in names
+    assert first["parameters"][parameter]["value"] == pytest.approx(value, rel=0.06)
+    if "order" in name:
+        assert first["parameters"]["order"]["value"] == 2.0
+    assert first["shrink"] > 0.95
+    assert report["baseline"]["same_command"]
+
+
+def test_a_clean_record_shows_its_session_at_most():
+    command = sines(50.0)
+    new, clean = record(command, machine(command, 3), "new"), record(command, machine(command, 4), "clean")
+    report, *_ = diagnosed([new], MODEL, cache=False, baseline=[clean])
+    assert report["verdict"] in ("no_gap", "effect")
+    assert {effect["name"] for effect in report["effects"]} <= {"offset", "offset_drift"}
+    zero = next(row for row in report["companions"] if row["name"] == "offset")
+    true = [0.1 * np.random.default_rng(seed).standard_normal(2)[0] for seed in (3, 4)]
+    assert zero["value"] == pytest.approx(true[0] - true[1], abs=0.005)
+
+
+def test_a_usual_session_is_no_effect():
+    command = sines(50.0)
+    clean = [record(command, machine(command, seed), "clean") for seed in range(10, 15)]
+    report, *_ = diagnosed([record(command, machine(command, 3), "new")], MODEL, cache=False, baseline=clean)
+    assert report["verdict"] == "no_gap" and not report["effects"]
+
+
+@pytest.mark.parametrize("name", ["delay of the sensor", "low-pass"])
+def test_clean_records_of_other_commands_tell_the_model_from_the_machine(name):
+    change, names, parameter, value = CASES[name]
+    command, others = 0.5 * sines(50.0) + 0.5 * np.roll(sines(12.5, 2), 37)[: len(sines(50.0))], [sines(20.0), sines(35.0)]
+    clean = [record(other, machine(other, seed), "clean") for seed, other in enumerate(others)]
+    report, *_ = diagnosed([record(command, machine(command, 7, **change), "new")], MODEL, cache=False, baseline=clean)
+    assert not report["baseline"]["same_command"] and report["verdict"] in ("effect", "ambiguous")
+    found = next(effect for effect in report["effects"] if effect["name"] in names)
+    assert found["parameters"][parameter]["value"] == pytest.approx(value, rel=0.1)
+
+
+def test_a_new_clean_record_of_another_command_is_no_gap():
+    command, others = sines(50.0), [sines(20.0), sines(45.0)]
+    clean = [record(other, machine(other, seed), "clean") for seed, other in enumerate(others)]
+    report, *_ = diagnosed([record(command, machine(command, 8), "new")], MODEL, cache=False, baseline=clean)
+    assert {effect["name"] for effect in report["effects"]} <= {"offset", "offset_drift"}
+
+
+def test_without_a_model_a_clean_record_says_what_has_changed():
+    command = sines(50.0)
+    new, clean = record(command, machine(command, 1, sensor=lowpass(80.0, 1)), "new"), record(command, machine(command, 2), "clean")
+    report, *_ = diagnosed([new], None, cache=False, baseline=[clean])
+    assert report["effects"][0]["name"] == "sensor_lowpass"
+    assert report["effects"][0]["parameters"]["cutoff"]["value"] == pytest.approx(80.0, rel=0.06)
+
+
+def test_refusals():
+    command, other = sines(50.0), sines(20.0)
+    new = record(command, machine(command, 1), "new")
+    with pytest.raises(InputError, match="needs a model or a baseline"):
+        diagnosed([new], None)
+    with pytest.raises(InputError, match="no clean record has the new record's command"):
+        diagnosed([new], None, baseline=[record(other, machine(other, 2), "clean")])
+
+
+@settings(max_examples=30, deadline=None)
+@given(shift=st.integers(0, 60), length=st.integers(200, 400))
+def test_the_same_command_is_found_up_to_a_shift(shift, length):
+    random = np.random.default_rng(shift * 1000 + length)
+    command = np.cumsum(random.standard_normal((500, 1)), axis=0)
+    part = command[shift : shift + length]
+    found = matching(part, [Piece(command, command)], SETTINGS)
+    assert [match.shift for match in found] == [shift]
+    assert not matching(part, [Piece(command + random.standard_normal(command.shape), command)], SETTINGS)
+
+
+@settings(max_examples=20, deadline=None)
+@given(cuts=st.lists(st.integers(1, 99), max_size=5), hold=st.sampled_from(["zoh", "foh"]), record_index=st.integers(0, 1))
+def test_stages_of_a_session_change_no_bit_when_a_signal_is_cut(cuts, hold, record_index):
+    random = np.random.default_rng(0)
+    signal = random.standard_normal((100, 2))
+    zero = SessionZero(random.standard_normal((2, 2, 3)), (1.0, 2.0), (0.1, 0.2))
+    carried = CarriedError((random.standard_normal((100, 2)), random.standard_normal((60, 2))))
+    for stage in (zero.for_record(record_index), carried.for_record(record_index)):
+        whole, parts = stage.filter(Sampling(1e-3, 2, hold)), stage.filter(Sampling(1e-3, 2, hold))
+        assert (whole.settle(signal[0]) == parts.settle(signal[0])).all()
+        blocks = np.split(signal, sorted(set(cuts)))
+        assert (whole.process(signal) == np.concatenate([parts.process(block) for block in blocks])).all()
+
+
+def test_a_remainder_that_follows_the_command_is_predictable_and_noise_is_not():
+    random, command = np.random.default_rng(1), sines(20.0)[:, None]
+    walk = np.cumsum(random.standard_normal(command.shape), axis=0)
+    follows = 0.3 * (command / 80.0) ** 3
+    assert predictable_share([command], [follows], 10) > 0.99
+    assert predictable_share([command], [random.standard_normal(command.shape)], 10) < 0.05
+    assert predictable_share([command], [walk], 10) < 0.3
+    assert 0.4 < predictable_share([command], [follows / follows.std() + random.standard_normal(command.shape)], 10) < 0.6
+
+
+def test_a_gain_of_no_signal_stands_for_no_model():
+    assert Gain(0.0).filter(Sampling(1e-3, 1)).settle(np.ones(1)) == 0.0
