@@ -76,7 +76,7 @@ class Tuning:
     def sensitivity(self, model: Model, frequency: Sequence[float], loop_delay: int = 0) -> Array:
         """Greatest |1 / (1 + L)| (F,) of all axes at frequencies (F,) in Hz, of the model as it is."""
         z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * self.sample_time)
-        plants = _plants(model, self.sample_time, loop_delay, 0.0, 0.0, z)[: len(model.axes)]
+        plants = spread_responses(model, self.sample_time, loop_delay, 0.0, 0.0, z)[: len(model.axes)]
         loops = plants * controller_response(self.kp, self.ki, self.roll_off, self.sample_time, z)
         return np.abs(1.0 / (1.0 + loops)).max(axis=0)
 
@@ -139,7 +139,7 @@ def tune(
     if roll_off != AUTOMATIC and not (isinstance(roll_off, (int, float)) and 0.0 <= roll_off < np.inf):
         raise InputError(f"roll_off: {roll_off!r}: a corner in Hz, 0 for none, or {AUTOMATIC!r} is due")
     z = np.exp(1j * np.geomspace(1e-5, 1.0, 1500) * np.pi)
-    plants = _plants(model, sample_time, loop_delay, gain_spread, mode_spread, z)
+    plants = spread_responses(model, sample_time, loop_delay, gain_spread, mode_spread, z)
     static = np.abs(plants[:, 0]).max()
     if np.any(plants[:, 0].real <= 0.0):
         raise InputError("chain: the output falls when the command rises at rest: PI gains are positive; invert the axis")
@@ -187,7 +187,7 @@ def controller_response(kp: float, ki: float, roll_off: float, sample_time: floa
     return response * (share / (1.0 - (1.0 - share) / z)) if share < 1.0 else response
 
 
-def _plants(model: Model, sample_time: float, loop_delay: int, gain_spread: float, mode_spread: float, z: Complex) -> Complex:
+def spread_responses(model: Model, sample_time: float, loop_delay: int, gain_spread: float, mode_spread: float, z: Complex) -> Complex:
     """Responses (cases · A, F) of every axis, the model as it is first."""
     axes = len(model.axes)
     _, greatest = hysteresis_slopes(model)
