@@ -47,7 +47,7 @@ class FeedbackErrorLearning:
     """
 
     sample_time: float
-    time: float = 0.5
+    time: float = 0.2
     corner: float = 1.0
     excitation: float = 1.0
     gain_bound: float = 0.3
@@ -130,7 +130,9 @@ class RunningFeedbackErrorLearning:
         begin, end = max(first, self._first), min(first + len(feedback), self._first + len(self._given))
         if begin < end:
             rows = self._given[begin - self._first : end - self._first]
-            _learn(rows, np.ascontiguousarray(feedback[begin - first : end - first]), self._constants, self._parameters, self._state)
+            _learn(
+                rows, np.ascontiguousarray(feedback[begin - first : end - first]), self._constants, self._parameters, self._state
+            )
             self._given, self._first = self._given[end - self._first :], end
         if self._observed is not None:
             self._observed = max(self._observed, first + len(feedback))

@@ -1,15 +1,22 @@
 """Learning from trial to trial: the feedforward of a reference that repeats is improved by the error of the periods before.
 
-A trial is `settling` periods, in which the loop forgets the feedforward before, and `averaged` periods that are measured. Then
+A trial is `settling` periods, in which the loop forgets the feedforward before, and `averaged` periods that are measured. Then,
+line by line of the period's spectrum,
 
-    u <- u + gain Q (e / G + u_b)
+    u <- u + share Q (e / G + u_b)
 
-with the means of error and feedback over the measured periods (see `learning_filter`). What differs between these periods is
-noise; learning stops
+with the means of error and feedback over the measured periods (see `learning_filter`). `share` is `gain` at first. Where a line's
+error falls by less than half, beyond its noise, the loop is not the one that the filter was made for, and two trials have measured it
+better: from then on the line learns by the secant through them,
+
+    u <- u + share (u_2 - u_1) / (e_1 - e_2) e
+
+(Kim and Zou's modeling-free step). Where an error has grown, the line goes back to its best feedforward first and halves its share.
+What differs between the measured periods is noise; learning stops
 
 - at the noise floor: the repeating error is no more than `NOISE` times what is left of the noise in its mean,
-- when the error grows: by `GROWTH` over the least one so far,
-- when nothing is gained: no `GAIN` of it in two trials in a row,
+- when the error grows: by `GROWTH` over the least one so far, in `PATIENCE` trials in a row,
+- when nothing is gained: no `GAIN` of it in `PATIENCE` trials in a row,
 - after `trials` trials,
 
 and the best feedforward that was measured is kept.
@@ -25,7 +32,11 @@ from hyst_control.chain.stage import Array
 from hyst_control.control.learning_filter import LearningFilter
 from hyst_control.errors import InputError
 
-NOISE, GROWTH, GAIN = 1.5, 1.1, 0.05
+NOISE, GROWTH, GAIN, PATIENCE = 2.0, 1.1, 0.05, 3
+SIGNIFICANT = 4.0
+"""Standard deviations of its noise beyond which a line's error tells something."""
+SLOW = 0.5
+"""Share of a line's error that a trial may leave before the line is measured anew."""
 ENDLESS = 2**31
 
 
@@ -52,7 +63,7 @@ class IterativeLearning:
     settling, averaged:
         Periods of a trial that are not measured, at least 1, and that are, at least 2.
     gain:
-        Share of a correction that is applied, above 0 and at most 1.
+        Share of a correction that is applied at first, above 0 and at most 1.
     trials:
         Trials after which learning ends.
     limit:
@@ -105,6 +116,11 @@ class RunningIterativeLearning:
         self._begin = self._end = 0  # tick at which the trial began, and up to which rows were given
         self._measured = 0  # rows of this trial
         self._error, self._feedback = np.zeros((2, *shape))
+        lines = (shape[1] // 2 + 1, shape[2])
+        self._share = np.full(lines, about.gain)
+        self._secant = np.full(lines, np.nan, dtype=complex)  # V per measurement unit, of lines that were measured anew
+        self._least: Array | None = None  # of each line the least error so far, its feedforward and the correction it asks for
+        self._kept, self._correction = np.zeros((2, *lines), dtype=complex)
 
     def available(self, first: int) -> int:
         """How many rows from tick `first` on do not depend on ticks that were not observed yet."""
@@ -151,22 +167,45 @@ class RunningIterativeLearning:
         mean = self._error.mean(axis=0)
         noise = float(np.sqrt(self._error.var(axis=0, ddof=1).mean() / about.averaged))
         trial = Trial(float(np.sqrt(np.mean(self._error**2))), float(np.sqrt(np.mean(mean**2))), noise)
-        best = min((each.repeating for each in self.history), default=np.inf)
-        recent = min((each.repeating for each in self.history[:-1]), default=np.inf)
+        before = [each.repeating for each in self.history]
+        best = min(before, default=np.inf)
         self.history.append(trial)
         if trial.repeating <= best:
             self._best = self.feedforward
+        recent = [*before[-PATIENCE + 1 :], trial.repeating]
+        earlier = min(before[: len(before) - PATIENCE + 1], default=np.inf)
         if trial.repeating <= NOISE * noise:
             self.stopped = "noise floor"
-        elif trial.repeating > GROWTH * best:
+        elif len(recent) == PATIENCE and min(recent) > GROWTH * earlier:
             self.stopped = "error grows"
-        elif min(trial.repeating, best) > (1.0 - GAIN) * recent:
+        elif len(recent) == PATIENCE and min(recent) > (1.0 - GAIN) * earlier:
             self.stopped = "nothing gained"
         elif len(self.history) >= about.trials:
             self.stopped = "last trial"
         if self.stopped:
             self.feedforward = self._best
             return
-        correction = about.gain * about.filter.correction(mean, self._feedback.mean(axis=0))
-        corrected = self.feedforward + np.roll(correction, phase % about.filter.period, axis=0)
-        self.feedforward = np.clip(corrected, -about.limit, about.limit)
+        self.feedforward = self._improved(mean, phase % about.filter.period)
+
+    def _improved(self, mean: Array, phase: int) -> Array:
+        """The next feedforward (N, A) from the mean error (N, A), which begins `phase` ticks after a multiple of the period."""
+        about = self.description
+        each = np.fft.rfft(np.roll(self._error, phase, axis=1), axis=1)
+        error, tried = each.mean(axis=0), np.fft.rfft(self.feedforward, axis=0)
+        noise = np.sqrt(np.mean(np.abs(each - error) ** 2, axis=0) / (about.averaged - 1))
+        correction = np.fft.rfft(np.roll(about.filter.correction(mean, self._feedback.mean(axis=0)), phase, axis=0), axis=0)
+        better = np.ones(error.shape, dtype=bool)
+        if self._least is not None:
+            before, moved = np.abs(self._least), error - self._least
+            told = SIGNIFICANT * noise
+            slow = (np.abs(error) > SLOW * before + told) & (np.abs(moved) > told) & (about.filter.robustness[:, None] > 0.0)
+            self._secant[slow] = -((tried - self._kept)[slow] / moved[slow])
+            better = np.abs(error) <= GROWTH * before + told
+            self._share[~better] *= 0.5
+        measured = ~np.isnan(self._secant)
+        self._least = np.where(better, error, error if self._least is None else self._least)
+        self._kept = np.where(better, tried, self._kept)
+        self._correction = np.where(better, correction, self._correction)
+        self._correction[measured] = self._secant[measured] * self._least[measured]
+        improved = np.fft.irfft(self._kept + self._share * self._correction, about.filter.period, axis=0)
+        return np.clip(improved, -about.limit, about.limit)

@@ -107,7 +107,7 @@ def model_filter(
     *,
     sample_time: float | None = None,
     gain_spread: float = 0.1,
-    mode_spread: float = 0.2,
+    mode_spread: float = 0.1,
     model_error: float = 0.15,
     peak_sensitivity: float = 2.0,
 ) -> LearningFilter:
@@ -120,7 +120,8 @@ def model_filter(
     sample_time:
         s, the model's by default.
     gain_spread, mode_spread, model_error:
-        Relative spread of the plant's gain and first resonance, and the response's own error, for which it must converge.
+        Relative spread of the plant's gain and first resonance, and the response's own error, for which every trial must gain. A
+        plant beyond them may lose in one trial, and is then measured anew by the learner.
     peak_sensitivity:
         Greatest |S| of the feedback; 1 without feedback.
 

@@ -187,7 +187,9 @@ def controller_response(kp: float, ki: float, roll_off: float, sample_time: floa
     return response * (share / (1.0 - (1.0 - share) / z)) if share < 1.0 else response
 
 
-def spread_responses(model: Model, sample_time: float, loop_delay: int, gain_spread: float, mode_spread: float, z: Complex) -> Complex:
+def spread_responses(
+    model: Model, sample_time: float, loop_delay: int, gain_spread: float, mode_spread: float, z: Complex
+) -> Complex:
     """Responses (cases · A, F) of every axis, the model as it is first."""
     axes = len(model.axes)
     _, greatest = hysteresis_slopes(model)
