@@ -11,7 +11,8 @@ better: from then on the line learns by the secant through them,
 
     u <- u + share (u_2 - u_1) / (e_1 - e_2) e
 
-(Kim and Zou's modeling-free step). Where an error has grown, the line goes back to its best feedforward first and halves its share.
+(Kim and Zou's modeling-free step). Where an error has grown, the line goes back to its best feedforward first, and halves
+its share if it had been measured anew before.
 What differs between the measured periods is noise; learning stops
 
 - at the noise floor: the repeating error is no more than `NOISE` times what is left of the noise in its mean,
@@ -199,9 +200,9 @@ class RunningIterativeLearning:
             before, moved = np.abs(self._least), error - self._least
             told = SIGNIFICANT * noise
             slow = (np.abs(error) > SLOW * before + told) & (np.abs(moved) > told) & (about.filter.robustness[:, None] > 0.0)
-            self._secant[slow] = -((tried - self._kept)[slow] / moved[slow])
             better = np.abs(error) <= GROWTH * before + told
-            self._share[~better] *= 0.5
+            self._share[~better & ~np.isnan(self._secant)] *= 0.5
+            self._secant[slow] = -((tried - self._kept)[slow] / moved[slow])
         measured = ~np.isnan(self._secant)
         self._least = np.where(better, error, error if self._least is None else self._least)
         self._kept = np.where(better, tried, self._kept)

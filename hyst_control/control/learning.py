@@ -42,6 +42,8 @@ def run_learning_loop(
         Measurement unit, (N, A).
     compensator:
         Without one there is what is learned alone.
+    controller, plant, learner:
+        What closes the loop, is moved, and learns. The learner goes on from what it knows.
     """
     ahead = feedforward_rows(reference, compensator) if compensator else np.zeros_like(reference)
     rest = np.zeros(reference.shape[1])

@@ -28,7 +28,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.control.linearization import hysteresis_slopes, linearised, sampled_response
 from hyst_control.control.tuning import spread_responses
 from hyst_control.errors import InputError
-from hyst_control.identify.frequency_response import local_polynomial
+from hyst_control.identify.frequency_response import excited_lines, local_polynomial
 from hyst_control.model_file import Model
 
 Complex = NDArray[np.complex128]
@@ -115,6 +115,8 @@ def model_filter(
 
     Parameters
     ----------
+    model:
+        Of the plant alone, without the feedback.
     period:
         Samples of the period.
     sample_time:
@@ -160,6 +162,8 @@ def measured_filter(
         V and measurement unit, (M, A).
     period:
         Samples of the period that is to be learned.
+    sample_time:
+        s, of the record and of the loop.
     gain_spread:
         Relative spread of the plant's gain since then.
     peak_sensitivity:
@@ -170,7 +174,10 @@ def measured_filter(
     inverse = np.zeros((len(lines), axes, axes), dtype=complex)
     error = np.zeros(len(lines))
     for axis in range(axes):
-        found = local_polynomial([command[:, axis : axis + 1]], [measurement[:, axis : axis + 1]], sample_time)
+        given = command[:, axis : axis + 1]
+        excited = excited_lines(np.abs(np.fft.rfft(given[:, 0])) ** 2)
+        highest = float(excited[-1]) / (len(given) * sample_time) if len(excited) else None
+        found = local_polynomial([given], [measurement[:, axis : axis + 1]], sample_time, highest=highest)
         gain, radius = found.response[:, 0, 0], found.radius()[:, 0, 0]
         # The slowest measured line stands for rest, where the response is real.
         frequency = np.concatenate([[0.0], found.frequency])
@@ -178,7 +185,7 @@ def measured_filter(
         relative = np.concatenate([[radius[0]], radius]) / np.abs(gain)
         at_lines = np.interp(lines, frequency, gain.real) + 1j * np.interp(lines, frequency, gain.imag)
         inverse[:, axis, axis] = 1.0 / at_lines
-        error = np.maximum(error, np.interp(lines, frequency, relative))
+        error = np.maximum(error, np.interp(lines, frequency, relative, right=np.inf))
     return LearningFilter(period, inverse, robustness(gain_spread + error * (1.0 + gain_spread), peak_sensitivity))
 
 
