@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.chain.stage import Array
-from hyst_control.control.linearization import hysteresis_slopes, linearised, sampled_response
+from hyst_control.control.linearization import first_mode, hysteresis_slopes, linearised, sampled_response
 from hyst_control.control.tuning import spread_responses
 from hyst_control.errors import InputError
 from hyst_control.identify.frequency_response import excited_lines, local_polynomial
@@ -33,6 +33,8 @@ from hyst_control.model_file import Model
 
 Complex = NDArray[np.complex128]
 
+LEAST_RESONANT = 0.5
+"""Damping ratio from which a pair of poles is no resonance."""
 CONTRACTION = 0.9
 """Greatest share of an error that a trial may leave, of any plant that is allowed for; the robustness filter ends where it is more."""
 
@@ -123,7 +125,8 @@ def model_filter(
         s, the model's by default.
     gain_spread, mode_spread, model_error:
         Relative spread of the plant's gain and first resonance, and the response's own error, for which every trial must gain. A
-        plant beyond them may lose in one trial, and is then measured anew by the learner.
+        plant beyond them may lose in one trial, and is then measured anew by the learner. The resonance is one below half the
+        sample rate and lightly damped.
     peak_sensitivity:
         Greatest |S| of the feedback; 1 without feedback.
 
@@ -135,7 +138,11 @@ def model_filter(
     sample_time = float(sample_time or model.sample_time)
     axes, z = len(model.axes), lines_of(_checked(period))
     mean, _ = hysteresis_slopes(model)
-    response = sampled_response(linearised(model, mean), axes, sample_time, z)
+    stages = linearised(model, mean)
+    response = sampled_response(stages, axes, sample_time, z)
+    mode = first_mode(stages, axes)
+    if mode is None or abs(mode) * sample_time > np.pi or -mode.real > LEAST_RESONANT * abs(mode):
+        mode_spread = 0.0  # poles that belong to a delay or a filter do not move as a resonance does
     cases = spread_responses(model, sample_time, 0, gain_spread, mode_spread, z)
     ratio = (cases.reshape(-1, axes, len(z)) / cases[:axes]).reshape(-1, len(z))
     error = (np.abs(1.0 - ratio) + model_error * np.abs(ratio)).max(axis=0)

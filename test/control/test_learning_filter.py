@@ -62,24 +62,30 @@ def test_a_trial_leaves_what_theory_says(gain, mode, controller):
 
 
 @pytest.fixture(scope="module")
-def tuning():
-    return tune(MHL, sample_time=2e-4, roll_off=800.0)
+def loop(request):
+    """A model, its sample time, its tuned feedback and a filter for it; the mirror's notch hides its mode from the model."""
+    model, ts = (linear(Delay(5e-4), MODE), TIME) if request.param == "mode" else (MHL, 2e-4)
+    spread = 0.2 if request.param == "mode" else 0.0
+    return model, ts, tune(model, sample_time=ts, roll_off=0.16 / ts), model_filter(model, 50, sample_time=ts, mode_spread=spread)
 
 
 @pytest.mark.parametrize("gain", [0.9, 1.0, 1.1])
-@pytest.mark.parametrize("mode", [0.8, 1.0, 1.2])
-def test_it_converges_for_every_plant_that_it_allows_for(tuning, gain, mode):
-    """The mirror's model with the tuned feedback: every line that learns gets better, at the spread's corners and within."""
-    ts, period = 2e-4, 50
-    z = lines_of(period)
+@pytest.mark.parametrize(
+    ("loop", "mode"), [("mirror", 1.0), *(("mode", mode) for mode in (0.8, 0.9, 1.0, 1.1, 1.2))], indirect=["loop"]
+)
+def test_it_converges_for_every_plant_that_it_allows_for(loop, gain, mode):
+    """With the tuned feedback: every line that learns gets better, at the spread's corners and within."""
+    model, ts, tuning, filter_ = loop
+    z, axes = lines_of(50), len(model.axes)
     z[0] = np.exp(1e-9j)
-    feedback = feedback_response([controller_response(tuning.kp, tuning.ki, tuning.roll_off, ts, z)] * 2)
-    filter_ = model_filter(MHL, period, sample_time=ts, mode_spread=0.2)
-    mean, _ = hysteresis_slopes(MHL)
-    plant = sampled_response(with_first_mode(linearised(MHL, gain * mean), 2, mode), 2, ts, z)
+    feedback = feedback_response([controller_response(tuning.kp, tuning.ki, tuning.roll_off, ts, z)] * axes)
+    mean, _ = hysteresis_slopes(model)
+    plant = sampled_response(with_first_mode(linearised(model, gain * mean), axes, mode), axes, ts, z)
+    if model is not MHL:
+        plant = gain * plant
     left = filter_.contraction(plant, feedback)
     learning = filter_.robustness > 0
-    assert learning.sum() > 15 and np.all(left[learning] < 1.0)
+    assert learning.sum() >= 3 and np.all(left[learning] < 1.0)
     assert np.all(left[filter_.robustness == 1.0] <= CONTRACTION)
 
 

@@ -1,0 +1,90 @@
+"""Trials of learning offline: on a plant that can be run, or from records of trials; and their table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.control.feedforward import build_compensator
+from hyst_control.control.iterative_learning import IterativeLearning, RunningIterativeLearning
+from hyst_control.control.learning import run_learning_loop
+from hyst_control.control.loop import Compensator, Plant
+from hyst_control.control.pi import RunningPI
+from hyst_control.errors import InputError
+from hyst_control.model_file import Model
+from hyst_control.records.record import Record
+from hyst_control.reporting.tables import Table
+
+KINDS = ("mhl_inverse", "hampi", "none")
+"""Compensators of `best_compensator`, the best first."""
+TOPICS = ("reference", "feedback", "measurement")
+
+
+def run_trials(
+    reference: Array,
+    compensator: Compensator | None,
+    controller: RunningPI,
+    plant: Plant,
+    description: IterativeLearning,
+) -> tuple[RunningIterativeLearning, dict[str, Array]]:
+    """Learn one period (N, A) of a reference on a plant; the learner and the signals of all trials.
+
+    Parameters
+    ----------
+    reference:
+        One period in the measurement unit; the loop starts at rest at 0 V and goes on from period to period.
+    compensator, controller, plant:
+        The loop, as in `loop.run_loop`.
+    description:
+        The learner; its trials are run, also those after it has stopped.
+    """
+    learner = description.start()
+    periods = description.trials * (description.settling + description.averaged)
+    return learner, run_learning_loop(np.tile(reference, (periods, 1)), compensator, controller, plant, learner)
+
+
+def learn_from_records(records: Sequence[Record], description: IterativeLearning) -> tuple[RunningIterativeLearning, float]:
+    """Learn from records of trials, one a record, in order; the learner, and the range of the reference.
+
+    Every record begins at a tick where a period begins, and its last whole periods count. The feedforward of the second trial must
+    have held what was learned from the first, and so on. Raises `InputError` for a record that is too short or of other axes.
+    """
+    learner, rows, low, high = description.start(), description.trial_rows, np.inf, -np.inf
+    for index, record in enumerate(records):
+        [data] = record.aligned(TOPICS)
+        period, axes = description.filter.period, description.filter.axes
+        reference, feedback, measurement = (data.values[topic] for topic in TOPICS)
+        if len(reference) < rows or reference.shape[1] != axes:
+            raise InputError(
+                f"{record.source}: {len(reference)} samples of {reference.shape[1]} axes: a trial needs "
+                f"{rows // period} periods, {rows} samples, of {axes} axes"
+            )
+        begin = (len(reference) // period) * period - rows
+        piece = slice(begin, begin + rows)
+        learner.learned(index * rows, np.zeros((rows, axes)))
+        learner.observe(index * rows, reference[piece], measurement[piece], feedback[piece])
+        low, high = min(low, float(reference.min())), max(high, float(reference.max()))
+    return learner, high - low
+
+
+def trial_table(learner: RunningIterativeLearning, span: float, subject: str, source: str = "learn") -> Table:
+    """One row a trial: error, its repeating part and the noise in that, NRMSE in per cent of `span`; why learning ended as a note."""
+    table = Table(source)
+    for index, trial in enumerate(learner.history):
+        for quantity, value in (("nrmse", trial.error), ("nrmse_repeating", trial.repeating), ("nrmse_noise", trial.noise)):
+            table.add("learning from trial to trial", f"trial {index}", subject, quantity, "%", 100.0 * value / span)
+    trials = f"{len(learner.history)} trial{'s' * (len(learner.history) != 1)}"
+    table.notes.append(f"Stopped after {trials}: {learner.stopped}." if learner.stopped else f"{trials}; learning goes on.")
+    return table
+
+
+def best_compensator(model: Model, sample_time: float, limits: tuple[float, float]) -> tuple[str, Compensator]:
+    """The kind and the compensator that suit a model best: the first of `KINDS` that can be built."""
+    for kind in KINDS[:-1]:
+        try:
+            return kind, build_compensator(model, kind, sample_time=sample_time, limits=limits)
+        except InputError:
+            continue
+    return KINDS[-1], build_compensator(model, KINDS[-1], sample_time=sample_time, limits=limits)
