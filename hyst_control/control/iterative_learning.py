@@ -30,6 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyst_control.chain.stage import Array
+from hyst_control.control.learning import ENDLESS
 from hyst_control.control.learning_filter import LearningFilter
 from hyst_control.errors import InputError
 
@@ -38,7 +39,6 @@ SIGNIFICANT = 4.0
 """Standard deviations of its noise beyond which a line's error tells something."""
 SLOW = 0.5
 """Share of a line's error that a trial may leave before the line is measured anew."""
-ENDLESS = 2**31
 
 
 @dataclass(frozen=True)
@@ -92,25 +92,29 @@ class IterativeLearning:
         """Samples of a trial."""
         return (self.settling + self.averaged) * self.filter.period
 
-    def start(self) -> RunningIterativeLearning:
-        """A running learner that has learned nothing."""
-        return RunningIterativeLearning(self)
+    def start(self, feedforward: Array | None = None) -> RunningIterativeLearning:
+        """A running learner that begins with one period (N, A) in V of what was learned before, or with nothing."""
+        return RunningIterativeLearning(self, feedforward)
 
 
 class RunningIterativeLearning:
     """The learner's state; see `learning.Learner`. `history` has the trials, `stopped` says why it learns no more ("" while it does)."""
 
-    def __init__(self, description: IterativeLearning) -> None:
+    def __init__(self, description: IterativeLearning, feedforward: Array | None = None) -> None:
         self.description = description
+        shape = (description.filter.period, description.filter.axes)
+        self._first = np.zeros(shape) if feedforward is None else np.array(feedforward, dtype=float)
+        if self._first.shape != shape:
+            raise InputError(f"feedforward: must have the shape {shape} of a period, got {self._first.shape}")
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything that was learned."""
+        """Forget everything that was learned since the start."""
         about = self.description
         shape = (about.averaged, about.filter.period, about.filter.axes)
         self.history: list[Trial] = []
         self.stopped = ""
-        self.feedforward = np.zeros(shape[1:])
+        self.feedforward = self._first
         """One period (N, A) of what is added, in V, from a tick that is a multiple of the period after the first one."""
         self._best = self.feedforward
         self._origin: int | None = None

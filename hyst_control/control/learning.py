@@ -14,6 +14,9 @@ from hyst_control.chain.stage import Array
 from hyst_control.control.loop import Compensator, Plant, feedforward_rows
 from hyst_control.control.pi import RunningPI
 
+ENDLESS = 2**31
+"""Rows that are available of what changes no more."""
+
 
 class Learner(Protocol):
     """What adds to a feedforward."""
@@ -29,6 +32,33 @@ class Learner(Protocol):
 
     def reset(self) -> None:
         """Forget everything that was learned."""
+
+
+class Played:
+    """What was learned before, one period (N, A) in V, played again and again; it learns nothing."""
+
+    def __init__(self, feedforward: Array) -> None:
+        self.feedforward = np.array(feedforward, dtype=float)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin with the period's first row again."""
+        self._origin: int | None = None
+
+    def available(self, first: int) -> int:
+        """How many rows from tick `first` on may be given: all."""
+        return ENDLESS
+
+    def learned(self, first: int, feedforward: Array) -> Array:
+        """What to add (N, A) in V in the ticks from `first` on."""
+        if self._origin is None:
+            self._origin = first
+        start = first - self._origin
+        rows: Array = self.feedforward[np.arange(start, start + len(feedforward)) % len(self.feedforward)]
+        return rows
+
+    def observe(self, first: int, reference: Array, measurement: Array, feedback: Array) -> None:
+        """Nothing is learned."""
 
 
 def run_learning_loop(

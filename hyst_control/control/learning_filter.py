@@ -33,6 +33,8 @@ from hyst_control.model_file import Model
 
 Complex = NDArray[np.complex128]
 
+AMPLIFICATION = 5.0
+"""Voltage for a unit of error, relative to that at rest, beyond which nothing is learned: what little moves there is noise."""
 LEAST_RESONANT = 0.5
 """Damping ratio from which a pair of poles is no resonance."""
 CONTRACTION = 0.9
@@ -146,7 +148,9 @@ def model_filter(
     cases = spread_responses(model, sample_time, 0, gain_spread, mode_spread, z)
     ratio = (cases.reshape(-1, axes, len(z)) / cases[:axes]).reshape(-1, len(z))
     error = (np.abs(1.0 - ratio) + model_error * np.abs(ratio)).max(axis=0)
-    return LearningFilter(period, np.linalg.inv(response), robustness(error, peak_sensitivity))
+    inverse = np.linalg.inv(response)
+    error[amplified(inverse)] = np.inf
+    return LearningFilter(period, inverse, robustness(error, peak_sensitivity))
 
 
 def measured_filter(
@@ -193,7 +197,14 @@ def measured_filter(
         at_lines = np.interp(lines, frequency, gain.real) + 1j * np.interp(lines, frequency, gain.imag)
         inverse[:, axis, axis] = 1.0 / at_lines
         error = np.maximum(error, np.interp(lines, frequency, relative, right=np.inf))
+    error[amplified(inverse)] = np.inf
     return LearningFilter(period, inverse, robustness(gain_spread + error * (1.0 + gain_spread), peak_sensitivity))
+
+
+def amplified(inverse: Complex) -> NDArray[np.bool_]:
+    """Lines (F,) at which the inverse (F, A, A) asks for more than `AMPLIFICATION` times the voltage at rest."""
+    size = np.linalg.norm(inverse, ord=2, axis=(1, 2))
+    return np.asarray(size > AMPLIFICATION * size[0])
 
 
 def robustness(error: Array, peak_sensitivity: float) -> Array:
