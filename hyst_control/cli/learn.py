@@ -33,8 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plant", help="truth plant that the trials run on: a name or a file (default: the model itself)")
     parser.add_argument("--gain-error", type=float, default=0.0, help="relative change of the truth plant's gain (default 0)")
     parser.add_argument("--rate", type=float, help="sample rate in Hz of trials that are run (default: the model's)")
-    parser.add_argument("--kp", type=float, help="gains of the feedback, with --ki and --roll-off (default: tuned, see hyst tune)")
-    parser.add_argument("--ki", type=float)
+    parser.add_argument("--kp", type=float, help="gain of the feedback, V per measurement unit (default: tuned, see hyst tune)")
+    parser.add_argument("--ki", type=float, help="integral gain of the feedback, V per measurement unit and s")
     parser.add_argument("--roll-off", type=float, default=0.0, metavar="HZ", help="of the feedback, with --kp and --ki")
     parser.add_argument("--trials", type=int, default=6, help="trials to run at most (default 6)")
     parser.add_argument("--settling", type=int, default=1, help="periods of a trial that are not measured (default 1)")
@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--response", metavar="BAG", help="record of an excitation: its measured response takes the place of the model's"
     )
     parser.add_argument("--seed", type=int, default=0, help="of the truth plant's noise (default 0)")
-    parser.add_argument("--output", metavar="FILE.npy", help="file for one period of what was learned, in V")
+    parser.add_argument("--output", metavar="FILE.npy", help="file to write one period of what was learned to, in V")
 
 
 def run(arguments: argparse.Namespace) -> Table:

@@ -190,13 +190,12 @@ def measured_filter(
         highest = float(excited[-1]) / (len(given) * sample_time) if len(excited) else None
         found = local_polynomial([given], [measurement[:, axis : axis + 1]], sample_time, highest=highest)
         gain, radius = found.response[:, 0, 0], found.radius()[:, 0, 0]
-        # The slowest measured line stands for rest, where the response is real.
-        frequency = np.concatenate([[0.0], found.frequency])
-        gain = np.concatenate([[np.copysign(abs(gain[0]), gain[0].real)], gain])
-        relative = np.concatenate([[radius[0]], radius]) / np.abs(gain)
-        at_lines = np.interp(lines, frequency, gain.real) + 1j * np.interp(lines, frequency, gain.imag)
+        at_lines = np.interp(lines, found.frequency, gain.real) + 1j * np.interp(lines, found.frequency, gain.imag)
+        # Rest is not in the record: the period's slowest line stands for it, where the response is nearly real.
+        at_lines[0] = np.copysign(abs(at_lines[1]), at_lines[1].real)
         inverse[:, axis, axis] = 1.0 / at_lines
-        error = np.maximum(error, np.interp(lines, frequency, relative, right=np.inf))
+        error = np.maximum(error, np.interp(lines, found.frequency, radius / np.abs(gain), right=np.inf))
+    error[0] = error[1]
     error[amplified(inverse)] = np.inf
     return LearningFilter(period, inverse, robustness(gain_spread + error * (1.0 + gain_spread), peak_sensitivity))
 

@@ -19,6 +19,7 @@ from hyst_control.reporting.tables import Table
 
 KINDS = ("mhl_inverse", "hampi", "none")
 """Compensators of `best_compensator`, the best first."""
+LEARNED = "learned"
 TOPICS = ("reference", "feedback", "measurement")
 
 
@@ -49,11 +50,13 @@ def learn_from_records(records: Sequence[Record], description: IterativeLearning
     """Learn from records of trials, one a record, in order; the learner, and the range of the reference.
 
     Every record begins at a tick where a period begins, and its last whole periods count. The feedforward of the second trial must
-    have held what was learned from the first, and so on. Raises `InputError` for a record that is too short or of other axes.
+    have held what was learned from the first, and so on; what the first one held is its topic `learned`, nothing where it has none.
+    Raises `InputError` for a record that is too short or of other axes.
     """
     learner, rows, low, high = description.start(), description.trial_rows, np.inf, -np.inf
     for index, record in enumerate(records):
-        [data] = record.aligned(TOPICS)
+        held = [LEARNED] if index == 0 and LEARNED in record.signals else []
+        [data] = record.aligned([*TOPICS, *held])
         period, axes = description.filter.period, description.filter.axes
         reference, feedback, measurement = (data.values[topic] for topic in TOPICS)
         if len(reference) < rows or reference.shape[1] != axes:
@@ -63,6 +66,8 @@ def learn_from_records(records: Sequence[Record], description: IterativeLearning
             )
         begin = (len(reference) // period) * period - rows
         piece = slice(begin, begin + rows)
+        if held:
+            learner = description.start(data.values[LEARNED][begin + rows - period : begin + rows])
         learner.learned(index * rows, np.zeros((rows, axes)))
         learner.observe(index * rows, reference[piece], measurement[piece], feedback[piece])
         low, high = min(low, float(reference.min())), max(high, float(reference.max()))
