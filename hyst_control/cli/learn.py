@@ -1,11 +1,14 @@
 """Learn the feedforward of a reference that repeats, from trial to trial, on a simulated plant or from bags of trials.
 
+With --feedback-error, gain and lag are learned from the feedback instead, as for any reference.
+
 Without bags the trials are run here: compensator, PI feedback and learning on a truth plant (--plant), or on the model itself. With
 bags, one a trial in order, the feedforward of the next trial is computed, which the feedforward nodes play (parameter learned_file).
 
 examples:
   hyst learn config/models/fsm_mhl.yaml --plant fsm --rate 5000 --reference sine frequency=100 amplitude=0.9 offset=1 duration=0.01
   hyst learn pea.yaml --plant pea --gain-error 0.1 --reference raster.yaml --trials 6 --json learned.json
+  hyst learn pea.yaml --plant pea --gain-error 0.1 --reference sine frequency=50 amplitude=2 offset=4 duration=0.02 --feedback-error 2
   hyst learn mirror.yaml trial_0 trial_1 --period 0.02 --output learned.npy
   hyst learn mirror.yaml trial_0 --period 0.02 --response excitation --output learned.npy
 """
@@ -13,9 +16,12 @@ examples:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from hyst_control.control.iterative_learning import RunningIterativeLearning
     from hyst_control.control.learning_filter import LearningFilter
     from hyst_control.model_file import Model
     from hyst_control.reporting.tables import Table
@@ -45,6 +51,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--response", metavar="BAG", help="record of an excitation: its measured response takes the place of the model's"
+    )
+    parser.add_argument(
+        "--feedback-error", type=float, metavar="S", help="learn gain and lag from the feedback for so long, in place of trials"
     )
     parser.add_argument("--seed", type=int, default=0, help="of the truth plant's noise (default 0)")
     parser.add_argument("--output", metavar="FILE.npy", help="file to write one period of what was learned to, in V")
@@ -83,7 +92,7 @@ def run(arguments: argparse.Namespace) -> Table:
         if not arguments.reference or arguments.period:
             raise InputError("give bags with --period, or one period of a --reference")
         table, learner = _simulated(arguments, model, options)
-    if arguments.output is not None:
+    if arguments.output is not None and learner is not None:
         np.save(arguments.output, learner.feedforward)
     return table
 
@@ -101,11 +110,15 @@ def _filter(arguments: argparse.Namespace, model: Model, period: int, sample_tim
     return measured_filter(data.values["command"], data.values["measurement"], period, sample_time)
 
 
-def _simulated(arguments: argparse.Namespace, model: Model, options: dict):
+def _simulated(
+    arguments: argparse.Namespace, model: Model, options: Mapping[str, Any]
+) -> tuple[Table, RunningIterativeLearning | None]:
+    """Trials, or feedback-error learning, on a plant that is simulated here."""
     import numpy as np
 
+    from hyst_control.control.feedback_error_learning import FeedbackErrorLearning
     from hyst_control.control.iterative_learning import IterativeLearning
-    from hyst_control.control.learning_trials import best_compensator, run_trials, trial_table
+    from hyst_control.control.learning_trials import best_compensator, feedback_error_table, run_trials, trial_table
     from hyst_control.control.pi import PI
     from hyst_control.control.tuning import AUTOMATIC, tune
     from hyst_control.errors import InputError
@@ -138,6 +151,13 @@ def _simulated(arguments: argparse.Namespace, model: Model, options: dict):
     else:
         controller = PI(arguments.kp or 0.0, arguments.ki or 0.0, sample_time, *limits, roll_off=arguments.roll_off)
     kind, compensator = best_compensator(model, sample_time, limits)
+    if arguments.feedback_error is not None:
+        if not 0 < arguments.feedback_error <= 3600:
+            raise InputError(f"--feedback-error: must be above 0 and at most 3600 s, got {arguments.feedback_error!r}")
+        if arguments.output:
+            raise InputError("--output: holds what trials learned: leave it out, or --feedback-error")
+        loop = (reference, compensator, controller.start(axes), plant)
+        return feedback_error_table(*loop, FeedbackErrorLearning(sample_time), arguments.feedback_error, kind), None
     description = IterativeLearning(_filter(arguments, model, len(reference), sample_time), **options)
     learner, _ = run_trials(reference, compensator, controller.start(axes), plant, description)
     table = trial_table(learner, float(np.ptp(reference, axis=0).max()), kind)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hyst_control.chain.stage import Array
+from hyst_control.control.feedback_error_learning import FeedbackErrorLearning
 from hyst_control.control.feedforward import build_compensator
 from hyst_control.control.iterative_learning import IterativeLearning, RunningIterativeLearning
 from hyst_control.control.learning import run_learning_loop
@@ -82,6 +83,44 @@ def trial_table(learner: RunningIterativeLearning, span: float, subject: str, so
             table.add("learning from trial to trial", f"trial {index}", subject, quantity, "%", 100.0 * value / span)
     trials = f"{len(learner.history)} trial{'s' * (len(learner.history) != 1)}"
     table.notes.append(f"Stopped after {trials}: {learner.stopped}." if learner.stopped else f"{trials}; learning goes on.")
+    return table
+
+
+def feedback_error_table(
+    reference: Array,
+    compensator: Compensator | None,
+    controller: RunningPI,
+    plant: Plant,
+    description: FeedbackErrorLearning,
+    duration: float,
+    subject: str,
+) -> Table:
+    """Feedback-error learning on a plant: NRMSE in per cent of the range at its beginning and end, and what it learned.
+
+    Parameters
+    ----------
+    reference:
+        One period (N, A) in the measurement unit, repeated.
+    compensator, controller, plant, description:
+        The loop, as in `loop.run_loop`, and the learner.
+    duration:
+        s; the first and the last tenth of it are compared, without the first period.
+    subject:
+        Name of the compensator.
+    """
+    axes = reference.shape[1]
+    learner = description.start(axes)
+    count = max(int(np.ceil(duration / description.sample_time / len(reference))), 3)
+    signals = run_learning_loop(np.tile(reference, (count, 1)), compensator, controller, plant, learner)
+    error = (signals["reference"] - signals["measurement"]).reshape(count, len(reference), axes)
+    tenth = max(count // 10, 1)
+    table = Table("learn")
+    for case, part in (("first tenth", error[1 : 1 + tenth]), ("last tenth", error[-tenth:])):
+        value = 100.0 * np.sqrt(np.mean(part**2)) / np.ptp(reference, axis=0).max()
+        table.add("feedback-error learning", case, subject, "nrmse", "%", float(value))
+    for axis in range(axes):
+        table.add("feedback-error learning", f"axis {axis}", subject, "gain", "", learner.gain[axis])
+        table.add("feedback-error learning", f"axis {axis}", subject, "lag", "s", learner.lag[axis])
     return table
 
 

@@ -49,6 +49,14 @@ def test_trials_on_a_truth_plant(tmp_path, capsys):
     assert learner.stopped in capsys.readouterr().out
 
 
+def test_gain_and_lag_of_a_truth_plant(capsys):
+    arguments = ["learn", MODEL, "--plant", "fsm", "--gain-error", "0.1", *LOOP, *SINE, "--feedback-error", "1", "--json", "-"]
+    assert main(arguments) == 0
+    rows = {(row["case"], row["quantity"]): row["value"] for row in json.loads(capsys.readouterr().out)["rows"]}
+    assert rows["last tenth", "nrmse"] < 0.9 * rows["first tenth", "nrmse"]
+    assert rows["axis 0", "gain"] < 0.0 and rows["axis 1", "gain"] < 0.0
+
+
 def test_bags_of_trials_give_the_next_feedforward(tmp_path):
     """Bags cut from a run of three trials: after each, the file is what the run itself learned, to the rounding of its sums."""
     signals, _ = learned_run(3)
@@ -97,6 +105,7 @@ def test_a_measured_response_takes_the_place_of_the_models(tmp_path, capsys):
         (["--plant", "pea", *SINE], "axes"),
         ([*SINE, "--averaged", "1", *LOOP], "averaged"),
         ([*SINE, "--output", "learned.csv"], "npy"),
+        ([*SINE, *LOOP, "--feedback-error", "0"], "--feedback-error"),
     ],
 )
 def test_unusable_input_is_refused_in_one_line(arguments, word, capsys):
