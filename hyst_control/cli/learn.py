@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--averaged", type=int, default=2, help="periods of a trial that are (default 2)")
     parser.add_argument("--gain", type=float, default=1.0, help="share of a correction that is applied at first (default 1)")
     parser.add_argument(
-        "--mode-spread", type=float, default=0.1, help="of the first resonance that every trial must bear (default 0.1)"
+        "--mode-spread", type=float, default=0.0, help="of the first resonance with which no trial may lose (default 0)"
     )
     parser.add_argument(
         "--response", metavar="BAG", help="record of an excitation: its measured response takes the place of the model's"

@@ -111,7 +111,7 @@ def model_filter(
     *,
     sample_time: float | None = None,
     gain_spread: float = 0.1,
-    mode_spread: float = 0.1,
+    mode_spread: float = 0.0,
     model_error: float = 0.15,
     peak_sensitivity: float = 2.0,
 ) -> LearningFilter:
@@ -126,9 +126,9 @@ def model_filter(
     sample_time:
         s, the model's by default.
     gain_spread, mode_spread, model_error:
-        Relative spread of the plant's gain and first resonance, and the response's own error, for which every trial must gain. A
-        plant beyond them may lose in one trial, and is then measured anew by the learner. The resonance is one below half the
-        sample rate and lightly damped.
+        Relative spread of the plant's gain and first resonance, and the response's own error, for which every trial must gain. Where
+        the plant is beyond them a trial may lose, and the lines that did are then measured anew by the learner; so a resonance that
+        moves is allowed for only where that is asked. It is one below half the sample rate and lightly damped.
     peak_sensitivity:
         Greatest |S| of the feedback; 1 without feedback.
 

@@ -143,7 +143,7 @@ def tune(
     static = np.abs(plants[:, 0]).max()
     if np.any(plants[:, 0].real <= 0.0):
         raise InputError("chain: the output falls when the command rises at rest: PI gains are positive; invert the axis")
-    limits = Limits(10.0 ** (gain_margin / 20.0), float(np.radians(phase_margin)), peak_sensitivity, model_error)
+    limits = 10.0 ** (gain_margin / 20.0), np.radians(phase_margin), peak_sensitivity, model_error
     corners = [float(roll_off)] if roll_off != AUTOMATIC else _ranked_corners(model, plants, static, sample_time, z, limits)
     for corner in corners:
         kp, ki = _greatest_integral(plants, static, sample_time, corner, z, limits)
@@ -159,7 +159,9 @@ def tune(
     return Tuning(kp, ki, sample_time, _worst(nominal), _worst(cases), settling, overshoot, corner)
 
 
-def _ranked_corners(model: Model, plants: Complex, static: float, sample_time: float, z: Complex, limits: Limits) -> list[float]:
+def _ranked_corners(
+    model: Model, plants: Complex, static: float, sample_time: float, z: Complex, limits: tuple[float, float, float, float]
+) -> list[float]:
     """Corners of the roll-off in Hz, 0 for none, the best first; a third of the frequencies is enough to rank them."""
     ranked = []
     for corner in [0.0, *(share / sample_time for share in ROLL_OFFS)]:
@@ -170,7 +172,7 @@ def _ranked_corners(model: Model, plants: Complex, static: float, sample_time: f
 
 
 def _greatest_integral(
-    plants: Complex, static: float, sample_time: float, roll_off: float, z: Complex, limits: Limits
+    plants: Complex, static: float, sample_time: float, roll_off: float, z: Complex, limits: tuple[float, float, float, float]
 ) -> tuple[float, float]:
     """The gains (kp, ki) with the greatest ki that keep the limits for all plants (M, F); zeros where there are none."""
     rolled = plants * controller_response(1.0, 0.0, roll_off, sample_time, z)
@@ -179,9 +181,9 @@ def _greatest_integral(
     for time in [0.0, *(sample_time * np.geomspace(0.1, 1e4, 26 if roll_off else 51))]:
         shape = (time + sample_time * z / (z - 1.0)) / (static * sample_time)
         loops, above = rolled * shape, best[1] * static * sample_time
-        if roll_off and above and not limits.kept(above * loops):
+        if roll_off and above and _phase_margin(above * loops, limits[3]).min() < limits[1]:
             continue  # no greater integral gain than the best so far
-        scale = _largest_scale(loops, limits, above=above)
+        scale = _largest_scale(loops, *limits, above=above)
         gains = scale * time / (static * sample_time), scale / (static * sample_time)
         if gains[1] > best[1]:
             best = gains
@@ -209,32 +211,22 @@ def spread_responses(
     return np.concatenate(responses)
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Least gain margin (a factor) and phase margin (rad), greatest peak sensitivity, and the loops' own relative error."""
-
-    gain_margin: float
-    phase_margin: float
-    peak_sensitivity: float
-    error: float
-
-    def kept(self, loops: Complex) -> bool:
-        """Whether all loops (M, F) keep peak sensitivity and phase margin."""
-        return bool(
-            1.0 <= self.peak_sensitivity * _least_distance(loops, self.error)
-            and _phase_margin(loops, self.error).min() >= self.phase_margin
-        )
-
-
-def _largest_scale(loops: Complex, limits: Limits, above: float) -> float:
+def _largest_scale(
+    loops: Complex, gain_margin: float, phase_margin: float, peak_sensitivity: float, error: float, above: float
+) -> float:
     """The largest factor on loops (M, F) up to which all of them keep the margins; 0 when it is not larger than `above`."""
-    ultimate = _crossing_180(loops).max() * (1.0 + limits.error)
-    highest = 1.0 / (max(ultimate, 1e-12) * limits.gain_margin)
+    ultimate = _crossing_180(loops).max() * (1.0 + error)
+    highest = 1.0 / (max(ultimate, 1e-12) * gain_margin)
+
+    def kept(scale: float) -> bool:
+        scaled = scale * loops
+        return bool(1.0 <= peak_sensitivity * _least_distance(scaled, error) and _phase_margin(scaled, error).min() >= phase_margin)
+
     if highest <= above:
         return 0.0
     last = 0.0
     for scale in highest * np.geomspace(1e-2, 1.0, 25):
-        if not limits.kept(scale * loops):
+        if not kept(scale):
             break
         last = float(scale)
     else:
@@ -244,7 +236,7 @@ def _largest_scale(loops: Complex, limits: Limits, above: float) -> float:
         return 0.0
     for _ in range(8):
         middle = 0.5 * (last + high)
-        last, high = (middle, high) if limits.kept(middle * loops) else (last, middle)
+        last, high = (middle, high) if kept(middle) else (last, middle)
     return last
 
 
