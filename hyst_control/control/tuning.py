@@ -32,10 +32,6 @@ from hyst_control.reporting.tables import Table
 
 Complex = NDArray[np.complex128]
 
-AUTOMATIC = "auto"
-ROLL_OFFS = tuple(np.geomspace(0.4, 0.004, 11))
-"""Corners of the roll-off that are tried, relative to the sample rate."""
-
 
 @dataclass(frozen=True)
 class Margins:
@@ -100,6 +96,11 @@ class Tuning:
         table.add("PI feedback", where, "nominal", "settling_time", "s", self.settling_time)
         table.add("PI feedback", where, "nominal", "overshoot", "%", self.overshoot)
         return table
+
+
+AUTOMATIC = "auto"
+ROLL_OFFS = tuple(np.geomspace(0.4, 0.004, 11))
+"""Corners of the roll-off that are tried, relative to the sample rate."""
 
 
 def tune(
