@@ -31,6 +31,7 @@ class Feedforward(SignalNode):
     def __init__(self, name: str, compensator: Compensator | None = None, **options: Any) -> None:
         """compensator: used in place of the one that the parameters describe."""
         self.SETTINGS = (
+            *feedforward_learning.SETTINGS,
             Setting("model", "", "", "model file that the compensator inverts"),
             Setting("kind", self.KIND, "", "kind of compensator", choices=(*KINDS, "proportional")),
             Setting("inverse", "zpetc", "", "inverse of the dynamics", choices=("zpetc", "zmetc", "npz_ignore", "none")),
@@ -44,7 +45,6 @@ class Feedforward(SignalNode):
             Setting("limits", (0.0, 0.0), "V", "rating of the drive, lower and upper; equal: the model's valid range"),
             Setting("gain", (0.0,), "V per unit", "proportional: gain of all axes or of each"),
             Setting("offset", (0.0,), "V", "proportional: command at reference 0, of all axes or of each"),
-            *feedforward_learning.SETTINGS,
         )
         super().__init__(name, **options)
         self._compensator = compensator or self._described()

@@ -28,13 +28,15 @@ SETTINGS = (
     Setting("learning_settling", 1, "periods", "trials: of a trial, not measured", 1, 1000),
     Setting("learning_averaged", 2, "periods", "trials: of a trial, measured", 2, 1000),
     Setting("learning_trials", 20, "trials", "trials: at most", 1, 1_000_000),
-    Setting("learning_gain", 1.0, "", "trials: share of a correction that is applied at first", 1e-3, 1.0),
-    Setting("learning_mode_spread", 0.0, "", "trials: of the model's first resonance, with which no trial may lose", 0.0, 0.9),
-    Setting("learning_peak", 2.0, "", "trials: greatest sensitivity |S| of the feedback, 1 without", 1.0, 100.0),
+    Setting("learning_gain", 1.0, "relative", "trials: share of a correction that is applied at first", 1e-3, 1.0),
+    Setting(
+        "learning_mode_spread", 0.0, "relative", "trials: of the model's first resonance, with which no trial may lose", 0.0, 0.9
+    ),
+    Setting("learning_peak", 2.0, "ratio", "trials: greatest sensitivity |S| of the feedback, 1 without", 1.0, 100.0),
     Setting("learning_time", 0.2, "s", "feedback_error: in which it learns most of an error", 1e-6, 1e6),
     Setting("learning_corner", 1.0, "Hz", "feedback_error: what is slower is left to the feedback", 1e-6, 1e6),
     Setting("learning_excitation", 1.0, "V", "feedback_error: amplitude of the feedforward from which it learns", 1e-9, 1e6),
-    Setting("gain_bound", 0.3, "", "feedback_error: greatest relative gain that is learned, either way", 0.0, 0.99),
+    Setting("gain_bound", 0.3, "relative", "feedback_error: greatest relative gain that is learned, either way", 0.0, 0.99),
     Setting("lag_bound", 5e-4, "s", "feedback_error: greatest lag that is learned, either way", 0.0, 1e3),
 )
 
