@@ -16,10 +16,20 @@ from hyst_control.control.pi import PI
 from hyst_control.errors import InputError
 from hyst_control.model_file import Simulator, load_model
 from hyst_control.nodes.hampi_feedforward import HampiFeedforward
-from hyst_control.nodes.pipeline import DEFAULT, NODES
+from hyst_control.nodes.pi_feedback import PiFeedback
+from hyst_control.nodes.recorder import Recorder
+from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_control.nodes.run import run
 from hyst_control.processes.node_processes import Processes
+from hyst_plant_sim.node import PlantNode
 
+CLASSES = {
+    "reference_generator": ReferenceGenerator,
+    "hampi_feedforward": HampiFeedforward,
+    "pi_feedback": PiFeedback,
+    "plant": PlantNode,
+    "recorder": Recorder,
+}
 PERIOD = 200
 TICKS = 9 * PERIOD
 WAVE = (1.5 + (1 - np.cos(2 * np.pi * np.arange(PERIOD) / PERIOD)))[:, None]
@@ -53,8 +63,8 @@ def offline(learner):
 
 def composed(context, given):
     nodes = [
-        NODES[name](context=context, parameter_overrides=[Parameter(key, value=value) for key, value in given[name].items()])
-        for name in DEFAULT
+        CLASSES[name](context=context, parameter_overrides=[Parameter(key, value=value) for key, value in given[name].items()])
+        for name in CLASSES
     ]
     assert run(nodes, context, timeout=60.0) == 0
 
@@ -102,10 +112,10 @@ def test_five_processes_learn_alike(tmp_path, domain):
     np.save(tmp_path / "before.npy", before)
     given = settings(tmp_path, **TRIALS, learned_file=str(tmp_path / "before.npy"))
     with Processes(tmp_path / "log", domain) as processes:
-        for name in DEFAULT:
+        for name in CLASSES:
             processes.start(name, given[name])
         processes.wait("plant", "recorder", timeout=90)
-        assert processes.stop() == dict.fromkeys(DEFAULT, 0)
+        assert processes.stop() == dict.fromkeys(CLASSES, 0)
     assert_same(tmp_path / "bag", offline(learner_of_trials(before)))
 
 
