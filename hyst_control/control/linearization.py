@@ -124,6 +124,13 @@ def with_first_mode(stages: Sequence[Stage], axes: int, factor: float) -> tuple[
     return (*stages[:index], stage, *stages[index + 1 :])
 
 
+def first_mode(stages: Sequence[Stage], axes: int) -> complex | None:
+    """Pole (rad/s) of the first resonance of a linear chain, of the slowest axis; None without complex poles."""
+    poles = [_resonances(stage, axes) for stage in stages if isinstance(stage, LinearStage)]
+    found = np.concatenate(poles) if poles else np.empty(0)
+    return complex(found[np.argmin(np.abs(found))]) if len(found) else None
+
+
 def _resonances(stage: LinearStage, axes: int) -> Complex:
     poles = np.concatenate([np.linalg.eigvals(system.A) for system in stage.systems(axes)])
     return poles[poles.imag > 1e-6 * np.abs(poles)]
