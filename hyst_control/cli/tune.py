@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 NAME = "tune"
 HELP = "tune the PI feedback from a model to stability margins"
 JSON = "result table"
+READS = ("model",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
