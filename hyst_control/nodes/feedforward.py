@@ -44,7 +44,12 @@ class Feedforward(SignalNode):
             ),
             Setting("inverse_model", "", "", "model file with inverse curves identified by themselves"),
             Setting(
-                "rate_filter", RATE_FILTER, "", "mhl: denominator of N(s), descending powers of s; a single 0: without", 0.0, 1e12
+                "rate_filter",
+                RATE_FILTER,
+                "s^2, s, 1",
+                "mhl: denominator of N(s), descending powers of s; a single 0: without",
+                0.0,
+                1e12,
             ),
             Setting("limits", (0.0, 0.0), "V", "rating of the drive, lower and upper; equal: the model's valid range", -1e6, 1e6),
             Setting("gain", (0.0,), "V per unit", "proportional: gain of all axes or of each", -1e12, 1e12),
