@@ -32,6 +32,9 @@ from hyst_control.reporting.tables import Table
 
 Complex = NDArray[np.complex128]
 
+LOWEST_SCALE = 1e-15
+"""Of the gain at which the gain margin would be kept; a loop that cannot keep its margins at this little of it never does."""
+
 
 @dataclass(frozen=True)
 class Margins:
@@ -225,15 +228,21 @@ def _largest_scale(
 
     if highest <= above:
         return 0.0
+    # A resonance may take the phase margin or the sensitivity long before the gain margin: begin where everything is kept.
+    lowest = 1e-2
+    while not kept(highest * lowest):
+        lowest *= 0.1
+        if lowest < LOWEST_SCALE:
+            return 0.0
     last = 0.0
-    for scale in highest * np.geomspace(1e-2, 1.0, 25):
+    for scale in highest * np.geomspace(lowest, 1.0, 25 + int(round(12 * np.log10(1e-2 / lowest)))):
         if not kept(scale):
             break
         last = float(scale)
     else:
         return last
     high = float(scale)
-    if last == 0.0 or high <= above:
+    if high <= above:
         return 0.0
     for _ in range(8):
         middle = 0.5 * (last + high)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.control.feedforward import KINDS, build_compensator
+from hyst_control.control.feedforward import KINDS, RATE_FILTER, build_compensator
 from hyst_control.control.loop import Compensator
 from hyst_control.control.static_gain import Proportional
 from hyst_control.errors import InputError
@@ -47,6 +47,14 @@ class Feedforward(SignalNode):
                 20,
             ),
             Setting("inverse_model", "", "", "model file with inverse curves identified by themselves"),
+            Setting(
+                "rate_filter",
+                RATE_FILTER,
+                "s^2, s, 1",
+                "mhl: denominator of N(s), descending powers of s; a single 0: without",
+                0.0,
+                1e12,
+            ),
             Setting("limits", (0.0, 0.0), "V", "rating of the drive, lower and upper; equal: the model's valid range", -1e6, 1e6),
             Setting("gain", (0.0,), "V per unit", "proportional: gain of all axes or of each", -1e12, 1e12),
             Setting("offset", (0.0,), "V", "proportional: command at reference 0, of all axes or of each", -1e6, 1e6),
@@ -142,6 +150,7 @@ class Feedforward(SignalNode):
                 limits=given.limits if given.limits[0] != given.limits[-1] else None,
                 iterations=given.iterations if given.iterations >= 0 else None,
                 smoothing=given.smoothing,
+                rate_filter=given.rate_filter if any(given.rate_filter) else None,
                 inverse_model=load_model(given.inverse_model) if given.inverse_model else None,
             )
         except InputError as error:

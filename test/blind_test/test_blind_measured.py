@@ -60,7 +60,9 @@ def test_a_mode_is_found_and_taken_away_whole():
 
 def test_a_case_that_has_its_report_is_not_diagnosed_again(tmp_path, monkeypatch):
     calls = []
-    monkeypatch.setattr(measured, "diagnosed", lambda records, model, warm_up: calls.append(warm_up) or ({"verdict": "no_gap"},))
+    monkeypatch.setattr(
+        measured, "diagnosed", lambda records, model, warm_up: calls.append(warm_up) or ({"verdict": "no_gap"},)
+    )
     time = 1e-3 * np.arange(4)
     signal = Signal(time, np.ones((4, 3)), ("x", "y", "z"), "V")
     model = Model("whole", ("x", "y", "z"), {"command": "V", "measurement": "um"}, 1e-3, Chain((modal(np.random.default_rng(3)),)))

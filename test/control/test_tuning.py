@@ -11,7 +11,7 @@ from hyst_control.chain.memoryless import Gain
 from hyst_control.control.linearization import hysteresis_slopes, linearised, sampled_response, with_first_mode
 from hyst_control.control.loop import run_loop
 from hyst_control.control.pi import PI
-from hyst_control.control.tuning import margins, tune
+from hyst_control.control.tuning import _largest_scale, margins, tune
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model, Simulator, load_model
 from hyst_plant_sim.physics import load_plant
@@ -230,3 +230,28 @@ def test_command_line_prints_and_writes_the_table(tmp_path, capsys):
     assert main(["tune", str(MODELS / "fsm_mhl.yaml"), "--roll-off", "fast"]) == 2
     assert "--roll-off" in capsys.readouterr().err.splitlines()[-1]
     assert main(["tune", str(tmp_path / "absent.yaml")]) == 2
+
+
+def test_a_loop_whose_gain_margin_is_no_limit_is_scaled_to_its_phase_margin():
+    """k / (s (s + 1)), s = (z - 1) / (z + 1): -180 degrees at |L| = 0 alone; 45 degrees are left at w = 1, where k = √2."""
+    z = np.exp(1j * np.geomspace(1e-5, 1.0, 4000)[:-1] * np.pi)  # s is infinite at half the sampling rate
+    s = (z - 1.0) / (z + 1.0)
+    found = _largest_scale((1.0 / (s * (s + 1.0)))[None], 2.0, np.pi / 4, 2.0, 0.0, above=0.0)
+    assert found == pytest.approx(np.sqrt(2.0), rel=2e-3)
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_a_moved_mode_leaves_the_notch_that_hid_it_where_it_is(factor):
+    """(s² + 2 ζ' w s + w²) / (s² + 2 ζ w s + w²): the poles move, with their damping ratio and the gain at rest, the zeros do not."""
+    w, damping, notch = 2 * np.pi * 100.0, 0.04, 0.06
+    zeros, frequency = [1.0 / w**2, 2 * notch / w, 1.0], np.array([1.0, 60.0, 80.0, 100.0, 120.0, 300.0])
+    z = np.exp(2j * np.pi * frequency * SAMPLE_TIME)
+
+    def response(mode: float) -> np.ndarray:
+        den = np.polymul([1.0 / (mode * w) ** 2, 2 * damping / (mode * w), 1.0], [1e-4, 1.0])
+        return sampled_response([TransferFunction(zeros, den)], 1, SAMPLE_TIME, z)
+
+    present = [TransferFunction(zeros, np.polymul([1.0 / w**2, 2 * damping / w, 1.0], [1e-4, 1.0]))]
+    found = sampled_response(with_first_mode(present, 1, factor), 1, SAMPLE_TIME, z)
+    np.testing.assert_allclose(found, response(factor), rtol=1e-6)
+    assert np.abs(found - response(1.0)).max() > 1.0
