@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+LONGEST = 2000
+"""Characters of a line; a value out of a file may be as long as the file."""
+
 
 class InputError(ValueError):
     """Unusable input: what is wrong, where, and the remedy, in one line; `hyst` prints it and exits with status 2."""
 
     def __init__(self, text: str) -> None:
-        super().__init__(" ".join(part for part in str(text).splitlines() if part))  # a name out of a file may hold a line break
+        line = " ".join(part for part in str(text).splitlines() if part)  # a name out of a file may hold a line break
+        super().__init__(line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} … {line[-LONGEST // 2 :]}")
 
 
 class WorkerLost(InputError):

@@ -1,45 +1,146 @@
-"""Writing files so that a reader never meets half of one."""
+"""Opening files to write: a reader never meets half of one, and what is no plain file is written through.
+
+A plain file is written under a temporary name beside it and renamed. A device, a FIFO or a socket cannot be replaced without destroying
+it, and a symbolic link stands for what it names: those are written through.
+"""
 
 from __future__ import annotations
 
 import json
 import os
-import tempfile
+import secrets
+import stat
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from hyst_control.errors import InputError
+
+LINKS = 40
+"""Symbolic links that are followed one after the other, as the kernel does."""
 
 
 def check_writable(path: str | Path) -> None:
     """Raise `InputError` unless a file of this name can be written, as far as that can be told beforehand."""
-    folder = Path(path).parent
-    if not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise InputError(f"{path}: its folder does not exist or cannot be written: create it first")
-    if Path(path).is_dir():
-        raise InputError(f"{path}: is a directory: give the name of a file")
-
-
-def write_text(path: str | Path, text: str) -> None:
-    """Write to a temporary file beside it, then rename. Raises `InputError` where the folder cannot be written."""
-    path = Path(path)
     try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+        target = _target(path)
+        mode = _mode(target)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}: choose another name") from None
+    if mode is not None and stat.S_ISDIR(mode):
+        raise InputError(f"{path}: is a directory: give the name of a file")
+    if mode is not None and not stat.S_ISREG(mode):
+        if not os.access(target, os.W_OK):
+            raise InputError(f"{path}: cannot be written: choose another name")
+        return
+    if not target.parent.is_dir() or not os.access(target.parent, os.W_OK):
+        raise InputError(f"{path}: its folder does not exist or cannot be written: create it first")
+
+
+def check_outputs(outputs: Mapping[str, str | Path | None], inputs: Iterable[str | Path | None] = ()) -> None:
+    """Refuse outputs that would destroy what is read, or each other, before anything is computed.
+
+    Parameters
+    ----------
+    outputs
+        By the option's name; None and "-" (the standard output) are left out.
+    inputs
+        What is read: files and folders. What does not exist is left out.
+
+    Raises
+    ------
+    InputError
+        Where an output is an input or lies within one, or two outputs are the same file.
+    """
+    read = [Path(path) for path in inputs if path is not None and _exists(path)]
+    named: dict[Path, str] = {}
+    for name, path in outputs.items():
+        if path is None or path == "-":
+            continue
+        real = Path(os.path.realpath(path))
+        if _exists(real) and not real.is_file() and not real.is_dir():
+            continue  # a device or FIFO takes any number of them
+        for source in read:
+            own = Path(os.path.realpath(source))
+            if real == own or (real.exists() and own.exists() and os.path.samefile(real, own)):
+                raise InputError(f"{name} {path}: is read as well: choose another name")
+            if own.is_dir() and own in real.parents:
+                raise InputError(f"{name} {path}: lies within {source}, which is read: choose another place")
+        if real in named:
+            raise InputError(f"{name} {path}: is {named[real]} as well: give every output a name of its own")
+        named[real] = name
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[BinaryIO]:
+    """Open a file to write that appears under its name only when the block has ended without an exception.
+
+    A new file gets the permissions that the user's umask leaves, one that was there keeps its own. Devices, FIFOs and what a symbolic
+    link names are written through. Raises `InputError` where the file cannot be written.
+    """
+    try:
+        target = _target(path)
+        mode = _mode(target)
+        if mode is not None and stat.S_ISDIR(mode):
+            raise InputError(f"{path}: is a directory: give the name of a file")
+        if (mode is not None and not stat.S_ISREG(mode)) or _of_process(target):
+            with open(target, "ab") as device:  # what a shell redirected is not cut off
+                yield device
+            return
+        part = target.with_name(f".{target.name[:200]}-{secrets.token_hex(6)}.part")
+        handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}: choose a folder that exists and can be written") from None
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
+        with os.fdopen(handle, "wb") as file:
+            if mode is not None:
+                os.fchmod(file.fileno(), stat.S_IMODE(mode))
+            yield file
+        os.replace(part, target)
     except OSError as error:
-        os.unlink(temporary)
         raise InputError(f"{path}: {error.strerror or error}: choose a file name that can be written") from None
-    except BaseException:
-        os.unlink(temporary)
-        raise
+    finally:
+        with suppress(FileNotFoundError):
+            os.unlink(part)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text at once or not at all. Raises `InputError` where it cannot be written."""
+    data = text.encode("utf-8", "backslashreplace")  # a file's name may hold bytes that are no text
+    with replacing(path) as file:
+        file.write(data)
 
 
 def write_json(path: str | Path, document: Any) -> None:
     """A JSON document; numbers that are none are refused."""
     write_text(path, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def _target(path: str | Path) -> Path:
+    """What a path names, its symbolic links followed up to those of /proc, which name what a process has open."""
+    target = Path(path)
+    for _ in range(LINKS):
+        if _of_process(target) or not target.is_symlink():
+            return target
+        target = target.parent / os.readlink(target)
+    raise OSError(0, "too many symbolic links")
+
+
+def _of_process(path: Path) -> bool:
+    """Whether a path is an open file of a process (/dev/stdout names one): another file in its place would be none."""
+    return Path("/proc") in path.parents or Path(os.path.realpath(path.parent)).is_relative_to("/proc")
+
+
+def _mode(path: Path) -> int | None:
+    try:
+        return os.stat(path).st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+
+
+def _exists(path: str | Path) -> bool:
+    try:
+        return os.path.lexists(path)
+    except ValueError:  # a NUL in a name
+        return False

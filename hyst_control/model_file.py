@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from hyst_control.chain.parameter import Array, Kind, declared
 from hyst_control.chain.stage import HOLDS
 from hyst_control.errors import InputError
 from hyst_control.files import write_text
+from hyst_control.yaml_files import read_yaml
 
 FORMAT = "hyst_control/model"
 VERSION = 1
@@ -139,19 +139,7 @@ def load_model(path: str | Path) -> Model:
     InputError
         Naming file, field and remedy, where it cannot be read or makes no sense.
     """
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}: give the path of a model file") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is not a text file: give the path of a model file (YAML)") from None
-    try:
-        document = yaml.load(text, Loader=_Loader)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f" line {mark.line + 1}" if mark else ""
-        raise InputError(f"{path}:{where} is not valid YAML: {getattr(error, 'problem', None) or 'unreadable'}") from None
+    document = read_yaml(path, "give the path of a model file (YAML)")
     try:
         return model_from_document(document)
     except InputError as error:
@@ -371,21 +359,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return _plain(value.tolist())
     return value.item() if isinstance(value, np.generic) else value
-
-
-class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """Safe loading in which 1e-4 is a number, as it is everywhere but in YAML 1.1, and a key may stand once only."""
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        for key in keys:
-            if keys.count(key) > 1:
-                raise yaml.constructor.ConstructorError(None, None, f"the key {key!r} stands twice", node.start_mark)
-        found: dict[Any, Any] = super().construct_mapping(node, deep)
-        return found
-
-
-_Loader.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789"))
 
 
 class _Dumper(yaml.SafeDumper):

@@ -7,6 +7,7 @@ is killed, and end at once when the work is given up (an error, Ctrl-C). A worke
 from __future__ import annotations
 
 import ctypes
+import gc
 import multiprocessing
 import os
 import signal
@@ -136,6 +137,8 @@ def _begin_worker(serial: bool) -> None:
     """
     global _serial
     _serial = serial
+    # What a fork inherits as garbage is its parent's to collect: the objects of a library whose threads are not here must not be touched.
+    gc.freeze()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":

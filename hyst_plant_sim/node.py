@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from std_msgs.msg import Int64
 
@@ -24,6 +23,7 @@ from hyst_control.nodes.signal_ports import Input
 from hyst_control.nodes.tick_timer import LONGEST_GAP
 from hyst_control.records.row_repetition import Standstill
 from hyst_control.records.signal_rows import Wait
+from hyst_control.yaml_files import parse_yaml
 
 Array = NDArray[np.float64]
 
@@ -225,8 +225,8 @@ def _yaml(text: str, name: str, kind: type) -> Any:
     if not text.strip():
         return None
     try:
-        found = yaml.safe_load(text)
-    except yaml.YAMLError:
+        found = parse_yaml(text, name)
+    except InputError:
         found = None
     if not isinstance(found, kind):
         raise InputError(

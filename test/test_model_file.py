@@ -181,8 +181,8 @@ def test_a_bad_document_is_refused_with_one_line(old, new, message, tmp_path):
         ("!!python/object:os.system {}\n", "is not valid YAML"),
         (b"\x89MCAP0\r\n\x00\xff\xfe" * 10, "is not a text file"),
         (b"\x00\x01\x02", "is not valid YAML"),
-        ("[" * 5000, "is not valid YAML"),
-        ("&a [*a]\n", "is not a model file"),
+        ("[" * 5000, "nested more than 64 deep"),
+        ("&a [*a]\n", "stands within itself"),
         ("x: 1" + "0" * 6000, ""),
     ],
 )

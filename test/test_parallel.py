@@ -158,3 +158,28 @@ def test_a_command_whose_worker_is_killed_ends_with_one_line(tmp_path):
     os.kill(found[0], signal.SIGKILL)
     _, told = begun.communicate(timeout=120)
     assert begun.returncode == 2 and told.startswith("hyst cases: a worker process was killed") and told.count("\n") == 1
+
+
+GARBAGE = """
+import gc, os
+from hyst_control.parallel import forked
+os.sched_getaffinity = lambda process: {0, 1}
+parent = os.getpid()
+
+class Held:
+    def __del__(self):
+        if os.getpid() != parent:
+            os.abort()  # as a library does that finds none of its threads
+
+one = Held()
+one.itself = one
+gc.disable()
+del one
+print(list(forked(lambda i: (gc.collect(), i)[1], 4)))
+"""
+
+
+def test_a_worker_leaves_its_parents_garbage_alone():
+    """Objects of a library that are destroyed in a fork, without the library's threads, end the worker by a segmentation fault."""
+    result = subprocess.run([sys.executable, "-c", GARBAGE], capture_output=True, text=True, timeout=60)
+    assert result.stdout.strip() == "[0, 1, 2, 3]", result.stderr

@@ -1,6 +1,7 @@
 """`hyst`: one command, a subcommand per job. Every module of this package is a subcommand; each only parses and calls.
 
-A subcommand module has `NAME`, `HELP`, `JSON` (what `--json` writes), `add_arguments(parser)` and `run(arguments)`. `run` returns its
+A subcommand module has `NAME`, `HELP`, `JSON` (what `--json` writes), `add_arguments(parser)` and `run(arguments)`, and
+where it has such arguments `READS` and `WRITES`: names of those that are files or folders. `run` returns its
 result, which has `text()` for people and `document()` for programs, or an exit status when it has told everything itself. It imports
 what it needs within `run`, so that `hyst --help` is quick. `--json` and `--quiet` are every subcommand's and added here.
 """
@@ -8,6 +9,7 @@ what it needs within `run`, so that `hyst --help` is quick. `--json` and `--quie
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import signal
 import sys
@@ -20,7 +22,7 @@ from pkgutil import iter_modules
 
 from hyst_control import progress
 from hyst_control.errors import InputError
-from hyst_control.files import check_writable, write_json
+from hyst_control.files import check_outputs, check_writable, write_json
 
 ROS = ("rclpy", "std_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces")
 """Packages that nodes need and pip does not bring."""
@@ -46,12 +48,15 @@ def parser() -> argparse.ArgumentParser:
             help=f"{command.JSON} to write as JSON; -: to the standard output, and all else to the standard error",
         )
         sub.add_argument("--quiet", action="store_true", help="no progress, which is shown on a terminal only")
-        sub.set_defaults(run=command.run)
+        sub.set_defaults(run=command.run, reads=getattr(command, "READS", ()), writes=("json", *getattr(command, "WRITES", ())))
     return top
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a subcommand. Exit status 0 when it finished, 2 on unusable input (one line says what, where and what to do)."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a terminal that knows no µ, a file's name that is no text
     top = parser()
     if "_ARGCOMPLETE" in os.environ:  # the shell asks for completions
         import argcomplete
@@ -88,6 +93,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the subcommand, tell its result, write it as JSON where that is asked for; the exit status."""
+    read = [getattr(arguments, name) for name in arguments.reads]
+    check_outputs(
+        {f"--{name}": getattr(arguments, name) for name in arguments.writes},
+        [path for given in read for path in (given if isinstance(given, list) else [given])],
+    )
     if arguments.json != "-":
         if arguments.json is not None:
             check_writable(arguments.json)  # before what may take an hour

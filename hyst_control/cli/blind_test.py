@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 NAME = "blind-test"
 HELP = "check the diagnosis on cases whose effect is withheld"
 JSON = "result table"
+WRITES = ("page",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

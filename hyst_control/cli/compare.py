@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 NAME = "compare"
 HELP = "score several models on the same bags"
 JSON = "result table"
+READS = ("models", "bags")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

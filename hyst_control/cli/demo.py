@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 NAME = "demo"
 HELP = "the whole workflow on a simulated actuator, with a report"
 JSON = "result table"
+WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -16,6 +16,8 @@ import argparse
 NAME = "diagnose"
 HELP = "explain the gap between a model and recorded bags"
 JSON = "gap report"
+READS = ("bags", "model", "on")
+WRITES = ("report", "augmented")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

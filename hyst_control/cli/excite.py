@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 NAME = "excite"
 HELP = "build an excitation and write it as a table, array, bag or description"
 JSON = "what was made, or with --list the kinds,"
+READS = ("signal",)
+WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 NAME = "identify"
 HELP = "fit a model's parameters to recorded bags"
 JSON = "fit report"
+READS = ("bags",)
+WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="settled: at the first command, reached from 0 V; unknown: in the middle of something",
     )
     parser.add_argument("--allow-gaps", action="store_true", help="use the stretches between lost samples")
+    parser.add_argument("--force", action="store_true", help="fit records, too, that are no measurement of their command")
     parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
     _add_when_needed(parser)
@@ -89,6 +92,7 @@ def run(arguments: argparse.Namespace) -> Result:
         hold=arguments.hold,
         start=arguments.start,
         allow_gaps=arguments.allow_gaps,
+        force=arguments.force,
         namespace=arguments.namespace,
         unit=arguments.unit,
         **given,

@@ -6,8 +6,10 @@ examples:
   hyst import Model_Vi_Do.dat --output model.bag --columns "command=1[V],measurement=5[um]" --rate 200 --rows 5: --hold foh
   hyst import run.csv --output run.bag --columns "command=drive[mV],measurement=pos[nm]" --rate 20e3
   hyst import run.mat --output fsm.bag --columns "command=ux+uy[V],measurement=tx+ty[rad]" --rate 5000
+  hyst import scope.csv --output run.bag --columns "time=1[s],command=2[V],measurement=3[um]"
   hyst import killed.bag --output repaired.bag
-Columns are numbered from 1, or named by the header or the file's own arrays; several axes are joined with +.
+Columns are numbered from 1 (from 0 where a column 0 is named), or named by the header or the file's own arrays; several axes are joined
+with +. A matrix is taken with all its columns as axes, or with one of them: measurement=data(:,2)[um].
 """
 
 from __future__ import annotations
@@ -22,13 +24,15 @@ if TYPE_CHECKING:
 NAME = "import"
 HELP = "turn CSV, NPY, NPZ or MAT recordings into bags"
 JSON = "what was made"
+READS = ("file",)
+WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="the recording")
     parser.add_argument("--output", metavar="BAG", required=True, help="bag to write, which must not exist")
     parser.add_argument("--columns", help="topic=column[unit], separated by commas (not for a bag)")
-    parser.add_argument("--rate", type=float, help="sample rate in Hz (not for a bag)")
+    parser.add_argument("--rate", type=float, help="sample rate in Hz (not for a bag, nor for a table with a column of times)")
     parser.add_argument("--rows", default=":", help="first:end, counted from 0 (default all)")
     parser.add_argument(
         "--hold",
@@ -51,9 +55,8 @@ def run(arguments: argparse.Namespace) -> Made:
     if Path(arguments.file).is_dir() or arguments.file.endswith((".mcap", ".db3")):
         record = read_bag(arguments.file)
         return written(arguments.output, record, [f"note: {note}" for note in record.notes])
-    for name in ("columns", "rate"):
-        if getattr(arguments, name) is None:
-            raise InputError(f"--{name}: is missing: a table does not say it by itself")
+    if arguments.columns is None:
+        raise InputError("--columns: is missing: a table does not say it by itself")
     try:
         first, _, last = arguments.rows.partition(":")
         rows = (int(first or 0), int(last) if last else None)
@@ -62,7 +65,7 @@ def run(arguments: argparse.Namespace) -> Made:
     record = import_table(
         arguments.file, parse_columns(arguments.columns), arguments.rate, rows, arguments.hold, arguments.variable
     )
-    return written(arguments.output, record, [])
+    return written(arguments.output, record, [f"note: {note}" for note in record.notes])
 
 
 def written(output: str, record: Record, notes: list[str]) -> Made:

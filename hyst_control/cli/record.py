@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 NAME = "record"
 HELP = "record signal topics to a bag"
 JSON = "what was recorded"
+WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,13 +37,12 @@ def run(arguments: argparse.Namespace) -> Made | int:
     import json
     from pathlib import Path
 
-    import yaml
-
     from hyst_control import progress
     from hyst_control.errors import InputError
     from hyst_control.nodes.recorder import Recorder
     from hyst_control.nodes.run import main
     from hyst_control.reporting.artifacts import Made
+    from hyst_control.yaml_files import read_yaml
 
     for name in ("duration", "ticks"):
         value = getattr(arguments, name)
@@ -63,9 +63,11 @@ def run(arguments: argparse.Namespace) -> Made | int:
     if status := main(Recorder, args=["hyst", "--ros-args", *given, *remaps]):
         return status
     made = Made("record", [arguments.output])
-    metadata = yaml.safe_load((Path(arguments.output) / "metadata.yaml").read_text(encoding="utf-8"))
+    metadata = read_yaml(Path(arguments.output) / "metadata.yaml")
     for topic in metadata["rosbag2_bagfile_information"]["topics_with_message_count"]:
         name, count = topic["topic_metadata"]["name"], topic["message_count"]
-        made.lines.append(f"{name}: {count} messages")
+        made.lines.append(
+            f"{name}: {count} messages" if count else f"{name}: nothing was heard: does its node run, under this name?"
+        )
         made.add(name, "messages", "", count)
     return made

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 NAME = "reproduce"
 HELP = "run a published experiment and print its table"
 JSON = "result table (page: what was made)"
+READS = ("results",)
+WRITES = ("page",)
 EXPERIMENTS = ("hampi", "mhl", "pea-p885", "fsm-cubespec")
 
 

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 NAME = "simulate"
 HELP = "run a model over a recorded command or an excitation"
 JSON = "what was made"
+READS = ("model", "bag", "excitation")
+WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +65,12 @@ def run(arguments: argparse.Namespace) -> Made:
         sample_time = 1.0 / rate
         commands = build(read_description(arguments.excitation), sample_time, len(model.axes))
     progress.step(f"simulate {len(commands)} samples")
-    measurement = simulate(model, commands, sample_time, hold)
+    try:
+        measurement = simulate(model, commands, sample_time, hold)
+    except (MemoryError, OverflowError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{arguments.model}: cannot run at {1.0 / sample_time:g} Hz ({error}): choose another rate") from None
     if arguments.seed is not None:
         sigma = np.broadcast_to(np.asarray(model.noise.get("sigma", 0.0), dtype=float), len(model.axes))
         measurement = measurement + sigma * np.random.default_rng(arguments.seed).standard_normal(measurement.shape)

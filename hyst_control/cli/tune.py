@@ -2,6 +2,7 @@
 
 examples:
   hyst tune config/models/fsm_mhl.yaml --rate 5000
+  hyst tune config/models/fsm_mhl.yaml --rate 5000 --roll-off --at 100
   hyst tune hampi.yaml --gain-margin 8 --phase-margin 55 --loop-delay 1 --json tuning.json
 """
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 NAME = "tune"
 HELP = "tune the PI feedback from a model to stability margins"
 JSON = "result table"
+READS = ("model",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,6 +38,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model-error", type=float, default=0.15, help="of the model's response at any frequency, relative (default 0.15)"
     )
+    parser.add_argument(
+        "--roll-off",
+        nargs="?",
+        const="auto",
+        default="0",
+        metavar="HZ",
+        help="tune with a roll-off of the feedback: chosen along with the gains, or of this corner in Hz (default: none); "
+        "the gains then hold only with it",
+    )
+    parser.add_argument(
+        "--at", type=float, nargs="+", default=[], metavar="HZ", help="print the sensitivity |S| at these frequencies as well"
+    )
 
 
 def run(arguments: argparse.Namespace) -> Table:
@@ -46,6 +60,10 @@ def run(arguments: argparse.Namespace) -> Table:
     model = load_model(arguments.model)
     if arguments.rate is not None and not 0 < arguments.rate < 1e12:
         raise InputError(f"rate: {arguments.rate!r} Hz, a positive rate is due")
+    try:
+        roll_off = "auto" if arguments.roll_off == "auto" else float(arguments.roll_off)
+    except ValueError:
+        raise InputError(f"--roll-off: {arguments.roll_off!r}: give a corner in Hz, or nothing for auto") from None
     result = tune(
         model,
         sample_time=1.0 / arguments.rate if arguments.rate else None,
@@ -56,5 +74,13 @@ def run(arguments: argparse.Namespace) -> Table:
         gain_spread=arguments.gain_spread,
         mode_spread=arguments.mode_spread,
         model_error=arguments.model_error,
+        roll_off=roll_off,
     )
-    return result.table(model)
+    nyquist = 0.5 / result.sample_time
+    for frequency in arguments.at:
+        if not 0 < frequency <= nyquist:
+            raise InputError(f"--at: {frequency!r} Hz: must be above 0 and at most half the rate, {nyquist:g} Hz")
+    table = result.table(model)
+    for frequency, value in zip(arguments.at, result.sensitivity(model, arguments.at, arguments.loop_delay), strict=True):
+        table.add("PI feedback", f"{frequency:g} Hz", "nominal", "sensitivity", "", value)
+    return table

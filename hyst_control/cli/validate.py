@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 NAME = "validate"
 HELP = "score a model on recorded bags"
 JSON = "result table"
+READS = ("model", "bags")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -120,7 +120,8 @@ def build_compensator(
     """A compensator of one of `KINDS` for a model; see the module.
 
     sample_time s (the model's by default); inverse: "zpetc", "zmetc", "npz_ignore" or "none" (static gain only), of the
-    dynamics, for the kinds that invert them; discretisation: "zoh" (exact, delays included) or "tustin" (as published);
+    dynamics, for the kinds that invert them; discretisation: "zoh" (exact, delays included) or "tustin" (as published), of the
+    dynamics, or of N(s) Ψ';
     limits: (lower, upper) V, the drive's rating (the model's valid command range by default); preview: False for the causal
     form; iterations: steps per sample of the inverse multiplicative structure (default 4; 1 is HAMPI paper Eq. 13, 0
     solves exactly), or passes over the rate correction of `mhl_inverse` (default 6); inverse_model: a model file from the
@@ -158,7 +159,8 @@ def _proportional(model: Model, design: Design) -> Compensator:
 
 def _mhl(model: Model, design: Design) -> Compensator:
     """The MHL paper's compensators."""
-    return _without_preview(mhl_stages(model, design.kind, design.inverse_model, design.rate_filter), model, design)
+    tustin = Sampling(design.sample_time, len(model.axes), "foh") if design.discretisation == "tustin" else None
+    return _without_preview(mhl_stages(model, design.kind, design.inverse_model, design.rate_filter, tustin), model, design)
 
 
 def _without_preview(stages: Sequence[Stage], model: Model, design: Design) -> Compensator:
@@ -334,12 +336,15 @@ def invertible_range(core: PrandtlIshlinskii | ModifiedPrandtlIshlinskii, drive:
     return np.stack([drive[0], upper])
 
 
-def mhl_stages(model: Model, kind: str, inverse_model: Model | None, rate_filter: Sequence[float] | None) -> list[Stage]:
+def mhl_stages(
+    model: Model, kind: str, inverse_model: Model | None, rate_filter: Sequence[float] | None, tustin: Sampling | None = None
+) -> list[Stage]:
     """The MHL paper's composite feedforward, from an inverse identified by itself or from the model's own curves."""
     axes = len(model.axes)
     if inverse_model is not None:
-        hysteresis, correction = rate_dependent_parts(split(inverse_model)[1])
-        return composite(hysteresis, correction if kind == "mhl" else None, rate_filter)
+        front, core, _ = split(inverse_model)
+        hysteresis, correction = rate_dependent_parts(core)
+        return front + composite(hysteresis, correction if kind == "mhl" else None, rate_filter, tustin)
     before, core, after = split(model)
     if not isinstance(core, (Madelung, Parallel)):
         raise InputError(f"kind: {kind!r} needs a madelung stage, which the model {model.name} has not: take none, hapi or hampi")
@@ -348,4 +353,4 @@ def mhl_stages(model: Model, kind: str, inverse_model: Model | None, rate_filter
     stages += constant_removed(forward, axes)
     lead = inverse_rate_correction(direct, forward, axes) if forward is not None and kind == "mhl" else None
     front, _ = dynamics_inverse(before, Sampling(model.sample_time, axes), "none", "zoh")
-    return [*stages, *composite(inverted(direct), lead, rate_filter), *front]
+    return [*stages, *composite(inverted(direct), lead, rate_filter, tustin), *front]

@@ -9,7 +9,16 @@ from numpy.typing import NDArray
 
 from hyst_control.chain import Chain, Parallel, Sampling, Stage
 from hyst_control.chain.chain import ParallelFilter, SeriesFilter, resolved
-from hyst_control.chain.linear import Delay, LinearFilter, LinearStage, LinearSystem, StateSpace, TransferFunction, stacked
+from hyst_control.chain.linear import (
+    Delay,
+    LinearFilter,
+    LinearStage,
+    LinearSystem,
+    StateSpace,
+    TransferFunction,
+    stacked,
+    transfer_function_system,
+)
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.softening_modal import SofteningModal
 from hyst_control.chain.stage import Array, Filter, per_axis_scalar
@@ -107,7 +116,8 @@ def _response(running: Filter, axes: int, z: Complex) -> Complex:
 def with_first_mode(stages: Sequence[Stage], axes: int, factor: float) -> tuple[Stage, ...]:
     """The same linear chain with every axis' first resonance at `factor` times its frequency, damping ratio and stiffness kept.
 
-    The first resonance is the slowest pair of complex poles; a chain without one is returned as it is.
+    The first resonance is the slowest pair of complex poles; a chain without one is returned as it is. Where a pair of zeros lies upon
+    it, a notch against it, the zeros stay where they are and no longer hide it.
     """
     found = [
         (abs(pair), index)
@@ -124,9 +134,31 @@ def with_first_mode(stages: Sequence[Stage], axes: int, factor: float) -> tuple[
     return (*stages[:index], stage, *stages[index + 1 :])
 
 
+def first_mode(stages: Sequence[Stage], axes: int) -> complex | None:
+    """Pole (rad/s) of the first resonance of a linear chain, of the slowest axis; None without complex poles."""
+    poles = [_resonances(stage, axes) for stage in stages if isinstance(stage, LinearStage)]
+    found = np.concatenate(poles) if poles else np.empty(0)
+    return complex(found[np.argmin(np.abs(found))]) if len(found) else None
+
+
 def _resonances(stage: LinearStage, axes: int) -> Complex:
     poles = np.concatenate([np.linalg.eigvals(system.A) for system in stage.systems(axes)])
     return poles[poles.imag > 1e-6 * np.abs(poles)]
+
+
+NOTCH_WIDTH = 0.15
+"""Relative distance in frequency up to which a pair of zeros is a notch against a mode."""
+
+
+def notched(system: LinearSystem, w: float) -> bool:
+    """Whether a pair of complex zeros of a system of one input and output lies upon its mode at w rad/s."""
+    if system.B.shape[1] != 1 or system.C.shape[0] != 1:
+        return False
+    a, b, d = system.A / w, system.B / w, float(system.D[0, 0])
+    numerator = np.poly(a - b @ system.C) - (1.0 - d) * np.poly(a)
+    largest = np.abs(numerator).max()
+    zeros = np.roots(numerator[np.argmax(np.abs(numerator) > 1e-12 * largest) :]) if largest > 0.0 else np.zeros(0)
+    return bool(np.any((np.abs(zeros.imag) > 0.5) & (np.abs(np.abs(zeros) - 1.0) < NOTCH_WIDTH)))
 
 
 def _mode_moved(system: LinearSystem, factor: float) -> LinearSystem:
@@ -135,6 +167,11 @@ def _mode_moved(system: LinearSystem, factor: float) -> LinearSystem:
     if not len(complex_ones):
         return system
     first = values[complex_ones[np.argmin(np.abs(values[complex_ones]))]]
+    if notched(system, abs(first)):
+        damping = -2.0 * first.real
+        pole = np.array([1.0, damping, abs(first) ** 2])
+        moved = np.array([1.0, factor * damping, factor**2 * abs(first) ** 2])
+        return system.then(transfer_function_system(factor**2 * pole, moved))
     scale = np.where(np.isclose(values, first) | np.isclose(values, first.conj()), factor, 1.0)
     # Scaling a mode's pole and its input alike keeps what it contributes at rest.
     turn = vectors @ np.diag(scale) @ np.linalg.inv(vectors)

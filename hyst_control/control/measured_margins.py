@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from hyst_control.control.loop import Plant, run_loop
 from hyst_control.control.pi import PI
-from hyst_control.control.tuning import Margins, margins
+from hyst_control.control.tuning import Margins, controller_response, margins
 from hyst_control.errors import InputError
 from hyst_control.records.excitation import cosine_ramp, multisine
 
@@ -50,5 +50,5 @@ def measured_margins(plant: Plant, controller: PI, axes: int, axis: int, centre:
     # Weighted mean of Y / U over neighbouring lines, the plant's phase being nearly straight there.
     z = np.exp(2j * np.pi * line / count)
     ratio = np.convolve(measurement[line] * command[line].conj() * z**2, kernel, "same") / np.convolve(weight, kernel, "same")
-    response = ratio / z**2 * (controller.kp + controller.ki * ts * z / (z - 1.0))
+    response = ratio / z**2 * controller_response(controller.kp, controller.ki, controller.roll_off, ts, z)
     return margins(response, z, ts)

@@ -1,14 +1,17 @@
-"""PI feedback added to a feedforward, with output limits, slew limit and anti-windup, sample by sample.
+"""PI feedback added to a feedforward, with roll-off, output limits, slew limit and anti-windup, sample by sample.
 
 For every tick k and axis, with e = reference - measurement:
 
-    integral_k  = integral_{k-1} + ki T e_k
-    feedback_k  = kp e_k + integral_k
+    rolled_k    = rolled_{k-1} + (1 - exp(-2 pi roll_off T)) (e_k - rolled_{k-1})   (e_k itself without a roll-off)
+    integral_k  = integral_{k-1} + ki T rolled_k
+    feedback_k  = kp rolled_k + integral_k
     wanted_k    = feedforward_k + feedback_k
     command_k   = wanted_k clamped to [lower, upper] and to command_{k-1} -+ slew_limit T
     integral_k += (command_k - wanted_k) min(1, T / tracking_time)        (back-calculation)
 
-(backward Euler; Astrom and Hagglund, PID Controllers, 1995, section 3.5). Without ki the integral stays 0.
+(backward Euler; Astrom and Hagglund, PID Controllers, 1995, section 3.5). Without ki the integral stays 0. The roll-off is a pole of
+the controller above its crossover: it takes the height from a resonance there, for which the integral may then be greater. It
+stands before the integral, so that whatever the limits do, it holds an average of errors and cannot wind up.
 """
 
 from __future__ import annotations
@@ -29,7 +32,8 @@ class PI:
     """Description of the controller; `start` makes a running one.
 
     kp: V per measurement unit; ki: V per measurement unit and s; sample_time: s; lower, upper: V; slew_limit: V/s,
-    0 for none; tracking_time: s, of the anti-windup, 0 for kp / ki (or a single sample where that is 0).
+    0 for none; tracking_time: s, of the anti-windup, 0 for kp / ki (or a single sample where that is 0); roll_off: Hz, corner of a
+    first-order low-pass of the error, 0 for none.
     Raises `InputError` when a value makes no sense.
     """
 
@@ -40,6 +44,7 @@ class PI:
     upper: float
     slew_limit: float = 0.0
     tracking_time: float = 0.0
+    roll_off: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -49,17 +54,27 @@ class PI:
             raise InputError(f"sample_time: {self.sample_time:g} s must be positive")
         if self.lower >= self.upper:
             raise InputError(f"lower: {self.lower:g} V must be below upper, {self.upper:g} V")
-        for name in ("kp", "ki", "slew_limit", "tracking_time"):
+        for name in ("kp", "ki", "slew_limit", "tracking_time", "roll_off"):
             if getattr(self, name) < 0:
                 raise InputError(f"{name}: {getattr(self, name):g} must not be negative")
+
+    @property
+    def roll_off_share(self) -> float:
+        """Share of a change of the error that the roll-off lets pass within one sample; 1 without a roll-off."""
+        return roll_off_share(self.roll_off, self.sample_time)
 
     def start(self, axes: int) -> RunningPI:
         """A running controller for this many axes, reset."""
         return RunningPI(self, axes)
 
 
+def roll_off_share(roll_off: float, sample_time: float) -> float:
+    """Share of a step that a first-order low-pass of corner `roll_off` (Hz, 0 for none) passes within one sample (s)."""
+    return float(-np.expm1(-2.0 * np.pi * roll_off * sample_time)) if roll_off else 1.0
+
+
 class RunningPI:
-    """The controller's state: integral and last command per axis; any cutting into blocks gives the same bits."""
+    """The controller's state: integral, last command and rolled-off error per axis; any cutting into blocks gives the same bits."""
 
     def __init__(self, description: PI, axes: int) -> None:
         self.description = description
@@ -68,9 +83,17 @@ class RunningPI:
         share = 0.0 if not description.ki else min(1.0, description.sample_time / tracking_time) if tracking_time else 1.0
         step = description.slew_limit * description.sample_time if description.slew_limit else np.inf
         self._constants = np.array(
-            [description.kp, description.ki * description.sample_time, description.lower, description.upper, step, share]
+            [
+                description.kp,
+                description.ki * description.sample_time,
+                description.lower,
+                description.upper,
+                step,
+                share,
+                description.roll_off_share,
+            ]
         )
-        self._state = np.empty((2, axes))
+        self._state = np.empty((3, axes))
         self.saturated = 0
         self.reset()
 
@@ -83,6 +106,7 @@ class RunningPI:
         """Forget the integral. The first command keeps the slew limit from `command` (A,) V, or is free when None."""
         self._state[0] = 0.0
         self._state[1] = np.nan if command is None else command
+        self._state[2] = 0.0
         self.saturated = 0
 
     def resume(self, command: Array, reference: Array, measurement: Array, feedforward: Array) -> None:
@@ -94,6 +118,7 @@ class RunningPI:
         error = reference - measurement
         self._state[0] = np.asarray(command, dtype=float) - feedforward - (kp + ki_step) * error if ki_step else 0.0
         self._state[1] = command
+        self._state[2] = error
 
     def step(self, reference: Array, measurement: Array, feedforward: Array) -> tuple[Array, Array]:
         """Command and feedback of the next ticks, both shaped like the inputs: (A,) for one tick or (N, A) for N.
@@ -142,11 +167,14 @@ def _clamped(wanted: float, last: float, constants: Array) -> float:
 def _run(
     reference: Array, measurement: Array, feedforward: Array, constants: Array, state: Array, command: Array, feedback: Array
 ) -> int:
-    kp, ki_step, share = constants[0], constants[1], constants[5]
+    kp, ki_step, share, passed = constants[0], constants[1], constants[5], constants[6]
     saturated = 0
     for k in range(command.shape[0]):
         for axis in range(command.shape[1]):
             error = reference[k, axis] - measurement[k, axis]
+            if passed < 1.0:
+                error = state[2, axis] + passed * (error - state[2, axis])
+                state[2, axis] = error
             integral = state[0, axis] + ki_step * error
             feedback[k, axis] = kp * error + integral
             wanted = feedforward[k, axis] + feedback[k, axis]

@@ -1,9 +1,11 @@
 """Automatic tuning of the PI feedback to stability margins, from a model's linear part as the loop samples it.
 
-The loop is L(z) = P(z) z^-d (kp + ki T z / (z - 1)): P exact for the held command, delays included, d further ticks where the
-loop carries them (a loop closed over topics on wall-clock timers carries about one). Among all (kp, ki) that keep the margins for
-every case of plant gain and first resonance, the one with the greatest ki is taken: it has the least integral of the error after
-a load step (Astrom and Hagglund, Advanced PID Control, 2006, §4.6 and §6.3).
+The loop is L(z) = P(z) z^-d F(z) (kp + ki T z / (z - 1)): P exact for the held command, delays included, d further ticks where the
+loop carries them (a loop closed over topics on wall-clock timers carries about one), F the roll-off of the feedback (`pi`) where it
+is asked for, 1 otherwise. Among all (kp, ki) that keep the margins for every case of plant gain and first resonance, the one with
+the greatest ki is taken: it has the least integral of the error after a load step (Astrom and Hagglund, Advanced PID Control, 2006,
+§4.6 and §6.3). Among roll-offs, each with its gains, the one whose step has the least integral of the absolute error is taken: the
+greatest ki of all belongs to a low corner and a great kp, which overshoot.
 
 The model's own error is a relative one: the plant's response may lie anywhere within `model_error` |P| of the model's, at every
 frequency and in every case (multiplicative uncertainty, Doyle, Francis and Tannenbaum, Feedback Control Theory, 1992, §4). The
@@ -12,6 +14,7 @@ margins hold for the worst of these plants.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -22,12 +25,15 @@ from hyst_control.chain import Chain
 from hyst_control.chain.stage import Array
 from hyst_control.control.linearization import hysteresis_slopes, linearised, sampled_response, with_first_mode
 from hyst_control.control.loop import run_loop
-from hyst_control.control.pi import PI
+from hyst_control.control.pi import PI, roll_off_share
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model, Simulator
 from hyst_control.reporting.tables import Table
 
 Complex = NDArray[np.complex128]
+
+LOWEST_SCALE = 1e-15
+"""Of the gain at which the gain margin would be kept; a loop that cannot keep its margins at this little of it never does."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +56,7 @@ class Tuning:
     """Gains and what they give.
 
     kp (V per measurement unit) and ki (V per measurement unit and s), margins of the model as it is and the worst over the spread and
-    the model's own error, settling_time s of a step into 2 %, overshoot in per cent.
+    the model's own error, settling_time s of a step into 2 %, overshoot in per cent; roll_off Hz, 0 without.
     """
 
     kp: float
@@ -60,10 +66,18 @@ class Tuning:
     worst: Margins
     settling_time: float
     overshoot: float
+    roll_off: float = 0.0
 
     def controller(self, lower: float, upper: float, slew_limit: float = 0.0) -> PI:
         """The tuned controller within limits in V and V/s."""
-        return PI(self.kp, self.ki, self.sample_time, lower, upper, slew_limit)
+        return PI(self.kp, self.ki, self.sample_time, lower, upper, slew_limit, roll_off=self.roll_off)
+
+    def sensitivity(self, model: Model, frequency: Sequence[float], loop_delay: int = 0) -> Array:
+        """Greatest |1 / (1 + L)| (F,) of all axes at frequencies (F,) in Hz, of the model as it is."""
+        z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * self.sample_time)
+        plants = spread_responses(model, self.sample_time, loop_delay, 0.0, 0.0, z)[: len(model.axes)]
+        loops = plants * controller_response(self.kp, self.ki, self.roll_off, self.sample_time, z)
+        return np.abs(1.0 / (1.0 + loops)).max(axis=0)
 
     def table(self, model: Model) -> Table:
         """The result as rows, for the command line and the JSON."""
@@ -71,6 +85,8 @@ class Tuning:
         where = f"{model.name} at {1.0 / self.sample_time:g} Hz"
         table.add("PI feedback", where, "controller", "kp", f"V/{unit}", self.kp)
         table.add("PI feedback", where, "controller", "ki", f"V/({unit} s)", self.ki)
+        if self.roll_off:
+            table.add("PI feedback", where, "controller", "roll_off", "Hz", self.roll_off)
         for subject, case in (("nominal", self.nominal), ("worst case", self.worst)):
             for quantity, symbol in (
                 ("gain_margin", "dB"),
@@ -85,6 +101,11 @@ class Tuning:
         return table
 
 
+AUTOMATIC = "auto"
+ROLL_OFFS = tuple(np.geomspace(0.4, 0.004, 11))
+"""Corners of the roll-off that are tried, relative to the sample rate."""
+
+
 def tune(
     model: Model,
     *,
@@ -96,12 +117,14 @@ def tune(
     gain_spread: float = 0.1,
     mode_spread: float = 0.2,
     model_error: float = 0.15,
+    roll_off: float | str = 0.0,
 ) -> Tuning:
     """PI gains for a model, one pair for all axes.
 
     sample_time s (the model's by default); gain_margin dB; phase_margin degrees; loop_delay: further ticks in the loop;
     gain_spread, mode_spread: relative spread of the plant's gain and of its first resonance, over which the margins hold too;
-    model_error: relative error of the model's response, any frequency, any direction, on top of them.
+    model_error: relative error of the model's response, any frequency, any direction, on top of them; roll_off: of the feedback,
+    Hz, 0 for none, "auto" to choose it along with the gains. Gains that were found with a roll-off keep the margins only with it.
     The hysteresis enters with its greatest slope, so that no part of a loop has less margin.
     Raises `InputError` when no controller keeps the margins.
     """
@@ -117,32 +140,70 @@ def tune(
             "margins: gain margin above 0 dB, phase margin between 0 and 90 degrees, peak sensitivity above 1, "
             "spreads and model error from 0 to below 1 are due"
         )
+    if roll_off != AUTOMATIC and not (isinstance(roll_off, (int, float)) and 0.0 <= roll_off < np.inf):
+        raise InputError(f"roll_off: {roll_off!r}: a corner in Hz, 0 for none, or {AUTOMATIC!r} is due")
     z = np.exp(1j * np.geomspace(1e-5, 1.0, 1500) * np.pi)
-    plants = _plants(model, sample_time, loop_delay, gain_spread, mode_spread, z)
+    plants = spread_responses(model, sample_time, loop_delay, gain_spread, mode_spread, z)
     static = np.abs(plants[:, 0]).max()
     if np.any(plants[:, 0].real <= 0.0):
         raise InputError("chain: the output falls when the command rises at rest: PI gains are positive; invert the axis")
-    best = (0.0, 0.0)
     limits = 10.0 ** (gain_margin / 20.0), np.radians(phase_margin), peak_sensitivity, model_error
-    # Integral action alone, and proportional-to-integral times from a tenth of a sample to ten thousand.
-    for time in [0.0, *(sample_time * np.geomspace(0.1, 1e4, 51))]:
-        shape = (time + sample_time * z / (z - 1.0)) / (static * sample_time)
-        scale = _largest_scale(plants * shape, *limits, above=best[1] * static * sample_time)
-        gains = scale * time / (static * sample_time), scale / (static * sample_time)
-        if gains[1] > best[1]:
-            best = gains
-    if best[1] == 0.0:
+    corners = [float(roll_off)] if roll_off != AUTOMATIC else _ranked_corners(model, plants, static, sample_time, z, limits)
+    for corner in corners:
+        kp, ki = _greatest_integral(plants, static, sample_time, corner, z, limits)
+        if ki > 0.0:
+            break
+    else:
         raise InputError("margins: no PI controller keeps them for this model: ask for less, or sample faster")
-    kp, ki = float(best[0]), float(best[1])
-    controller = kp + ki * sample_time * z / (z - 1.0)
+    controller = controller_response(kp, ki, corner, sample_time, z)
     axes = len(model.axes)
     nominal = [margins(plant * controller, z, sample_time) for plant in plants[:axes]]
     cases = [margins(plant * controller, z, sample_time, model_error) for plant in plants]
-    settling, overshoot = step_response(model, kp, ki, sample_time)
-    return Tuning(kp, ki, sample_time, _worst(nominal), _worst(cases), settling, overshoot)
+    settling, overshoot = step_response(model, kp, ki, sample_time, corner)
+    return Tuning(kp, ki, sample_time, _worst(nominal), _worst(cases), settling, overshoot, corner)
 
 
-def _plants(model: Model, sample_time: float, loop_delay: int, gain_spread: float, mode_spread: float, z: Complex) -> Complex:
+def _ranked_corners(
+    model: Model, plants: Complex, static: float, sample_time: float, z: Complex, limits: tuple[float, float, float, float]
+) -> list[float]:
+    """Corners of the roll-off in Hz, 0 for none, the best first; a third of the frequencies is enough to rank them."""
+    ranked = []
+    for corner in [0.0, *(share / sample_time for share in ROLL_OFFS)]:
+        kp, ki = _greatest_integral(plants[:, ::3], static, sample_time, corner, z[::3], limits)
+        if ki > 0.0:
+            ranked.append((_absolute_error(model, kp, ki, corner, sample_time), corner))
+    return [corner for _, corner in sorted(ranked)]
+
+
+def _greatest_integral(
+    plants: Complex, static: float, sample_time: float, roll_off: float, z: Complex, limits: tuple[float, float, float, float]
+) -> tuple[float, float]:
+    """The gains (kp, ki) with the greatest ki that keep the limits for all plants (M, F); zeros where there are none."""
+    rolled = plants * controller_response(1.0, 0.0, roll_off, sample_time, z)
+    best = (0.0, 0.0)
+    # Integral action alone, and proportional-to-integral times from a tenth of a sample to ten thousand.
+    for time in [0.0, *(sample_time * np.geomspace(0.1, 1e4, 26 if roll_off else 51))]:
+        shape = (time + sample_time * z / (z - 1.0)) / (static * sample_time)
+        loops, above = rolled * shape, best[1] * static * sample_time
+        if roll_off and above and _phase_margin(above * loops, limits[3]).min() < limits[1]:
+            continue  # no greater integral gain than the best so far
+        scale = _largest_scale(loops, *limits, above=above)
+        gains = scale * time / (static * sample_time), scale / (static * sample_time)
+        if gains[1] > best[1]:
+            best = gains
+    return float(best[0]), float(best[1])
+
+
+def controller_response(kp: float, ki: float, roll_off: float, sample_time: float, z: Complex) -> Complex:
+    """Response (F,) of the feedback from the error to the command at points z (F,); gains as in `pi.PI`."""
+    response = kp + ki * sample_time * z / (z - 1.0) if ki else np.full(z.shape, kp, dtype=complex)
+    share = roll_off_share(roll_off, sample_time)
+    return response * (share / (1.0 - (1.0 - share) / z)) if share < 1.0 else response
+
+
+def spread_responses(
+    model: Model, sample_time: float, loop_delay: int, gain_spread: float, mode_spread: float, z: Complex
+) -> Complex:
     """Responses (cases · A, F) of every axis, the model as it is first."""
     axes = len(model.axes)
     _, greatest = hysteresis_slopes(model)
@@ -167,15 +228,21 @@ def _largest_scale(
 
     if highest <= above:
         return 0.0
+    # A resonance may take the phase margin or the sensitivity long before the gain margin: begin where everything is kept.
+    lowest = 1e-2
+    while not kept(highest * lowest):
+        lowest *= 0.1
+        if lowest < LOWEST_SCALE:
+            return 0.0
     last = 0.0
-    for scale in highest * np.geomspace(1e-2, 1.0, 25):
+    for scale in highest * np.geomspace(lowest, 1.0, 25 + int(round(12 * np.log10(1e-2 / lowest)))):
         if not kept(scale):
             break
         last = float(scale)
     else:
         return last
     high = float(scale)
-    if last == 0.0 or high <= above:
+    if high <= above:
         return 0.0
     for _ in range(8):
         middle = 0.5 * (last + high)
@@ -241,15 +308,11 @@ def _worst(cases: list[Margins]) -> Margins:
     )
 
 
-def step_response(model: Model, kp: float, ki: float, sample_time: float) -> tuple[float, float]:
+def step_response(model: Model, kp: float, ki: float, sample_time: float, roll_off: float = 0.0) -> tuple[float, float]:
     """Time in s until the linear loop's step stays within 2 %, and its overshoot in per cent; worst axis, feedback alone."""
-    axes = len(model.axes)
-    mean, _ = hysteresis_slopes(model)
-    plant = Simulator(model.with_stages(Chain(linearised(model, mean)).stages), sample_time)
-    controller = PI(kp, ki, sample_time, -1e300, 1e300).start(axes)
     length = 200
     while True:
-        output: Array = run_loop(np.ones((length, axes)), None, controller, plant)["measurement"]
+        output = _step(model, kp, ki, roll_off, sample_time, length)
         outside = np.flatnonzero(np.any(np.abs(output - 1.0) > 0.02, axis=1))
         last = int(outside[-1]) if len(outside) else 0
         if last < 0.5 * length or length >= 200_000:
@@ -257,3 +320,22 @@ def step_response(model: Model, kp: float, ki: float, sample_time: float) -> tup
         length *= 4
     settling = (last + 1) * sample_time if last < length - 1 else np.nan
     return float(settling), float(100.0 * max(output.max() - 1.0, 0.0))
+
+
+def _absolute_error(model: Model, kp: float, ki: float, roll_off: float, sample_time: float) -> float:
+    """Integral (s) of the absolute error of the linear loop's unit step, of the worst axis."""
+    length = 200
+    while True:
+        error = np.abs(_step(model, kp, ki, roll_off, sample_time, length) - 1.0)
+        if error[length // 2 :].max() < 1e-3 or length >= 200_000:
+            return float(error.sum(axis=0).max() * sample_time)
+        length *= 4
+
+
+def _step(model: Model, kp: float, ki: float, roll_off: float, sample_time: float, length: int) -> Array:
+    """Measurement (length, A) of the linear loop when the reference jumps to 1 at its first sample; feedback alone."""
+    axes = len(model.axes)
+    mean, _ = hysteresis_slopes(model)
+    plant = Simulator(model.with_stages(Chain(linearised(model, mean)).stages), sample_time)
+    controller = PI(kp, ki, sample_time, -1e300, 1e300, roll_off=roll_off).start(axes)
+    return run_loop(np.ones((length, axes)), None, controller, plant)["measurement"]

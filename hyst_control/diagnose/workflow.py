@@ -15,11 +15,13 @@ from hyst_control.diagnose.block_replay import replay
 from hyst_control.diagnose.diagnosis import Diagnosis, diagnose
 from hyst_control.diagnose.foreseen_reduction import foresee
 from hyst_control.diagnose.gap_report import gap_report, in_words
+from hyst_control.diagnose.invalid_records import invalid_report, write_invalid_page
 from hyst_control.effects import EFFECTS
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
 from hyst_control.model_file import Model, load_model, save_model
 from hyst_control.progress import step
+from hyst_control.records.array_files import read_array
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.record import Record
 
@@ -90,6 +92,12 @@ def diagnose_bags(
     records = [read_bag(bag, namespace, unit) for bag in bags]
     clean = [read_bag(bag, namespace, unit) for bag in baseline]
     coming = None if on is None else _command(on, namespace, unit)
+    if nominal is not None and (refused := invalid_report(records, nominal)) is not None:
+        if report is not None:
+            write_invalid_page(report, refused[0])
+        if json is not None:
+            write_json(json, refused[0])
+        return refused[1]
     document, diagnosis, better = diagnosed(records, nominal, seed, without, cache, augmented, progress, warm_up, clean)
     if coming is not None:
         try:
@@ -161,8 +169,5 @@ def diagnosed(
 def _command(path: str, namespace: str | None, unit: str) -> NDArray[np.float64]:
     if not path.endswith(".npy"):
         return read_bag(path, namespace, unit).aligned(("command",))[0].values["command"]
-    try:
-        rows = np.asarray(np.load(path), dtype=np.float64)
-    except (OSError, ValueError) as error:
-        raise InputError(f"--on {path}: cannot be read ({error}): give a bag, or rows by axes in a .npy file") from None
+    rows = read_array(path)
     return rows[:, None] if rows.ndim == 1 else rows

@@ -14,7 +14,7 @@ from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear import CrossCoupling, TransferFunction
 from hyst_control.chain.stage import Array
 from hyst_control.identify.dataset import Dataset, ParameterRow
-from hyst_control.identify.fit_windows import before
+from hyst_control.identify.fit_windows import before, first_motion, virgin_rows
 from hyst_control.model_file import Model, simulate
 from hyst_control.parallel import forked
 
@@ -126,7 +126,8 @@ def regress(
 ) -> tuple[Array, Array, float, float]:
     """Coupling into one axis (A - 1,), its standard errors, and the held-out mean squares without and with it.
 
-    Every record's offset and drift are taken out first; every third block of rows is held out.
+    Every record's offset and drift are taken out first. The axis' own virgin curve does not count, and its zero is another one
+    afterwards. Every third block of rows is held out.
     """
     grams = []
     for other, own, data in zip(others, simulated, datasets, strict=True):
@@ -135,7 +136,11 @@ def regress(
         # A fraction of the rows says as much: what limits the coupling is how much the axes have in common.
         every = max(n * len(datasets) // ROWS, 1)
         columns = np.column_stack([np.delete(other, axis, axis=1), data.measurement[:, axis] - own[:, axis]])[skip::every]
-        trend = np.column_stack([np.ones(n), np.linspace(-0.5, 0.5, n)])[skip::every]
+        first, virgin = first_motion(data.command[:, axis]), virgin_rows(data.command[:, axis])
+        rows = np.arange(n)[skip::every]
+        counted = (rows < first) | (rows >= virgin)
+        trend = np.column_stack([np.ones(n), np.linspace(-0.5, 0.5, n), np.arange(n) >= virgin])[skip::every][counted]
+        columns = columns[counted]
         columns = columns - trend @ np.linalg.lstsq(trend, columns, rcond=None)[0]
         grams += [block.T @ block for block in np.array_split(columns, min(BLOCKS, len(columns)))]
     blocks = np.array(grams)

@@ -104,6 +104,22 @@ def stretches(windows: Sequence[Window], rows: int, length: float = 1.0) -> list
     return chosen
 
 
+def virgin_rows(command: Array) -> int:
+    """Rows (N,) of a command before it has first been at its top: there an actuator is on its virgin curve, if it was at rest before.
+
+    0 where less than half of the motion would be left.
+    """
+    first = int(np.flatnonzero(command >= command.max() - 0.01 * np.ptp(command))[0])
+    moved = np.abs(np.diff(command))
+    return first if float(moved[first:].sum()) > 0.5 * float(moved.sum()) else 0
+
+
+def first_motion(command: Array) -> int:
+    """The first row of a command (N,) that differs from the one before; N where it rests."""
+    moving = np.flatnonzero(np.diff(command))
+    return int(moving[0]) + 1 if len(moving) else len(command)
+
+
 def memory_filled(command: Array) -> int:
     """First row after which the command has met both its extremes: from there on earlier memory is wiped out."""
     span = np.ptp(command)

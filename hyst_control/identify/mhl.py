@@ -11,10 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hyst_control.chain import Chain, Parallel, Stage
 from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
@@ -25,7 +24,7 @@ from hyst_control.identify.coupling import Coupling, fit_coupling, without_coupl
 from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report
 from hyst_control.identify.estimator import Estimator, register
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
-from hyst_control.identify.fit_windows import whole_records
+from hyst_control.identify.fit_windows import virgin_rows, whole_records
 from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.madelung import (
     Curves,
@@ -39,17 +38,16 @@ from hyst_control.identify.madelung import (
     response_sign,
 )
 from hyst_control.identify.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
+from hyst_control.identify.parted_pair import PAIR_DAMPINGS, WORTHWHILE, parted_pair, unexplained_frequency, with_numerator
 from hyst_control.identify.simulation_error import Parametrisation, Solution, coarse, minimise, short_stretches
 from hyst_control.identify.stable_dynamics import TAU_UNIT, Structure
-from hyst_control.model_file import Model
+from hyst_control.model_file import Model, simulate
 from hyst_control.parallel import forked
 
 T = TypeVar("T")
 SELECTION_ROWS, FINAL_ROWS = 20_000, 100_000
 STRETCH, SETTLE = 0.06, 0.015
 """Length (s) of the stretches that stand for a long record, and of their beginning that does not count."""
-WORTHWHILE = 0.01
-"""A factor of G is kept when it lowers the held-out mean square error by more than this share."""
 
 
 @register
@@ -69,15 +67,27 @@ class ModifiedHammersteinLike(Estimator[MhlOptions]):
             return assemble(datasets, "paper", paper_mhl.fit_axes(datasets, options), None)
         axes: list[AxisFit] = []
         for index in range(len(datasets[0].axes)):
-            axes.append(fit_joint(whole_records(datasets, index), options, axes[0] if axes else None))
+            axes.append(fit_joint(axis_windows(datasets, index), options, axes[0] if axes else None))
         coupling = None
         if options.cross_coupling and len(axes) > 1:
             coupling, axes = with_coupling(datasets, axes, options.nuisance)
         cleaned = datasets
         if coupling is not None:
             cleaned = without_coupling(chain_model(datasets, axes, "plain"), coupling, datasets)
-        final = forked(lambda index: refit(whole_records(cleaned, index), axes[index], options.nuisance), len(axes))
+        if options.structure is None:
+            model = chain_model(cleaned, axes, "plain")
+            axes = list(forked(lambda index: with_parted_pair(model, cleaned, axes[index], index, options.nuisance), len(axes)))
+        final = forked(lambda index: refit(axis_windows(cleaned, index), axes[index], options.nuisance), len(axes))
         return assemble(datasets, options.method, list(final), coupling)
+
+
+def axis_windows(datasets: Sequence[Dataset], index: int) -> list[Window]:
+    """The records of one axis, counted from where its virgin curve ends: Madelung's rules have none.
+
+    On it a stack is up to a few per cent lower and comes to another zero. Counted along, that bends the curves, and while an axis
+    waits for its turn its zero passes for a drift, or for the coupling of the axis that moves.
+    """
+    return [replace(window, skip=max(window.skip, virgin_rows(window.command))) for window in whole_records(datasets, index)]
 
 
 def with_coupling(
@@ -97,7 +107,7 @@ def with_coupling(
 
 def refined_axes(datasets: Sequence[Dataset], axes: Sequence[AxisFit], nuisance: str) -> list[AxisFit]:
     """A few passes for every axis, on all cores."""
-    return list(forked(lambda index: refined(whole_records(datasets, index), axes[index], nuisance, passes=3), len(axes)))
+    return list(forked(lambda index: refined(axis_windows(datasets, index), axes[index], nuisance, passes=3), len(axes)))
 
 
 def fit_joint(windows: Sequence[Window], options: MhlOptions, like: AxisFit | None) -> AxisFit:
@@ -282,13 +292,35 @@ def lead_and_delay(old: Structure, new: Structure, dynamics: Array) -> Array:
     return with_numerator(parts, np.polymul(old.rational(dynamics)[0], [time, 1.0]))
 
 
-def with_numerator(parts: dict[str, Array], num: NDArray[np.floating[Any]]) -> Array:
-    """A dynamics vector from its factors, with the zeros' coefficients those of a numerator (descending powers of s)."""
-    scale = np.exp(np.concatenate([parts["modes"][:, 0], parts["lags"]])).min()
-    rising = (num / num[-1])[::-1]
-    parts["zeros"][:] = 0.0
-    parts["zeros"][: len(rising) - 1] = rising[1:] * scale ** np.arange(1, len(rising))
-    return np.concatenate([part.ravel() for part in parts.values()])
+def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: AxisFit, index: int, nuisance: str) -> AxisFit:
+    """One axis with a further mode and a pair of zeros next to it, where that is worth it: a notch that misses its mode.
+
+    Both begin at the frequency where the command explains most of what `model` leaves, the zeros upon the mode. Neither alone
+    lowers the error, so growing factor by factor never finds them; and what the axes do to each other has to be gone before.
+    """
+    axis, dynamics = found.axis, found.axis.split(found.vector)[2]
+    signals = []
+    for data in datasets:
+        error = data.measurement - simulate(model, data.command, data.sample_time, data.hold)
+        begin = virgin_rows(data.command[:, index])
+        signals.append((data.command[begin:, index], error[begin:, index]))
+    frequency = unexplained_frequency(signals, axis.sample_time)
+    if axis.structure.modes > 1 or frequency is None:
+        return found
+    turned = [replace(window, measurement=axis.sign * window.measurement) for window in axis_windows(datasets, index)]
+    # Short stretches would miss the moment at which a sweep passes the frequency.
+    many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
+    plain = minimise(many, axis.parametrisation(), found.vector, nuisance=nuisance, passes=3)
+    best: Solution | None = None
+    for damping in PAIR_DAMPINGS:
+        structure, upon = parted_pair(axis.structure, dynamics, frequency, damping)
+        richer = replace(axis, structure=structure)
+        start = np.concatenate([found.vector[: axis.curves.size + 2], upon])
+        trial = minimise(many, richer.parametrisation(), start, nuisance=nuisance, passes=12)
+        best = trial if best is None or trial.fitted < best.fitted else best
+    if best is None or not best.held_out < (1.0 - WORTHWHILE) * plain.held_out:
+        return found
+    return replace(found, axis=richer, vector=best.parameters)
 
 
 def extensions(structure: Structure) -> list[Structure]:

@@ -64,19 +64,19 @@ def _fit_axis(datasets: Sequence[Dataset], axis: int, dynamic: bool, options: Ha
 
 
 def _dynamic_weights(windows: Sequence[Window], operators: Operators, static: Solution, groups: int) -> AxisFit:
+    """m1, m2, k, b from the loops at one frequency. No offset is free: one that is freed here and then dropped takes m1 and m2 to 0."""
     count = len(operators.thresholds)
     grams = gram_matrices(
-        windows, operators, static.structure, static.parameters, np.append(static.theta, np.zeros(3)), "offset", groups
+        windows, operators, static.structure, static.parameters, np.append(static.theta, np.zeros(3)), "none", groups
     )
     gram = grams.fitted + grams.held_out
     size, total = static.structure.size, len(gram) - 1
     keep = np.r_[0 : operators.columns, operators.columns + size : total + 1]
     gram = gram[np.ix_(keep, keep)]
-    # Columns m1, m2, k, b and the offset; b adds to every weight alike.
-    free = np.zeros((len(gram) - 1, 5))
+    # Columns m1, m2, k, b; b adds to every weight alike.
+    free = np.zeros((len(gram) - 1, 4))
     free[count : count + 3, :3] = np.eye(3)
     free[:count, 3] = 1.0
-    free = np.concatenate([free[:, :4], np.eye(len(gram) - 1)[:, operators.columns :]], axis=1)
     fixed = np.concatenate([static.theta, np.zeros(len(gram) - 1 - count)])
     normal, target = free.T @ gram[:-1, :-1] @ free, free.T @ (gram[:-1, -1] - gram[:-1, :-1] @ fixed)
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))

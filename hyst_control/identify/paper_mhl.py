@@ -1,7 +1,11 @@
 """The MHL paper's own sequence (§2.4, §4.2).
 
-Step → τ, slow loops of variable amplitude → f0, g0, sweep to 100 Hz → k1, k2, sweep to 4 kHz → G(s); and curves of their own for the
-inverse (Table 1, right). Kept to be compared with the joint fit: every later step inherits the error of the ones before.
+Step → τ, slow loops of variable amplitude → f0, g0, sweep to 100 Hz → k1, k2, sweep to 4 kHz → G(s). Kept to be compared with the
+joint fit: every later step inherits the error of the ones before.
+
+The inverse (Eq. 6, 7) is identified too, not derived: curves of its own (Table 1, right), then Ψ' from u - H_S^-1[y] on the sweep to
+100 Hz as it was recorded. Delay and hold are left in, so Ψ' leads and makes up for them: Ψ of the model, which was fitted with the
+delay removed, lags, and its inverse would have the other sign.
 """
 
 from __future__ import annotations
@@ -11,20 +15,33 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
 
-from hyst_control.chain import Stage
-from hyst_control.chain.memoryless import Gain
+from hyst_control.chain import Chain, Parallel, Sampling, Stage
+from hyst_control.chain.linear import RateCorrection
+from hyst_control.chain.madelung import Madelung
+from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.fit_report import command_bandwidth
-from hyst_control.identify.fit_windows import whole_records
+from hyst_control.identify.fit_windows import virgin_rows, whole_records
 from hyst_control.identify.gram_sums import Window
-from hyst_control.identify.madelung import fit_axis, fit_inverse, full_scale, response_sign
+from hyst_control.identify.madelung import check, fit_axis, fit_inverse, full_scale, merged, response_sign
 from hyst_control.identify.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
+from hyst_control.identify.parted_pair import PAIR_DAMPINGS, WORTHWHILE, parted_pair, unexplained_frequency
 from hyst_control.identify.reversal_points import turning_points
-from hyst_control.identify.simulation_error import Parametrisation, Solution, minimise, short_stretches, surviving_turns
+from hyst_control.identify.simulation_error import (
+    Parametrisation,
+    Solution,
+    driving_signal,
+    minimise,
+    short_stretches,
+    surviving_turns,
+)
 from hyst_control.identify.stable_dynamics import TAU_UNIT, Structure
+from hyst_control.model_file import Model
 
 REST_TIME = 0.02
 """A command that holds still for this long (s) rests."""
@@ -35,6 +52,8 @@ PAPER_STRUCTURE = Structure(modes=1, lags=1, zeros=2)
 STEP_TIME = 0.05
 """How long (s) a step's response is looked at."""
 ROWS = 60_000
+FASTEST, SLOWEST = 0.25, 50.0
+"""Samples, between which k2' is looked for: below a quarter of one Tustin's rule makes an alternating filter of Ψ'."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +64,153 @@ class Pieces:
     slow: list[Window]
     medium: list[Window]
     fast: list[Window]
+
+
+def _with_pair(
+    windows: Sequence[Window], curves: Array, rate: Array, plain: Solution, axis: Axis, late: Array, nuisance: str
+) -> tuple[Solution, Structure]:
+    """G(s) with a further mode and zeros next to it, where that lowers the held-out error.
+
+    Eq. 12 has no room for a mode that its notch misses, and its order is the one of its fitting accuracy (§4.2).
+    """
+    smaller = structure = replace(axis.structure, delay=False)
+    whole = np.concatenate([curves, rate, plain.parameters, late])
+    signals = []
+    for window in windows:
+        signal, first = driving_signal(window)
+        simulated = _run(axis.stages(whole), signal, Sampling(window.sample_time, 1, window.hold))[first:]
+        signals.append((window.command[window.skip :], (window.measurement - simulated)[window.skip :]))
+    frequency = unexplained_frequency(signals, axis.sample_time)
+    if frequency is None:
+        return plain, structure
+    groups = {group: number for number, group in enumerate(sorted({window.group for window in windows}))}
+    own = [replace(window, group=groups[window.group]) for window in windows]
+    best = plain
+
+    def problem_of(richer: Structure, size: int) -> Parametrisation:
+        tried = replace(axis, structure=replace(richer, delay=True))
+
+        def stages(vector: Array) -> list[Stage]:
+            return tried.stages(np.concatenate([curves, rate, vector, late]))
+
+        def limit(vector: Array) -> Array:
+            return richer.limit(vector, axis.sample_time)
+
+        return Parametrisation(stages, np.zeros((0, size)), np.zeros(0), limit)
+
+    for damping in PAIR_DAMPINGS:
+        richer, start = parted_pair(smaller, plain.parameters, frequency, damping)
+        problem = problem_of(richer, len(start))
+        found = minimise(own, problem, start, nuisance=nuisance, passes=30, tolerance=1e-6, everything=True)
+        if found.held_out < (1.0 - WORTHWHILE) * best.held_out:
+            best, structure = found, richer
+    return best, structure
+
+
+@dataclass(frozen=True)
+class Inverse:
+    """u = H_S^-1[y - zero] + (k1 ẏ + b1) / (k2 s + 1) of one axis (Eq. 6, 7), b2 = 1.
+
+    hysteresis: curves from y to V; zero: measurement unit; k1: V s per measurement unit; b1: V; k2: s. rms: V, of what Ψ' leaves on
+    the sweep; before: V, of what there is without it.
+    """
+
+    hysteresis: Madelung
+    zero: float
+    k1: float
+    k2: float
+    b1: float
+    rms: float
+    before: float
+
+
+def inverse_model(datasets: Sequence[Dataset], options: MhlOptions | None = None, k2: float | None = None) -> Model:
+    """Identify the compensator of Eq. 6 and 7 from the paper's records, taken at the rate of the loop: its hold is made up for.
+
+    k2: s, where k2' is not to be identified.
+    Its chain runs from the measurement to V, for the kinds `mhl` and `mhl_static`. Raises `InputError` naming the experiment that the
+    records lack.
+    """
+    check(datasets)
+    options = options or MhlOptions()
+    first, axes = datasets[0], range(len(datasets[0].axes))
+    found = []
+    for index in axes:
+        sign = response_sign(whole_records(datasets, index))
+        pieces = sorted_pieces(datasets, index, sign)
+        scale = full_scale(whole_records(datasets, index), options.input_scale)
+        static = fit_axis(pieces.slow, options.curves, scale, options.nuisance)
+        found.append(fit_inverse_correction(datasets, index, sign, fit_inverse(static.stage, options.curves), static.offset, k2))
+
+    def per_axis(name: str) -> list[float]:
+        return [float(getattr(inverse, name)) for inverse in found]
+
+    rate = RateCorrection(per_axis("k1"), per_axis("k2"), per_axis("b1"))
+    stages: list[Stage] = [Offset([-zero for zero in per_axis("zero")])]
+    stages.append(Parallel(((merged([inverse.hysteresis for inverse in found]),), (rate,))))
+    signs = [response_sign(whole_records(datasets, index)) for index in axes]
+    if min(signs) < 0:
+        stages.insert(0, Gain(signs))
+    return Model(
+        name="mhl_inverse",
+        axes=first.axes,
+        units={"command": "V", "measurement": first.unit},  # the device's, as in every model file
+        sample_time=first.sample_time,
+        hold="foh",
+        chain=Chain(tuple(stages)),
+    )
+
+
+def fit_inverse_correction(
+    datasets: Sequence[Dataset], index: int, sign: float, hysteresis: Madelung, zero: float, k2: float | None = None
+) -> Inverse:
+    """Ψ' of one axis from u - H_S^-1[y] on the sweeps to 100 Hz as recorded, nothing removed: for every k2', k1' and b1' are linear.
+
+    Ψ' is discretised by Tustin's rule, as in the compensator.
+    """
+    targets: list[tuple[Array, Array, list[slice], Sampling]] = []
+    for data in datasets:
+        command = data.command[:, index]
+        rows = [
+            slice(begin, moving)
+            for begin, moving, end in motions(command, data.sample_time)
+            if moving - begin > 2 and SLOW < command_bandwidth(_cut(data, index, begin, end)) <= MEDIUM
+        ]
+        sampling = Sampling(data.sample_time, 1, "foh")
+        y = sign * data.measurement[:, index : index + 1] - zero
+        targets.append((command - _run([hysteresis], y, sampling), y, rows, sampling))
+
+    def left(log_k2: float) -> tuple[float, Array]:
+        """Mean square of what is left and (k1, b1)."""
+        wanted, columns = [], []
+        for target, y, rows, sampling in targets:
+            half, k2 = 0.5 * sampling.sample_time, float(np.exp(log_k2))
+            led = lfilter([1.0, -1.0], [k2 + half, half - k2], y[:, 0] - y[0, 0])
+            for part in rows:
+                wanted.append(target[part])
+                columns.append(np.column_stack([led[part], np.ones(len(target[part]))]))
+        matrix, goal = np.concatenate(columns), np.concatenate(wanted)
+        solution = np.linalg.lstsq(matrix, goal, rcond=None)[0]
+        return float(np.mean((goal - matrix @ solution) ** 2)), solution
+
+    bounds = np.log(np.array([FASTEST, SLOWEST]) * datasets[0].sample_time)
+    best = np.log(k2) if k2 else minimize_scalar(lambda value: left(value)[0], bounds=bounds, method="bounded").x
+    power, (k1, b1) = left(best)
+    before = np.concatenate([target[part] for target, _, rows, _ in targets for part in rows])
+    return Inverse(hysteresis, zero, float(k1), float(np.exp(best)), float(b1), float(np.sqrt(power)), float(before.std()))
+
+
+def _run(stages: Sequence[Stage], signal: Array, sampling: Sampling) -> Array:
+    running = Chain(tuple(stages)).filter(sampling)
+    running.settle(signal[0])
+    return np.asarray(running.process(np.ascontiguousarray(signal)))[:, 0]
+
+
+def _cut(data: Dataset, index: int, begin: int, end: int) -> Dataset:
+    """A part of one axis."""
+    return replace(
+        data, command=data.command[begin:end, index : index + 1], measurement=data.measurement[begin:end, index : index + 1]
+    )
 
 
 def fit_axes(datasets: Sequence[Dataset], options: MhlOptions) -> list[AxisFit]:
@@ -65,7 +231,7 @@ def _fit_axis(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> A
     # Step 2: the curves, from loops so slow that nothing else matters.
     static = fit_axis(pieces.slow, options.curves, scale, options.nuisance)
     curves = static.solution.parameters
-    inverse = fit_inverse(static.stage, options.curves)
+    inverse = fit_inverse_correction(datasets, index, sign, fit_inverse(static.stage, options.curves), sign * static.offset)
 
     # Steps 3 and 4: the rate correction without G, then G, everything before as it is.
     whole = replace(structure, delay=True)
@@ -88,14 +254,22 @@ def _fit_axis(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> A
         lambda vector: structure.limit(vector, axis.sample_time),
         options.nuisance,
     )
+    if options.structure is None:
+        dynamics, structure = _with_pair(fast, curves, rate.parameters, dynamics, axis, late, options.nuisance)
+        axis = replace(axis, structure=replace(structure, delay=True))
     covariance = block_diag(static.solution.covariance, rate.covariance, dynamics.covariance, (tau_error / TAU_UNIT) ** 2)
     steps = {
         "delay": {"tau": tau, "steps": len(pieces.step)},
         "inverse": {
-            "ascending": list(inverse.ascending),
-            "descending": list(inverse.descending),
-            "input_scale": inverse.input_scale,
-            "output_scale": inverse.output_scale,
+            "ascending": list(inverse.hysteresis.ascending),
+            "descending": list(inverse.hysteresis.descending),
+            "input_scale": inverse.hysteresis.input_scale,
+            "output_scale": inverse.hysteresis.output_scale,
+            "k1": inverse.k1,
+            "k2": inverse.k2,
+            "b1": inverse.b1,
+            "rms": inverse.rms,
+            "rms_without": inverse.before,
         },
         "fitted_rms": {
             name: float(np.sqrt(solution.fitted))
@@ -112,6 +286,7 @@ def sorted_pieces(datasets: Sequence[Dataset], index: int, sign: float) -> Piece
     group = 0
     for data in datasets:
         command, measurement = data.command[:, index], sign * data.measurement[:, index]
+        virgin = virgin_rows(command)
         for begin, moving, end in motions(command, data.sample_time):
             jump = moving - begin <= 2
             lead = int(0.01 / data.sample_time) if jump else 1
@@ -126,13 +301,13 @@ def sorted_pieces(datasets: Sequence[Dataset], index: int, sign: float) -> Piece
                 np.ascontiguousarray(measurement[first:end]),
                 data.sample_time,
                 data.hold,
-                0,
+                # A step stands by itself; the curves are those of the major loop, not the virgin one.
+                0 if jump else int(np.clip(virgin - first, 0, end - first - 1)),
                 group,
                 memory=memory,
             )
             group += 1
-            part = replace(data, command=command[begin:end, None], measurement=measurement[begin:end, None])
-            bandwidth = command_bandwidth(part)
+            bandwidth = command_bandwidth(_cut(data, index, begin, end))
             kind = found.step if jump else found.slow if bandwidth <= SLOW else found.medium if bandwidth <= MEDIUM else found.fast
             kind.append(window)
     names = ", ".join(data.name for data in datasets)

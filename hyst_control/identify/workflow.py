@@ -17,6 +17,7 @@ from hyst_control.identify.dataset import Dataset, Fit, Report
 from hyst_control.model_file import COMMAND_UNITS, DISCREPANCY_VERSION, MEASUREMENT_UNITS, Model, save_model, simulate
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.record import Record
+from hyst_control.records.record_validity import Trial, refuse_invalid
 from hyst_control.records.session_zero import without_zero
 
 NEED = ("command", "measurement")
@@ -58,6 +59,7 @@ def identify_bags(
     hold: str | None = None,
     start: str = "settled",
     allow_gaps: bool = False,
+    force: bool = False,
     namespace: str | None = None,
     unit: str = "unknown",
     **options: object,
@@ -78,6 +80,8 @@ def identify_bags(
         "joint" or, where the family has it, "paper".
     hold, start, allow_gaps, namespace, unit
         How the bags are read: see `datasets_of` and `read_bag`.
+    force
+        Fit records, too, that are no measurement of their command, or of several plants.
     **options
         Options of the family, as values or texts; None: not given.
 
@@ -103,6 +107,8 @@ def identify_bags(
         record = read_bag(bag, namespace, unit)
         notes += record.notes
         datasets += datasets_of(record, hold, start, allow_gaps)
+    if not force:
+        refuse_invalid([Trial(each.name, each.command, each.measurement, each.sample_time, each.axes) for each in datasets])
     fits = (identify(datasets, name, method, **given) for name in chosen)
     fit = next(fits) if family is not None else min(fits, key=lambda fit: max(fit.report["held_out_nrmse"]))
     fit = replace(fit, report={**fit.report, "bags": [str(bag) for bag in bags], "notes": [*notes, *fit.report["notes"]]})

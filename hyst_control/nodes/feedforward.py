@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.control.feedforward import KINDS, build_compensator
+from hyst_control.control.feedforward import KINDS, RATE_FILTER, build_compensator
 from hyst_control.control.loop import Compensator
 from hyst_control.control.static_gain import Proportional
 from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
+from hyst_control.nodes import feedforward_learning
 from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.feedforward_learning import FeedforwardLearning
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.signal_ports import Input
 
@@ -20,7 +22,8 @@ class Feedforward(SignalNode):
     """Streams `reference` through a compensator to `feedforward` (V).
 
     A compensator with a preview of q ticks gives row k once row k + q of the reference is there, so the generator's
-    `lead` must be q at least. After a start or reset it is at rest at the first reference it meets.
+    `lead` must be q at least. After a start or reset it is at rest at the first reference it meets. With `learning` it adds what it
+    learns from `measurement` and `feedback`, and publishes that by itself as `learned` (V).
     """
 
     KIND = "proportional"
@@ -28,6 +31,7 @@ class Feedforward(SignalNode):
     def __init__(self, name: str, compensator: Compensator | None = None, **options: Any) -> None:
         """compensator: used in place of the one that the parameters describe."""
         self.SETTINGS = (
+            *feedforward_learning.SETTINGS,
             Setting("model", "", "", "model file that the compensator inverts"),
             Setting("kind", self.KIND, "", "kind of compensator", choices=(*KINDS, "proportional")),
             Setting("inverse", "zpetc", "", "inverse of the dynamics", choices=("zpetc", "zmetc", "npz_ignore", "none")),
@@ -43,6 +47,14 @@ class Feedforward(SignalNode):
                 20,
             ),
             Setting("inverse_model", "", "", "model file with inverse curves identified by themselves"),
+            Setting(
+                "rate_filter",
+                RATE_FILTER,
+                "s^2, s, 1",
+                "mhl: denominator of N(s), descending powers of s; a single 0: without",
+                0.0,
+                1e12,
+            ),
             Setting("limits", (0.0, 0.0), "V", "rating of the drive, lower and upper; equal: the model's valid range", -1e6, 1e6),
             Setting("gain", (0.0,), "V per unit", "proportional: gain of all axes or of each", -1e12, 1e12),
             Setting("offset", (0.0,), "V", "proportional: command at reference 0, of all axes or of each", -1e6, 1e6),
@@ -55,14 +67,25 @@ class Feedforward(SignalNode):
         self._due = 0
         self.feedforward = self.output("feedforward", "V")
         self.reference = self.input("reference", self.unit)
+        try:
+            learner = feedforward_learning.described_learner(self.settings, len(self.axes), self.period)
+        except InputError as error:
+            raise InputError(f"{self.get_name()}: parameter {error}") from None
+        self._learning = FeedforwardLearning(self, learner, self.feedforward.send) if learner else None
         self.start_timer(0.3)
 
     def advance(self) -> None:
+        if self.reference.rows.available:
+            self._compensate()
+        if self._learning:
+            self._learning.advance()
+
+    def _compensate(self) -> None:
         arrived = self.reference.rows
-        if not arrived.available:
-            return
         first, start = self._next, arrived.start
         rows = arrived.take(arrived.available)
+        if self._learning:
+            self._learning.add_reference(start, rows)
         if first is None:
             self._due, first = start, start - self._compensator.preview
             self._compensator.settle(rows[0])
@@ -70,7 +93,11 @@ class Feedforward(SignalNode):
         self._next = first + len(output)
         if self._next > self._due:  # rows before the first reference are the compensator's filling
             start = max(first, self._due)
-            self.feedforward.send(start, output[start - first :])
+            output = output[start - first :]
+            if self._learning:
+                self._learning.add(start, output)
+            else:
+                self.feedforward.send(start, output)
 
     def tick(self, tick: int) -> None:
         if self.enabled:
@@ -83,13 +110,17 @@ class Feedforward(SignalNode):
 
     def repeat(self, source: Input, tick: int) -> None:
         self.feedforward.repeat(tick)
+        if self._learning:
+            self._learning.learned.repeat(tick)
 
     def reset(self) -> None:
         self._next = None
         self.feedforward.clear()
+        if self._learning:
+            self._learning.reset()
 
     def status(self) -> dict[str, Any]:
-        return {"preview [ticks]": self._compensator.preview}
+        return {"preview [ticks]": self._compensator.preview, **(self._learning.status() if self._learning else {})}
 
     def _described(self) -> Compensator:
         axes = len(self.axes)
@@ -119,6 +150,7 @@ class Feedforward(SignalNode):
                 limits=given.limits if given.limits[0] != given.limits[-1] else None,
                 iterations=given.iterations if given.iterations >= 0 else None,
                 smoothing=given.smoothing,
+                rate_filter=given.rate_filter if any(given.rate_filter) else None,
                 inverse_model=load_model(given.inverse_model) if given.inverse_model else None,
             )
         except InputError as error:

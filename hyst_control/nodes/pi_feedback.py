@@ -33,6 +33,7 @@ class PiFeedback(SignalNode):
         Setting("feedback", True, "", "close the loop"),
         Setting("kp", 0.0, "V per unit", "proportional gain", 0.0, 1e9),
         Setting("ki", 0.0, "V per unit and s", "integral gain", 0.0, 1e12),
+        Setting("roll_off", 0.0, "Hz", "corner of a low-pass of the error, 0 for none (see hyst tune --roll-off)", 0.0, 1e9),
         Setting("tracking_time", 0.0, "s", "time constant of the anti-windup, 0 for kp / ki", 0.0, 1e6),
         Setting("lower", 0.0, "V", "least command", -1e6, 1e6),
         Setting("upper", 100.0, "V", "greatest command", -1e6, 1e6),
@@ -84,7 +85,16 @@ class PiFeedback(SignalNode):
         super().__init__(name, **options)
         given, axes = self.settings, len(self.axes)
         try:
-            description = PI(given.kp, given.ki, self.period, given.lower, given.upper, given.slew_limit, given.tracking_time)
+            description = PI(
+                given.kp,
+                given.ki,
+                self.period,
+                given.lower,
+                given.upper,
+                given.slew_limit,
+                given.tracking_time,
+                given.roll_off,
+            )
         except InputError as error:
             raise InputError(f"{self.get_name()}: parameter {error}") from None
         if len(given.safe_command) not in (1, axes):

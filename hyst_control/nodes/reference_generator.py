@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from hyst_control.control.reachable_stroke import check_reachable
@@ -17,7 +15,9 @@ from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.signal_ports import Input
 from hyst_control.records import excitation
+from hyst_control.records.array_files import read_array
 from hyst_control.records.row_repetition import KEPT_ROWS
+from hyst_control.yaml_files import read_yaml
 
 Array = NDArray[np.float64]
 
@@ -111,9 +111,9 @@ class ReferenceGenerator(SignalNode):
         signal = self.settings.signal
         try:
             if signal.endswith(".npy"):
-                return np.load(signal)
+                return read_array(signal)
             if signal.endswith((".yaml", ".yml")):
-                spec = yaml.safe_load(Path(signal).read_text(encoding="utf-8"))
+                spec = read_yaml(signal, "give an existing file")
             else:
                 own = {setting.name for setting in self.SETTINGS} | set(vars(self.settings))
                 spec = {
@@ -128,7 +128,7 @@ class ReferenceGenerator(SignalNode):
             return excitation.build(spec, self.period, len(self.axes))
         except OSError as error:
             raise InputError(f"{self.get_name()}: signal {signal}: {error.strerror}: give an existing file") from None
-        except (ValueError, yaml.YAMLError) as error:
+        except ValueError as error:
             raise InputError(f"{self.get_name()}: signal {signal}: {' '.join(str(error).split())}") from None
 
     def _checked(self, signal: Any) -> Array:

@@ -2,29 +2,39 @@
 
 from __future__ import annotations
 
-import sqlite3
 from array import array
 from collections.abc import Collection, Iterator
-from contextlib import closing
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from io import BufferedReader
 from pathlib import Path
+from shutil import copyfileobj
+from tempfile import TemporaryDirectory
+from typing import BinaryIO
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from hyst_control.errors import InputError
-from hyst_control.records.record import Record, Signal, axis_names
+from hyst_control.foreign_readers import first_line
+from hyst_control.records.decompression import Budget, Damage, Expanded, decompress
+from hyst_control.records.mcap_stream import MAGIC, PIECE, CutOff, McapStream
+from hyst_control.records.record import Record, Signal, axis_names, check_times
 from hyst_control.records.signal_message import MESSAGE_TYPE, decode, parse_label
+from hyst_control.records.sqlite_bag import sqlite_messages
+from hyst_control.yaml_files import read_yaml
 
 SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
 """The topics that the package knows; another topic that is no signal is left out with a note instead of refused."""
 
-MCAP_MAGIC = b"\x89MCAP0\r\n"
 COMMAND_SIDE = ("command", "feedforward", "feedback")
 STORAGE = (".mcap", ".db3")
 COMPRESSED = tuple(f"{suffix}.zstd" for suffix in STORAGE)
 PENDING = 2048
 """Messages decoded at a time: enough for numpy's speed, few enough that the raw bytes take no room."""
+
+FOREIGN_SHARE = 0.1
+"""Rows of another label or width, per row of the topic's own, up to which they are left out."""
 
 LATEST = 2**63 - 1
 """ns; a damaged file may hold any time."""
@@ -43,14 +53,16 @@ def read_bag(
     """
     path = Path(path)
     notes: list[str] = []
+    bag = _Bag(path, notes)
     found: dict[str, _Topic] = {}
-    for topic, time, raw in _messages(path, notes):
+    for topic, time, raw in bag.messages():
         if topic not in found:
             found[topic] = _Topic(topics is None or topic.rpartition("/")[2] in topics)
         found[topic].add(raw, time)
     if not found:
         raise InputError(f"{path}: holds no {MESSAGE_TYPE} messages: check what was recorded")
     named = {name: found[topic] for name, topic in _by_last_part(path, found, namespace).items() if found[topic].wanted}
+    notes += [f"{path}: {topic}: holds no messages" for topic in sorted(bag.topics - set(found))]
     found.clear()
     origin = min((min(each.times) for each in named.values() if each.times), default=0)
     signals: dict[str, Signal] = {}
@@ -62,18 +74,12 @@ def read_bag(
             if name in SIGNALS or topics is not None:
                 raise
             notes.append(f"{error} (left out)")
+            continue
+        if not len(signals[name].time):
+            notes.append(f"{path}: {name}: holds no rows")
     if any(signal.timing == "receive" for signal in signals.values()):
         notes.append(f"{path}: messages without a layout: the time of reception stands for the sample time, with its jitter")
-    return Record(signals, str(path), tuple(notes), _hold(path))
-
-
-def _hold(path: Path) -> str:
-    """The hold that an import noted in the bag's metadata; zoh where nothing is said."""
-    try:
-        metadata = yaml.safe_load((path / "metadata.yaml").read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
-        return "foh" if (metadata.get("custom_data") or {}).get("hold") == "foh" else "zoh"
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, AttributeError):
-        return "zoh"
+    return Record(signals, str(path), tuple(notes), bag.hold)
 
 
 def _by_last_part(path: Path, topics: Collection[str], namespace: str | None) -> dict[str, str]:
@@ -92,106 +98,174 @@ def _by_last_part(path: Path, topics: Collection[str], namespace: str | None) ->
     return chosen
 
 
-def _messages(path: Path, notes: list[str]) -> Iterator[tuple[str, int, bytes]]:
-    """(topic, receive time in ns, CDR bytes) of every Float64MultiArray message."""
-    if not path.exists():
-        raise InputError(f"{path}: does not exist: give the path of a bag")
-    files = _files(path)
-    for file in files:
-        if file.stat().st_size == 0:
-            raise InputError(f"{file}: is empty: the recording wrote nothing")
-    finished = (path / "metadata.yaml").exists() if path.is_dir() else False
-    if all(file.suffix == ".mcap" for file in files) and (not finished or not all(_has_footer(file) for file in files)):
-        for file in files:
-            yield from _unfinished_mcap(file, notes)
-    elif finished:
-        yield from _finished(path)
-    else:
-        for file in files:
-            yield from _bare_file(file)
+@dataclass(frozen=True)
+class _Metadata:
+    """What metadata.yaml says of a bag; storage files by name, compression "", "file" or "message"."""
+
+    files: tuple[str, ...]
+    compression: str
+    hold: str
 
 
-def _files(path: Path) -> list[Path]:
-    """The storage files of a bag; compressed ones only where metadata.yaml says how to read them."""
-    known: tuple[str, ...] = STORAGE
-    if path.is_file():
+@dataclass
+class _Bag:
+    """A bag being read: what is known of it besides its messages."""
+
+    path: Path
+    notes: list[str]
+    topics: set[str] = field(default_factory=set)
+    """Every signal topic that the bag knows, also those without a message."""
+    hold: str = "zoh"
+
+    def messages(self) -> Iterator[tuple[str, int, bytes]]:
+        """(topic, receive time in ns, CDR bytes) of every Float64MultiArray message."""
+        path = self.path
+        if not path.exists():
+            raise InputError(f"{path}: does not exist: give the path of a bag")
+        metadata = _metadata(path, self.notes)
+        files = _files(path, metadata)
+        for file in files:
+            if file.stat().st_size == 0:
+                raise InputError(f"{file}: is empty: the recording wrote nothing")
+        if metadata is not None:
+            self.hold = metadata.hold
+        mode = metadata.compression if metadata is not None else ""
+        finished = metadata is not None and all(file.suffix != ".mcap" or _has_footer(file) for file in files)
+        for file in files:
+            budget = Budget(file.stat().st_size)
+            yield from self._of_file(file, finished, budget, mode == "message")
+
+    def _of_file(self, file: Path, finished: bool, budget: Budget, packed: bool) -> Iterator[tuple[str, int, bytes]]:
+        """Messages of one storage file; of one that nobody finished all that can be read, with a note on the rest.
+
+        packed: every message is compressed by itself.
+        """
+        compressed = file.suffix == ".zstd"
+        count = 0
+        try:
+            if file.name.endswith((".db3", ".db3.zstd")):
+                for topic, time, raw in self._sqlite(file, finished, budget, compressed):
+                    count += 1
+                    yield topic, time, decompress(raw, "zstd", None, budget) if packed else raw
+                return
+            with ExitStack() as opened:
+                stream: BinaryIO = opened.enter_context(open(file, "rb"))
+                if compressed:
+                    stream = BufferedReader(Expanded(stream, budget), PIECE)
+                mcap = McapStream(stream, None if compressed else file.stat().st_size, budget)
+                try:
+                    for topic, time, raw in mcap.messages():
+                        count += 1
+                        yield topic, time, decompress(raw, "zstd", None, budget) if packed else raw
+                finally:
+                    self.topics.update(mcap.topics.values())
+                if finished and mcap.announced is not None and mcap.announced != mcap.found:
+                    raise Damage(f"holds {mcap.found} messages where {mcap.announced} are announced")
+        except CutOff:
+            if finished:
+                raise InputError(f"{self.path}: is damaged (a record is longer than the file): record again or repair it") from None
+            if not count:
+                raise InputError(f"{file}: is cut off before its first whole chunk: record again") from None
+            self.notes.append(f"{file}: has no footer (recorder killed?): {count} messages up to its last whole chunk were read")
+        except InputError:
+            raise
+        except Exception as error:  # damage is also what a decompressor says of it
+            if finished or file.name.endswith((".db3", ".db3.zstd")):
+                raise InputError(f"{file}: is damaged ({first_line(error)}): record again or repair it") from None
+            if not count:
+                raise InputError(
+                    f"{file}: is damaged or cut off before its first whole chunk ({first_line(error)}): record again"
+                ) from None
+            self.notes.append(f"{file}: is damaged ({first_line(error)}): {count} messages before the damage were read")
+
+    def _sqlite(self, file: Path, finished: bool, budget: Budget, compressed: bool) -> Iterator[tuple[str, int, bytes]]:
+        topics: dict[int, str] = {}
+        try:
+            if not compressed:
+                yield from sqlite_messages(file, finished, topics)
+                return
+            with TemporaryDirectory() as folder:  # SQLite reads files only
+                whole = Path(folder) / file.stem
+                with open(file, "rb") as stream, open(whole, "wb") as copy:
+                    copyfileobj(BufferedReader(Expanded(stream, budget), PIECE), copy, PIECE)
+                yield from sqlite_messages(whole, True, topics)
+        finally:
+            self.topics.update(topics.values())
+
+
+def _metadata(path: Path, notes: list[str]) -> _Metadata | None:
+    """What metadata.yaml says; None where there is none, or none that can be used, which is noted."""
+    file = path / "metadata.yaml"
+    if not path.is_dir() or not file.exists():
+        return None
+    try:
+        if not file.is_file():
+            raise InputError("is no file")
+        said = read_yaml(file)
+        found = said["rosbag2_bagfile_information"]
+        names = found["relative_file_paths"]
+        mode = str(found.get("compression_mode") or "").lower()
+        compression = "" if mode == "none" else mode
+        if compression not in ("", "file", "message"):
+            raise InputError(f"compression mode {mode[:20]!r} is not known")
+        if compression and found.get("compression_format") != "zstd":
+            raise InputError(f"compression format {str(found.get('compression_format'))[:20]!r} is not known")
+        if not isinstance(names, list) or not names or not all(isinstance(name, str) and Path(name).name for name in names):
+            raise InputError("relative_file_paths is no list of names")
+        custom = found.get("custom_data")
+        hold = "foh" if isinstance(custom, dict) and custom.get("hold") == "foh" else "zoh"
+        return _Metadata(tuple(Path(name).name for name in names), compression, hold)
+    except InputError as error:
+        reason = str(error).removeprefix(f"{file}: ")
+    except (KeyError, TypeError, AttributeError, ValueError):
+        reason = "it says nothing of a bag"
+    notes.append(f"{file}: cannot be used ({reason}): the bag's files were read without it")
+    return None
+
+
+def _files(path: Path, metadata: _Metadata | None) -> list[Path]:
+    """The storage files of a bag, in the order that its metadata has them in."""
+    known = (*STORAGE, *COMPRESSED)
+    if metadata is not None:
+        files = [path / name for name in metadata.files]
+        if missing := [file.name for file in files if not file.is_file()]:
+            raise InputError(
+                f"{path}: its metadata names files that are not there ({', '.join(missing)[:200]}): copy the whole bag"
+            )
+        # rosbag2 names the file before it was compressed in some versions
+    elif path.is_file():
         files = [path]
     else:
-        known += COMPRESSED if (path / "metadata.yaml").exists() else ()
         files = sorted(file for file in path.iterdir() if file.name.endswith(known))
     if not files or not all(file.name.endswith(known) for file in files):
         raise InputError(f"{path}: is no bag: a rosbag2 directory, or an .mcap or .db3 file, is due")
-    if len({file.suffix for file in files}) > 1:
+    if len({file.name.removesuffix(".zstd").rpartition(".")[2] for file in files}) > 1:
         raise InputError(f"{path}: holds both MCAP and SQLite3 files: keep one bag per directory")
     return files
-
-
-def _finished(path: Path) -> Iterator[tuple[str, int, bytes]]:
-    from rosbags.rosbag2 import Reader, ReaderError
-
-    try:
-        with Reader(path) as reader:
-            connections = [connection for connection in reader.connections if connection.msgtype == MESSAGE_TYPE]
-            if connections:
-                for connection, time, raw in reader.messages(connections):
-                    yield connection.topic, time, bytes(raw)
-    except ReaderError as error:
-        raise InputError(f"{path}: {_first_line(error)}: the bag cannot be read; record again or repair it") from None
-    except Exception as error:  # damage shows as anything, the decompressors' own exceptions among it
-        raise InputError(f"{path}: is damaged ({_first_line(error) or type(error).__name__}): record again or repair it") from None
-
-
-def _bare_file(file: Path) -> Iterator[tuple[str, int, bytes]]:
-    """A .db3 file without its metadata."""
-    try:
-        with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as database:
-            topics = dict(database.execute("SELECT id, name FROM topics WHERE type = ?", (MESSAGE_TYPE,)))
-            for topic, time, data in database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp, id"):
-                if topic in topics:
-                    yield topics[topic], time, data
-    except sqlite3.Error as error:
-        raise InputError(f"{file}: is no SQLite3 bag ({error}): record again or repair it") from None
 
 
 def _has_footer(file: Path) -> bool:
     with open(file, "rb") as stream:
         stream.seek(0, 2)
-        if stream.tell() < 2 * len(MCAP_MAGIC):
+        if stream.tell() < 2 * len(MAGIC):
             return False
-        stream.seek(-len(MCAP_MAGIC), 2)
-        return stream.read() == MCAP_MAGIC
+        stream.seek(-len(MAGIC), 2)
+        return stream.read() == MAGIC
 
 
-def _unfinished_mcap(file: Path, notes: list[str]) -> Iterator[tuple[str, int, bytes]]:
-    """All whole chunks of an MCAP file, also of one whose recorder was killed."""
-    from mcap.records import Channel, Message, Schema
-    from mcap.stream_reader import StreamReader
+@dataclass(frozen=True)
+class _Part:
+    """Rows (N, C) of successive messages of one form, and the first of these messages, counted from 0."""
 
-    topics: dict[int, str] = {}
-    schemas: dict[int, str] = {}
-    count = 0
-    try:
-        with open(file, "rb") as stream:
-            for record in StreamReader(stream).records:
-                if isinstance(record, Schema):
-                    schemas[record.id] = record.name
-                elif isinstance(record, Channel):
-                    if schemas.get(record.schema_id) == MESSAGE_TYPE:
-                        topics[record.id] = record.topic
-                elif isinstance(record, Message) and record.channel_id in topics:
-                    count += 1
-                    yield topics[record.channel_id], record.log_time, record.data
-    except Exception as error:  # mcap's own, struct's and the decompressors'
-        if not count:
-            raise InputError(
-                f"{file}: is damaged or cut off before its first whole chunk ({_first_line(error)}): record again"
-            ) from None
-        if _has_footer(file):
-            notes.append(f"{file}: is damaged: {count} messages before the damage were read")
-    if not _has_footer(file):
-        if not count:
-            raise InputError(f"{file}: is cut off before its first whole chunk: record again")
-        notes.append(f"{file}: has no footer (recorder killed?): {count} messages up to its last whole chunk were read")
+    label: str
+    rows: Array
+    first: int
+    messages: int
+
+    @property
+    def form(self) -> tuple[str, int]:
+        """Label and number of columns."""
+        return self.label, self.rows.shape[1]
 
 
 class _Topic:
@@ -199,12 +273,11 @@ class _Topic:
 
     def __init__(self, wanted: bool) -> None:
         self.wanted = wanted
-        self.label = ""
-        self.columns = -1
-        self.parts: list[Array] = []
+        self.parts: list[_Part] = []
         self.times = array("q")
         self.error: InputError | None = None
         self._pending: list[bytes] = []
+        self._decoded = 0
 
     def add(self, raw: bytes, time: int) -> None:
         """Take one message; time: ns, of its reception."""
@@ -214,13 +287,37 @@ class _Topic:
             if len(self._pending) == PENDING:
                 self._decode()
 
-    def rows(self) -> list[Array]:
-        """All blocks (N, C) in their order. Raises the `InputError` of the first message that is no signal."""
+    def taken(self, notes: list[str], where: str) -> tuple[str, list[Array], NDArray[np.int64]]:
+        """Label, blocks (N, C) in their order and the times of their messages, once.
+
+        A few messages of another label or width (of a second source that wrote the topic by mistake) are left out with a note. Raises
+        the `InputError` of the first message that is no signal, or that there are two forms of about equal standing.
+        """
         if self._pending:
             self._decode()
         if self.error is not None:
             raise self.error
-        return self.parts
+        parts, self.parts = self.parts, []
+        times = np.frombuffer(self.times, np.int64)
+        rows: dict[tuple[str, int], int] = {}
+        for part in parts:
+            rows[part.form] = rows.get(part.form, 0) + len(part.rows)
+        main = max(rows, key=lambda form: rows[form])
+        if len(rows) > 1:
+            foreign = sum(rows.values()) - rows[main]
+            other = next(form for form in rows if form != main)
+            if foreign > FOREIGN_SHARE * rows[main]:
+                if other[0] == main[0]:
+                    raise InputError(f"messages of {main[1]} and of {other[1]} values: record one plant per topic")
+                raise InputError(f"label changes from {next(iter(rows))[0]!r} to {list(rows)[1][0]!r}: record one plant per topic")
+            notes.append(
+                f"{where}: {foreign} rows of another form ({other[0] or f'{other[1]} values'!r}) were left out: who sent them?"
+            )
+            kept = np.zeros(len(times), bool)
+            for part in parts:
+                kept[part.first : part.first + part.messages] = part.form == main
+            parts, times = [part for part in parts if part.form == main], times[kept]
+        return main[0], [part.rows for part in parts], times
 
     def _decode(self) -> None:
         raws, self._pending = self._pending, []
@@ -229,6 +326,7 @@ class _Topic:
                 self._append(raws)
             except InputError as error:
                 self.error, self.parts = error, []
+        self._decoded += len(raws)
 
     def _append(self, raws: list[bytes]) -> None:
         """Messages of one size and header are read as one array, others one by one."""
@@ -238,44 +336,47 @@ class _Topic:
             end = begin + 1
             while end < len(raws) and len(raws[end]) == size:
                 end += 1
-            first = self._checked(raws[begin])
+            label, first = decode(raws[begin])
             head = size - first.nbytes
             table = np.frombuffer(b"".join(raws[begin:end]), np.uint8).reshape(-1, size)
             # The padding inside a header is whatever the sender's memory held: only a wholly equal one is taken as read.
             if raws[begin][1] == 1 and (table[:, :head] == table[0, :head]).all():
-                self.parts.append(np.ascontiguousarray(table[:, head:]).view("<f8").reshape(-1, first.shape[1]))
+                rows = np.ascontiguousarray(table[:, head:]).view("<f8").reshape(-1, first.shape[1])
+                self.parts.append(_Part(label, rows, self._decoded + begin, end - begin))
             else:
-                self.parts.append(np.concatenate([self._checked(raw) for raw in raws[begin:end]]))
+                self._append_singly(raws[begin:end], self._decoded + begin)
             begin = end
 
-    def _checked(self, raw: bytes) -> Array:
-        label, block = decode(raw)
-        if self.columns < 0:
-            self.label, self.columns = label, block.shape[1]
-        if label != self.label:
-            raise InputError(f"label changes from {self.label!r} to {label!r}: record one plant per topic")
-        if block.shape[1] != self.columns:
-            raise InputError(f"{block.shape[1]} values after messages of {self.columns}: record one plant per topic")
-        return block
+    def _append_singly(self, raws: list[bytes], first: int) -> None:
+        """Messages of differing headers, joined as long as their form is one."""
+        found = [decode(raw) for raw in raws]
+        begin = 0
+        while begin < len(found):
+            label, block = found[begin]
+            end = begin + 1
+            while end < len(found) and found[end][0] == label and found[end][1].shape[1] == block.shape[1]:
+                end += 1
+            rows = np.concatenate([rows for _, rows in found[begin:end]])
+            self.parts.append(_Part(label, rows, first + begin, end - begin))
+            begin = end
 
 
 def _signal(path: Path, name: str, topic: _Topic, origin: int, unit: str, notes: list[str]) -> Signal:
     """The signal of a topic; origin: ns, from which times of reception count."""
     try:
-        blocks = topic.rows()
-        axes, units = parse_label(topic.label) if topic.label else (axis_names(topic.columns), ())
+        label, blocks, stamps = topic.taken(notes, f"{path}: {name}")
+        axes, units = parse_label(label) if label else (axis_names(blocks[0].shape[1]), ())
     except InputError as error:
         raise InputError(f"{path}: {name}: {error}") from None
     if not axes:
         raise InputError(f"{path}: {name}: messages hold no values: record the plant's signals")
     if len(set(units)) > 1:
-        raise InputError(f"{path}: {name}: label {topic.label!r} mixes units: one unit per topic is due")
+        raise InputError(f"{path}: {name}: label {label!r} mixes units: one unit per topic is due")
     if units:
         time = np.concatenate([block[:, 0] for block in blocks])
         values = np.concatenate([block[:, 1:] for block in blocks])
         blocks.clear()
         return _ordered(path, name, Signal(time, values, axes, units[0]), notes)
-    stamps = np.frombuffer(topic.times, np.int64)
     order = np.argsort(stamps, kind="stable")
     time = np.asarray((stamps[order] - origin) * 1e-9, dtype=np.float64)
     return Signal(time, np.concatenate(blocks)[order], axes, "V" if name in COMMAND_SIDE else unit, "receive")
@@ -284,8 +385,7 @@ def _signal(path: Path, name: str, topic: _Topic, origin: int, unit: str, notes:
 def _ordered(path: Path, name: str, signal: Signal, notes: list[str]) -> Signal:
     """The rows in order of their sample time; rows sent twice are kept once. What was mended is noted."""
     time = signal.time
-    if not np.isfinite(time).all():
-        raise InputError(f"{path}: {name}: the time column holds NaN or infinity: record again")
+    check_times(f"{path}: {name}", time)
     if np.all(np.diff(time) > 0):
         return signal
     _, first = np.unique(time, return_index=True)
@@ -300,7 +400,3 @@ def _ordered(path: Path, name: str, signal: Signal, notes: list[str]) -> Signal:
     if np.any(np.diff(first) < 0):
         notes.append(f"{path}: {name}: rows came out of order and were put in order of their time")
     return Signal(time[first], np.ascontiguousarray(signal.values[first]), signal.axes, signal.unit, signal.timing)
-
-
-def _first_line(error: BaseException) -> str:
-    return str(error).strip().splitlines()[0] if str(error).strip() else ""

@@ -12,7 +12,9 @@ an excitation, um or mrad for a reference). `build` turns it into rows (N, A). E
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -22,15 +24,30 @@ from hyst_control.errors import InputError
 
 Array = NDArray[np.float64]
 
+COPIES = 8
+"""Times that a signal stands in memory while it is built."""
+
 LONGEST = 500_000_000
 """Samples; a longer signal would not fit in memory."""
 
 
+@cache
+def most_samples() -> float:
+    """Samples of all axes that this machine's memory holds, with the copies that are made of them."""
+    try:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (ValueError, OSError, AttributeError):
+        return LONGEST
+    return min(LONGEST, memory / COPIES / 8)
+
+
 def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:
     """Rows (N, A) of a description; `axes` A. Raises `InputError` naming the parameter and the remedy."""
+    if not isinstance(spec, Mapping) or not all(isinstance(key, str) for key in spec):
+        raise InputError("is no description of a signal: give a mapping with signal: KIND and its parameters")
     given = dict(spec)
     kind = given.pop("signal", None)
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"signal: {kind!r} is not known, one of {', '.join(sorted(KINDS))} is due")
     lower, upper, slew_limit = (
         _number(given.pop(key, default), key) for key, default in (("lower", -np.inf), ("upper", np.inf), ("slew_limit", np.inf))
@@ -47,7 +64,7 @@ def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:
     for key, parameter in known.items():
         if parameter.default is inspect.Parameter.empty and key not in given and key not in ("sample_time", "axes"):
             raise InputError(f"{kind}: {key}: is missing")
-    if "duration" in given and _number(given["duration"], "duration") / sample_time > LONGEST:
+    if "duration" in given and _number(given["duration"], "duration") / sample_time > most_samples():
         raise InputError(f"{kind}: duration: {given['duration']} s at {sample_time:g} s a sample is too long for memory")
     extra = {"axes": axes} if "axes" in known else {}
     try:
@@ -57,9 +74,11 @@ def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:
     except (TypeError, ValueError, OverflowError, ZeroDivisionError, IndexError, MemoryError) as error:
         raise InputError(f"{kind}: its parameters are not the numbers and lists it needs ({error})") from None
     if rows.ndim == 1:
+        if rows.size * axes > most_samples():
+            raise InputError(f"{kind}: {len(rows)} samples of {axes} axes do not fit in memory: shorten it")
         rows = np.repeat(rows[:, None], axes, axis=1)
         if axis is not None:
-            if axis not in range(axes):
+            if isinstance(axis, bool) or not isinstance(axis, int) or axis not in range(axes):
                 raise InputError(f"{kind}: axis: {axis!r}, 0 to {axes - 1} is due")
             rows[:, [other for other in range(axes) if other != axis]] = idle
     if not rows.size or not np.isfinite(rows).all():
@@ -199,6 +218,7 @@ def multisine(
 
     period s, a whole number of samples; rms about the offset. Every period is the same to the last bit.
     """
+    _check_size(max(_number(period, "period"), period * _number(periods, "periods")) * axes / sample_time)
     count = int(round(period / sample_time))
     if count < 4 or abs(count * sample_time - period) > 1e-6 * period:
         raise InputError(f"period: {period:g} s is no whole number of samples of {sample_time:g} s: choose one that is")
@@ -254,6 +274,7 @@ def triangle(sample_time: float, frequency: float, amplitude: float, offset: flo
 def staircase(sample_time: float, levels: Sequence[float] | Array, hold: float, ramp: float = 0.0) -> Array:
     """Each level held for `hold` s, reached over `ramp` s (0: a jump)."""
     values = [_number(level, "levels") for level in levels]
+    _check_size(len(values) * (_number(hold, "hold") + _number(ramp, "ramp")) / sample_time)
     if not values:
         raise InputError("levels: is empty: at least one level is due")
     parts = []
@@ -271,6 +292,7 @@ def step(sample_time: float, height: float, offset: float = 0.0, before: float =
 
 def steps(sample_time: float, lowest: float, highest: float, hold: float, count: int, seed: int = 0) -> Array:
     """`count` levels drawn evenly between lowest and highest, each held for `hold` s; begins and ends at the lowest."""
+    _check_size(_number(count, "count") * max(_number(hold, "hold") / sample_time, 1.0))
     levels = np.random.default_rng(seed).uniform(lowest, highest, int(count))
     return staircase(sample_time, [lowest, *levels, lowest], hold)
 
@@ -278,6 +300,7 @@ def steps(sample_time: float, lowest: float, highest: float, hold: float, count:
 def spiral(sample_time: float, axes: int, radius: float, frequency: float, duration: float, offset: float = 0.0) -> Array:
     """Two axes: offset + r(t) (cos, sin) with r growing straight from 0 to `radius`; further axes rest at the offset."""
     _two_axes(axes)
+    _check_size(_number(duration, "duration") * axes / sample_time)
     time = _time(duration, sample_time)
     rows = np.full((len(time), axes), float(offset))
     grown = radius * time / duration
@@ -290,6 +313,7 @@ def raster(sample_time: float, axes: int, width: float, height: float, lines: in
     """Two axes: axis 0 sweeps ± width/2 as a triangle, one pass per `line_time` s, axis 1 climbs evenly from -height/2 to height/2."""
     _two_axes(axes)
     duration = lines * line_time
+    _check_size(_number(duration, "lines") * axes / sample_time)
     rows = np.full((_count(duration, sample_time), axes), float(offset))
     rows[:, 0] += triangle(sample_time, 0.5 / line_time, width / 2, 0.0, duration)
     rows[:, 1] += height * (np.arange(len(rows)) / max(len(rows) - 1, 1) - 0.5)
@@ -306,6 +330,7 @@ def sequence(sample_time: float, axes: int, parts: Sequence[Mapping[str, Any]], 
             following = build(part, sample_time, axes)
         except InputError as error:
             raise InputError(f"parts[{index}]: {error}") from None
+        _check_size(sum(each.size for each in rows) + following.size + _number(join, "join") * axes / sample_time)
         if rows and join:
             rows.append(np.stack([cosine_ramp(sample_time, rows[-1][-1, a], following[0, a], join) for a in range(axes)], axis=1))
         rows.append(following)
@@ -334,6 +359,8 @@ def hampi_identification(
     peak, and at the middle ones to lower peaks, so that rate and amplitude can be told apart. Every frequency lasts `time` s, three
     loops at least. Above 300 Hz the loops reach `fast_share` of the peak, which spares the amplifier.
     """
+    longest = [1.0 / _number(quasi_static, "quasi_static"), *(max(3.0 / float(f), time) for f in frequencies)]
+    _check_size(2 * (sum(map(abs, longest)) + len(longest) * abs(_number(pause, "pause"))) / sample_time)
     pieces = [rest(sample_time, pause), rest(sample_time, 0.15, step_height), rest(sample_time, 0.1)]
     for share in (1.0, 0.6):
         pieces += [loops(sample_time, quasi_static, share * peak, 1), rest(sample_time, pause)]
@@ -360,6 +387,7 @@ def mhl_identification(
     A step; slow loops of falling amplitude (variable amplitude, `slow` Hz); a full-amplitude sweep to 100 Hz; a small sweep to
     `highest` Hz about mid-drive.
     """
+    _check_size((5.0 / _number(slow, "slow") + 3 * _number(sweep_time, "sweep_time")) * axes**2 / sample_time)
     small = 0.1 * peak
     centre = 0.5 * peak
     highest = min(highest, 0.4 / sample_time)
@@ -394,6 +422,7 @@ def diagnostic(
     and none near the mains (linear, even, odd, noise); a triangle (static curve, velocity sign); fast steps (slew, delay); rest.
     Axes move with phases of their own; in the triangle and the steps they move in turn, so that cross-coupling shows.
     """
+    _check_size(2 * _number(duration, "duration") * axes / sample_time)
     span, centre = highest - lowest, 0.5 * (lowest + highest)
     unit = duration / 15.0
     period = max(round(2 * unit / sample_time), 40) * sample_time
@@ -473,9 +502,15 @@ def _number(value: Any, name: str) -> float:
     return float(value)
 
 
+def _check_size(samples: float) -> None:
+    """Refuse what does not fit in memory before any of it is made; samples: of all axes."""
+    if not samples <= most_samples():
+        raise InputError(f"{samples:.3g} samples do not fit in memory: shorten it, or lower the rate")
+
+
 def _count(duration: float, sample_time: float) -> int:
     count = int(round(_number(duration, "duration") / sample_time))
-    if count > LONGEST:
+    if count > most_samples():
         raise InputError(f"duration: {duration:g} s at {sample_time:g} s a sample is too long for memory")
     if count < 1:
         raise InputError(f"duration: {duration:g} s is shorter than a sample of {sample_time:g} s")

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,12 @@ import numpy as np
 import yaml
 
 from hyst_control.errors import InputError
+from hyst_control.files import replacing, write_text
 from hyst_control.records.excitation import KINDS, Array
 from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal, axis_names
 from hyst_control.records.signal_message import label_for
+from hyst_control.yaml_files import parse_yaml, read_yaml
 
 UNITS = ("V", "um", "mrad")
 
@@ -32,19 +33,14 @@ def read_description(words: Sequence[str]) -> dict[str, Any]:
         if not mark or not name:
             raise InputError(f"{word!r}: parameter=value is due (frequency=10)")
         try:
-            spec[name] = yaml.safe_load(text)
-        except (yaml.YAMLError, ValueError, RecursionError):
+            spec[name] = parse_yaml(text, name)
+        except InputError:
             raise InputError(f"{word!r}: the value is not valid: a number, a text or a list such as [1, 2] is due") from None
     return spec
 
 
 def _from_file(path: Path) -> dict[str, Any]:
-    try:
-        spec = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}: give an existing file or one of {', '.join(sorted(KINDS))}") from None
-    except (yaml.YAMLError, ValueError, RecursionError):
-        raise InputError(f"{path}: is not a YAML text: signal: KIND and its parameters are due") from None
+    spec = read_yaml(path, f"give an existing file or one of {', '.join(sorted(KINDS))}")
     if not isinstance(spec, dict):
         raise InputError(f"{path}: holds no description: signal: KIND and its parameters are due")
     return spec
@@ -57,35 +53,18 @@ def write_excitation(path: str | Path, spec: Mapping[str, Any], rows: Array, sam
     exists or cannot be written; nothing is left then.
     """
     path = Path(path)
-    axes, time = axis_names(rows.shape[1]), np.arange(len(rows)) * sample_time
+    axes, time = axis_names(rows.shape[1]), np.asarray(np.arange(len(rows)) * sample_time, dtype=np.float64)
     if unit not in UNITS:
         raise InputError(f"unit: {unit!r}, one of {', '.join(UNITS)} is due")
-    if path.exists():
+    if os.path.lexists(path):
         raise InputError(f"{path}: exists already: choose another name or remove it")
     if path.suffix == ".csv":
-        _write(
-            path,
-            lambda file: np.savetxt(file, np.column_stack([time, rows]), "%.17g", ",", header=label_for(axes, unit), comments=""),
-        )
+        with replacing(path) as file:
+            np.savetxt(file, np.column_stack([time, rows]), "%.17g", ",", header=label_for(axes, unit), comments="")
     elif path.suffix == ".npy":
-        _write(path, lambda file: np.save(file, rows))
+        with replacing(path) as file:
+            np.save(file, rows)
     elif path.suffix in (".yaml", ".yml"):
-        _write(path, lambda file: file.write(yaml.safe_dump(dict(spec), sort_keys=False).encode()))
+        write_text(path, yaml.safe_dump(dict(spec), sort_keys=False))
     else:
         write_bag(path, Record({"command" if unit == "V" else "reference": Signal(time, rows, axes, unit)}, str(path)))
-
-
-def _write(path: Path, write: Callable[[Any], Any]) -> None:
-    """Write a file under a temporary name, then rename it."""
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}: choose a folder that exists and can be written") from None
-    try:
-        with os.fdopen(handle, "wb") as file:
-            write(file)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise

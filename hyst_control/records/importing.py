@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import codecs
 import gzip
+import os
 import re
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO
 
 import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
+from hyst_control.foreign_readers import foreign_reader
+from hyst_control.records.array_files import KINDS, read_arrays
 from hyst_control.records.bag_writer import BagWriter
-from hyst_control.records.record import Record, Signal, axis_names
+from hyst_control.records.decompression import Budget
+from hyst_control.records.record import Record, Signal, axis_names, check_times
 from hyst_control.records.signal_message import Encoder, label_for
 
 UNITS: dict[str, tuple[str, float]] = {
@@ -24,19 +29,34 @@ UNITS: dict[str, tuple[str, float]] = {
     "kV": ("V", 1e3),
     "um": ("um", 1.0),
     "µm": ("um", 1.0),
+    "\u03bcm": ("um", 1.0),
     "nm": ("um", 1e-3),
     "mm": ("um", 1e3),
     "m": ("um", 1e6),
     "mrad": ("mrad", 1.0),
     "urad": ("mrad", 1e-3),
     "µrad": ("mrad", 1e-3),
+    "\u03bcrad": ("mrad", 1e-3),
     "rad": ("mrad", 1e3),
 }
 """Unit of the file: unit of the record, and the factor between them."""
 
+TIME = "time"
+"""Name that stands for the column of sample times, which is no topic."""
+
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "\u03bcs": 1e-6, "ns": 1e-9}
+"""Unit of a column of times, in s."""
+
+RATE_TOLERANCE = 0.01
+"""Relative difference between a rate that is given and that of the column of times."""
+
 BLOCK = 50
 
 _ASSIGNMENT = re.compile(r"(?P<topic>\w+)=(?P<columns>[^\[\]=]+)\[(?P<unit>[^\]]+)\]")
+
+
+_MATRIX_COLUMN = re.compile(r"(?P<name>.+)\(:,(?P<number>\d{1,6})\)")
+_DECIMAL_COMMAS = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?(\s+[-+]?\d+,\d+([eE][-+]?\d+)?)+")
 
 
 @dataclass(frozen=True)
@@ -50,13 +70,17 @@ class Column:
 
 def parse_columns(text: str) -> list[Column]:
     """Columns from "command=1[V],measurement=5[um]"; several axes as "measurement=5+6[m]". Raises `InputError`."""
-    found, rest = [], text.strip()
+    found: list[Column] = []
+    rest = text.strip()
     while rest:
         match = _ASSIGNMENT.match(rest)
         if not match:
             raise InputError(f"columns: {rest!r}: topic=column[unit], separated by commas, is due (command=1[V],measurement=5[um])")
-        if match["unit"] not in UNITS:
-            raise InputError(f"columns: unit {match['unit']!r} is not known, one of {', '.join(UNITS)} is due")
+        known = TIME_UNITS if match["topic"] == TIME else UNITS
+        if match["unit"] not in known:
+            raise InputError(f"columns: {match['topic']}: unit {match['unit']!r} is not known, one of {', '.join(known)} is due")
+        if match["topic"] in (column.topic for column in found):
+            raise InputError(f"columns: {match['topic']} stands twice: join its axes with + (measurement=2+3[um])")
         found.append(Column(match["topic"], tuple(part.strip() for part in match["columns"].split("+")), match["unit"]))
         rest = rest[match.end() :].lstrip(", ")
     if not found:
@@ -67,43 +91,108 @@ def parse_columns(text: str) -> list[Column]:
 def import_table(
     path: str | Path,
     columns: Sequence[Column],
-    rate: float,
+    rate: float | None,
     rows: tuple[int, int | None] = (0, None),
     hold: str = "zoh",
     variable: str | None = None,
 ) -> Record:
     """A record from a table file: CSV or white space (.gz too), .npy, .npz or .mat.
 
-    rate Hz; rows: first and one past the last; variable: which array of an .npz or .mat file, where there are several. Columns
-    of an .npz or .mat file may also be the names of its own one-dimensional arrays. Raises `InputError` naming file and remedy.
+    Parameters
+    ----------
+    path
+        The file. A text table may have a header, a byte-order mark, and decimal commas where its columns are not separated by commas.
+    columns
+        By number from 1 (from 0 where a column 0 is named), by the header's name, or by the name of an array of an .npz or .mat file: a
+        vector, a matrix (its columns are the axes, its rows the samples), or one column of a matrix as ``name(:,2)``. The topic
+        `time` is the column of sample times.
+    rate
+        Hz; None: from the column of times.
+    rows
+        First and one past the last.
+    hold
+        "zoh" or "foh", the command between samples.
+    variable
+        Array of an .npz or .mat file that columns are numbered in, where there are several.
+
+    Raises
+    ------
+    InputError
+        Naming file and remedy.
     """
     path = Path(path)
-    if not np.isfinite(rate) or rate <= 0:
+    if rate is not None and (not np.isfinite(rate) or rate <= 0):
         raise InputError(f"rate: {rate!r} Hz, a positive rate is due")
+    signal_columns = [column for column in columns if column.topic != TIME]
+    times = [column for column in columns if column.topic == TIME]
+    if rate is None and not times:
+        raise InputError("rate: is missing: give it in Hz, or name the column of sample times (time=1[s])")
+    if not signal_columns:
+        raise InputError("columns: name command and measurement (command=1[V],measurement=5[um])")
     table, names = _read(path, variable, columns)
     begin, end = rows[0], len(table) if rows[1] is None else rows[1]
     if not 0 <= begin < end <= len(table):
         raise InputError(f"{path}: rows {begin}:{end} of {len(table)}: a range within the file is due")
-    signals = {}
-    for column in columns:
-        picked = np.stack([table[begin:end, _index(path, name, names, table.shape[1])] for name in column.columns], axis=1)
-        bad = ~np.isfinite(picked).all(axis=1)
+    first = 0 if any(name == "0" and name not in names for column in columns for name in column.columns) else 1
+    notes = [f"{path}: columns are numbered from 0, since a column 0 is named"] if not first else []
+
+    def picked(column: Column, factor: float) -> Array:
+        wanted = [index for name in column.columns for index in _indices(path, name, names, table.shape[1], first)]
+        found = table[begin:end, wanted]
+        with np.errstate(over="ignore"):
+            scaled = found * factor
+        bad = ~np.isfinite(scaled).all(axis=1)
         if bad.any():
+            row = begin + int(np.argmax(bad))
+            if np.isfinite(found).all():
+                raise InputError(
+                    f"{path}: {column.topic}: row {row} is too large for a number once it is in other units: check the unit"
+                )
             raise InputError(
-                f"{path}: {column.topic}: row {begin + int(np.argmax(bad))} and {int(bad.sum()) - 1} more hold no finite "
+                f"{path}: {column.topic}: row {row} and {int(bad.sum()) - 1} more hold no finite "
                 "number: choose rows without them or repair the file"
             )
+        return np.ascontiguousarray(scaled)
+
+    time = _times(path, times[0], picked(times[0], TIME_UNITS[times[0].unit]), rate, begin) if times else None
+    signals = {}
+    for column in signal_columns:
         unit, factor = UNITS[column.unit]
-        time = np.arange(len(picked)) / rate
-        signals[column.topic] = Signal(time, np.ascontiguousarray(picked * factor), axis_names(picked.shape[1]), unit)
-    return Record(signals, str(path), (), hold)
+        values = picked(column, factor)
+        stamps = np.arange(len(values)) / rate if time is None and rate is not None else time
+        assert stamps is not None
+        check_times(f"{path}: {column.topic}", stamps)
+        signals[column.topic] = Signal(stamps, values, axis_names(values.shape[1]), unit)
+    return Record(signals, str(path), tuple(notes), hold)
+
+
+def _times(path: Path, column: Column, found: Array, rate: float | None, begin: int) -> Array:
+    """Sample times (N,) in s, counted from the first, of a column of times (N, 1)."""
+    if found.shape[1] != 1:
+        raise InputError(f"columns: time: {found.shape[1]} columns, one is due")
+    time = found[:, 0] - found[0, 0]
+    back = np.flatnonzero(np.diff(time) <= 0)
+    if len(back):
+        raise InputError(
+            f"{path}: time: does not increase in row {begin + int(back[0]) + 1}: choose rows in which it does, or leave the time out and "
+            "give the rate"
+        )
+    if rate is not None and len(time) > 1:
+        own = 1.0 / float(np.median(np.diff(time)))
+        if abs(own - rate) > RATE_TOLERANCE * rate:
+            raise InputError(
+                f"{path}: time: has {own:.6g} samples/s, --rate says {rate:g}: leave one of them out, or check the unit"
+            )
+    return np.ascontiguousarray(time)
 
 
 def write_bag(path: str | Path, record: Record) -> None:
     """Write a record as a finished MCAP bag: under a temporary name, then renamed. Raises `InputError` when the path exists."""
     path = Path(path)
-    if path.exists():
+    if os.path.lexists(path):
         raise InputError(f"{path}: exists already: choose another name or remove it")
+    if not record.signals:
+        raise InputError(f"{path}: there is nothing to write: {record.source} has no signals")
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as temporary:
         part = Path(temporary) / path.name
@@ -122,37 +211,53 @@ def _write_signals(writer: BagWriter, record: Record) -> None:
             part = slice(begin, begin + BLOCK)
             block = np.column_stack([signal.time[part], signal.values[part]])
             if len(block):
-                writer.write(f"/{topic}", encoders[topic].encode(np.ascontiguousarray(block)), int(round(block[-1, 0] * 1e9)))
+                writer.write(
+                    f"/{topic}", encoders[topic].encode(np.ascontiguousarray(block)), max(int(round(block[-1, 0] * 1e9)), 0)
+                )
 
 
 def _read(path: Path, variable: str | None, columns: Sequence[Column]) -> tuple[Array, list[str]]:
+    """Table (N, C) and the names of its columns, where they have some."""
     if not path.is_file():
         raise InputError(f"{path}: does not exist: give the path of a file")
     suffixes = [suffix.lower() for suffix in path.suffixes]
     kind = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else (suffixes[-1] if suffixes else "")
-    if kind in (".npy", ".npz", ".mat"):
-        return _read_arrays(path, kind, variable, columns)
+    if kind in KINDS:
+        return _columns_of_arrays(path, kind, variable, columns)
     return _read_text(path)
 
 
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Lines of a text with their numbers, without those that are empty or comments."""
+    budget = Budget(path.stat().st_size)
+    with open(path, "rb") as plain:
+        file: IO[bytes] = gzip.open(plain) if path.suffix.lower() == ".gz" else plain  # type: ignore[assignment]
+        start = file.read(2)
+        encoding = "utf-16" if start in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
+        file.seek(0)
+        for number, line in enumerate(codecs.getreader(encoding)(file), start=1):
+            budget.take(len(line))
+            line = line.strip()
+            if line and not line.startswith(("#", "%")):
+                yield number, line
+
+
 def _read_text(path: Path) -> tuple[Array, list[str]]:
-    try:
-        with gzip.open(path, "rt", encoding="utf-8") if path.suffix == ".gz" else open(path, encoding="utf-8") as file:
-            lines = [(number, line.strip()) for number, line in enumerate(file, start=1)]
-    except (OSError, UnicodeDecodeError, EOFError) as error:
-        raise InputError(f"{path}: cannot be read as text ({error}): give a CSV or white-space table, .npy, .npz or .mat") from None
-    lines = [(number, line) for number, line in lines if line and not line.startswith(("#", "%"))]
+    with foreign_reader(path, "text", "give a CSV or white-space table, .npy, .npz or .mat"):
+        lines = list(_lines(path))
     if not lines:
         raise InputError(f"{path}: holds no rows")
-    separator = next((mark for mark in (",", ";", "\t") if mark in lines[0][1]), None)
+    separator, comma = _form([line for _, line in lines])
     head = [cell.strip().strip('"') for cell in lines[0][1].split(separator)]
     names: list[str] = []
-    if any(not _numeric(cell) for cell in head):
-        names, lines = head, lines[1:]
+    if any(not _numeric(cell.replace(",", ".") if comma else cell) for cell in head):
+        names, lines = [name if name not in head[:index] else "" for index, name in enumerate(head)], lines[1:]
+        if not lines:
+            raise InputError(f"{path}: holds no rows below its first line ({head[0][:40]!r}, … are taken as names): repair it")
     width = len(head)
     table = np.empty((len(lines), width))
     for row, (number, line) in enumerate(lines):
-        cells = line.split(separator)
+        cells = (line.replace(",", ".") if comma else line).split(separator)
         if len(cells) != width:
             raise InputError(f"{path}: line {number} has {len(cells)} columns, the first has {width}: repair the line")
         try:
@@ -160,55 +265,79 @@ def _read_text(path: Path) -> tuple[Array, list[str]]:
         except ValueError:
             wrong = next(index for index, cell in enumerate(cells) if not _numeric(cell))
             raise InputError(
-                f"{path}: line {number}, column {wrong + 1}: {cells[wrong].strip()!r} is no number: repair the line"
+                f"{path}: line {number}, column {wrong + 1}: {line.split(separator)[wrong].strip()!r} is no number: repair the line"
             ) from None
     return table, names
 
 
-def _read_arrays(path: Path, kind: str, variable: str | None, columns: Sequence[Column]) -> tuple[Array, list[str]]:
-    try:
-        if kind == ".npy":
-            arrays: Mapping[str, Any] = {"": np.load(path, allow_pickle=False)}
-        elif kind == ".npz":
-            with np.load(path, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
-        else:
-            from scipy.io import loadmat
+def _form(lines: Sequence[str]) -> tuple[str | None, bool]:
+    """What separates the columns (None: white space), and whether numbers have decimal commas."""
+    first = lines[:2]  # a header, and numbers
+    for mark in (";", "\t"):
+        if all(mark in line for line in first):
+            return mark, any("," in line for line in lines[1:] or lines)
+    if _DECIMAL_COMMAS.fullmatch(first[-1]):
+        return None, True
+    if not any(mark in lines[0] for mark in ",;\t"):
+        return None, any("," in line for line in lines[1:])
+    return ("," if "," in lines[0] else ";" if ";" in lines[0] else "\t" if "\t" in lines[0] else None), False
 
-            arrays = {name: value for name, value in loadmat(path, squeeze_me=True).items() if not name.startswith("__")}
-    except NotImplementedError:
-        raise InputError(f"{path}: is a MATLAB 7.3 file: save it with -v7, or as .npz or CSV") from None
-    except (OSError, ValueError, TypeError, EOFError, KeyError) as error:
-        raise InputError(f"{path}: cannot be read as {kind} ({error})") from None
-    numeric = {
-        name: np.asarray(value, dtype=float)
-        for name, value in arrays.items()
-        if isinstance(value, np.ndarray) and np.issubdtype(value.dtype, np.number) and not np.iscomplexobj(value)
-    }
+
+def _columns_of_arrays(path: Path, kind: str, variable: str | None, columns: Sequence[Column]) -> tuple[Array, list[str]]:
+    """Columns of the arrays that are named, or of the one that columns are numbered in."""
+    numeric = read_arrays(path, kind)
     wanted = [name for column in columns for name in column.columns]
-    if variable is None and all(name in numeric for name in wanted):
-        vectors = {name: np.ravel(numeric[name]) for name in wanted}
-        if len({len(vector) for vector in vectors.values()}) > 1:
-            sizes = ", ".join(f"{name} {len(vector)}" for name, vector in vectors.items())
-            raise InputError(f"{path}: the arrays differ in length ({sizes})")
-        return np.stack(list(vectors.values()), axis=1), list(vectors)
+    named = {name: _array_of(name, numeric) for name in wanted}
+    if variable is None and all(name is not None for name in named.values()):
+        tables = {name: _named(numeric[array]) for name, array in named.items() if array is not None}
+        for name in tables:
+            if match := _MATRIX_COLUMN.fullmatch(name):
+                number = int(match["number"])
+                if not 1 <= number <= tables[name].shape[1]:
+                    raise InputError(f"{path}: {name}: {match['name']} has {tables[name].shape[1]} columns: number them from 1")
+                tables[name] = tables[name][:, number - 1 : number]
+        if len({len(table) for table in tables.values()}) > 1:
+            sizes = ", ".join(f"{name} {len(table)} x {table.shape[1]}" for name, table in tables.items())
+            raise InputError(
+                f"{path}: the arrays differ in length ({sizes}): rows are samples and columns axes; transpose what is not so"
+            )
+        names = [name for name, table in tables.items() for _ in range(table.shape[1])]
+        return np.concatenate(list(tables.values()), axis=1), names
     if variable is None and len(numeric) == 1:
         variable = next(iter(numeric))
     if variable not in numeric:
         raise InputError(f"{path}: name one of its arrays as the variable: {', '.join(numeric) or 'it holds none of numbers'}")
-    table = numeric[variable]
-    table = table[:, None] if table.ndim == 1 else table
-    # Samples come first; further dimensions (channels, realisations, periods) become columns in their order.
-    return np.ascontiguousarray(table.reshape(len(table), -1)), []
+    return np.ascontiguousarray(_table(numeric[variable])), []
 
 
-def _index(path: Path, name: str, names: Sequence[str], width: int) -> int:
+def _array_of(name: str, arrays: dict[str, Array]) -> str | None:
+    """The array that a column's name stands for; None where there is none."""
+    if name in arrays:
+        return name
+    match = _MATRIX_COLUMN.fullmatch(name)
+    return match["name"] if match and match["name"] in arrays else None
+
+
+def _table(array: Array) -> Array:
+    """Rows by columns: samples come first; further dimensions (channels, realisations, periods) become columns in their order."""
+    if array.ndim < 2:
+        return array.reshape(-1, 1)
+    return array.reshape(len(array), -1) if array.size else np.empty((len(array), 0))
+
+
+def _named(array: Array) -> Array:
+    """The same for an array that a column names: a row vector is a column then."""
+    return array.reshape(-1, 1) if array.ndim == 2 and len(array) == 1 else _table(array)
+
+
+def _indices(path: Path, name: str, names: Sequence[str], width: int, first: int) -> list[int]:
+    """Numbers from 0 of the columns of this name or number; a matrix has several."""
     if name in names:
-        return list(names).index(name)
-    if name.isdigit():
-        if not 1 <= int(name) <= width:
-            raise InputError(f"{path}: column {name} of {width}: number them from 1 to {width}")
-        return int(name) - 1
+        return [index for index, other in enumerate(names) if other == name]
+    if name.isdecimal():
+        if not first <= int(name) < first + width:
+            raise InputError(f"{path}: column {name} of {width}: number them from {first} to {width - 1 + first}")
+        return [int(name) - first]
     raise InputError(f"{path}: has no column {name!r}: {', '.join(names) if names else f'number them from 1 to {width}'}")
 
 

@@ -20,6 +20,22 @@ def axis_names(count: int) -> tuple[str, ...]:
     return AXES[:count] if count <= len(AXES) else tuple(f"a{i}" for i in range(count))
 
 
+MOST_TICKS = 2.0**52
+"""Beyond it a float64 does not hold a tick's number and its fraction."""
+
+LATEST_TIME = 9e9
+"""s; beyond any clock, the seconds since 1970 among them, and far below where a tick's number would lose its last digit."""
+
+
+def check_times(where: str, time: Array) -> None:
+    """Raise `InputError`, beginning with `where`, unless sample times (N,) in s are such that can be measured."""
+    if not np.isfinite(time).all():
+        raise InputError(f"{where}: the time column holds NaN or infinity: record again")
+    if len(time) and (time.max() > LATEST_TIME or time.min() < -LATEST_TIME):
+        worst = time[int(np.argmax(np.abs(time)))]
+        raise InputError(f"{where}: the time column holds {worst:g} s, no clock goes beyond {LATEST_TIME:g} s: record again")
+
+
 @dataclass(frozen=True)
 class Signal:
     """One topic: sample times (N,) in s, values (N, A), the axes' names and their unit.
@@ -83,6 +99,7 @@ class Record:
         steps = {}
         for topic in topics:
             time = self.signal(topic).time
+            check_times(f"{self.source}: {topic}", time)
             if len(time) < 2:
                 raise InputError(f"{self.source}: {topic}: {len(time)} sample{'s' * (len(time) != 1)}, at least two are needed")
             step = float(np.median(np.diff(time)))
@@ -108,6 +125,9 @@ class Record:
         ticks = {}
         for topic in topics:
             signal = self.signal(topic)
+            latest = float(np.abs(signal.time).max())
+            if latest / step > MOST_TICKS:
+                raise InputError(f"{self.source}: {topic}: steps of {step:g} s at times of up to {latest:g} s: record again")
             found = np.rint(signal.time / step).astype(np.int64)
             if signal.timing == "receive":
                 found = found[0] + np.arange(len(found))  # the reception's jitter is not the sampling's

@@ -80,8 +80,7 @@ class Decoder:
             return self._label, np.frombuffer(buffer, np.float64, -1, len(self._header)).reshape(self._shape)
         label, block = decode(buffer)
         head = len(buffer) - block.nbytes
-        # bytes behind the data are allowed, but then the data is not where the header alone says it is
-        if label and buffer[1] == 1 and block.ctypes.data == np.frombuffer(buffer, np.uint8).ctypes.data + head:
+        if label and buffer[1] == 1:
             self._header, self._length = bytes(buffer[:head]), len(buffer)
             self._label, self._shape = label, (block.shape[0], block.shape[1])
         return label, block
@@ -120,6 +119,8 @@ def decode(buffer: bytes | bytearray | memoryview) -> tuple[str, NDArray[np.floa
         position += -(position - 4) % 8
     if len(view) - position < 8 * count:
         raise InputError(f"message of {len(view)} bytes: cut short, {count} values are announced")
+    if len(view) - position > 8 * count:
+        raise InputError(f"message of {len(view)} bytes: {len(view) - position - 8 * count} bytes follow its {count} values")
     data = np.frombuffer(view, order + "f8", count, position)
     if order == ">":
         data = data.astype(np.float64)

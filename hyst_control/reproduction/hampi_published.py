@@ -24,3 +24,5 @@ TABLE_5 = {
     "HAMPI": {10.0: (0.06, 1.50), 50.0: (0.05, 1.28), 100.0: (0.06, 1.61), 150.0: (0.09, 2.25)},
 }
 """Tracking of 4 um by frequency (Hz): (RMSE in um, NRMSE in %)."""
+TABLE_2 = {"m1": 7.7e-7, "m2": 2.5e-7, "k": -6.4e-4, "b": 0.025}
+"""Dynamic weights of §3.2 in s/V, s/V, 1/V and 1; m1, m2 and b are positive and k is negative (§3.1)."""

@@ -5,35 +5,40 @@ figures are of the paper's mirror; the plant here is a simulated one whose hyste
 model's own, and nothing is taken from its parameters.
 
     traditional composite   H_S^-1 and PI (paper Eq. 9 and Fig. 7)
-    proposed composite      H_S^-1, Ψ behind N(s), and PI (Eq. 6, Fig. 6)
+    proposed composite      H_S^-1, Ψ' behind N(s), and PI (Eq. 6, Fig. 6): N(s) as published, moved to 1 kHz, and without
     whole inverse           the inverse of delay, H_D and G(s) with preview, and PI: past the paper
 
-The composites invert the model of the paper's sequence, as published. The whole inverse takes the model of all records together,
-which predicts better, and looks at the reference through a low-pass without phase: no command makes the mirror jump in one tick.
+The composites take the inverse that was identified as the paper's was: its own curves, and Ψ' from u - H_S^-1[y] on the raw sweep at
+the loop's rate. Steps 1 to 3 of the paper's sequence, which find the model, have a record at 20 kHz: a delay of a third of the
+loop's sample and a mode near half its rate cannot be told from samples of the loop. The whole inverse takes the model of all records
+of the loop together, and looks at the reference through a low-pass without phase: no command makes the mirror jump in one tick.
 """
 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hyst_control.chain.linear import CrossCoupling
 from hyst_control.chain.stage import Array
 from hyst_control.config_files import config_path
-from hyst_control.control.feedforward import build_compensator
+from hyst_control.control.feedforward import RATE_FILTER, build_compensator
 from hyst_control.control.tuning import Tuning, tune
 from hyst_control.control.whole_inverse import lifted_inverse
 from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.paper_mhl import inverse_model
 from hyst_control.identify.workflow import datasets_of
 from hyst_control.model_file import Model, save_model
 from hyst_control.records import excitation
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.reporting.tables import Table
-from hyst_control.reproduction import mhl_figures, mhl_tables
+from hyst_control.reproduction import claims, mhl_figures, mhl_tables
 from hyst_control.reproduction.node_runs import run_processes
 
 SAMPLE_TIME = 2e-4
@@ -48,11 +53,29 @@ CENTRE, REACH = 1.0, 0.9
 SEED = 626
 BLOCK = 500
 VERIFIED = (500.0, 1000.0, 1500.0, 2000.0, 3000.0, 4000.0)
+FADE = 0.1
+"""s, whole periods of every tone, over which a reference that does not begin at rest is faded in."""
 STEP = 0.2
 """mrad, of the step whose settling time is measured."""
 OTHER_STEPS = (-0.2, 0.5, -0.5)
 """mrad; the paper does not say how high its step was."""
-KINDS = {"traditional composite": "mhl_static", "proposed composite": "mhl"}
+PUBLISHED_CORNER = 1.0 / (2.0 * np.pi * np.sqrt(RATE_FILTER[0]))
+"""Hz, of N(s) as published: 280."""
+MOVED_CORNER = 1000.0
+"""Hz, of N(s) placed anew, its damping kept: beyond the 100 Hz over which Ψ' was identified, and below the mode."""
+NO_FILTER = (0.0,)
+COMPOSITES = {
+    "traditional composite": ("mhl_static", "inverse", NO_FILTER),
+    "proposed composite, N as published": ("mhl", "inverse", RATE_FILTER),
+    "proposed composite, N at 1 kHz": (
+        "mhl",
+        "inverse",
+        tuple(value * (PUBLISHED_CORNER / MOVED_CORNER) ** power for power, value in zip((2, 1, 0), RATE_FILTER, strict=True)),
+    ),
+    "proposed composite, without N": ("mhl", "inverse", NO_FILTER),
+    "proposed composite, k2' as published, without N": ("mhl", "slower", NO_FILTER),
+}
+"""Kind of compensator, inverse model (`slower`: Ψ' with the k2' of the paper's Table 2), and denominator of N(s)."""
 SMOOTHING = 4
 """Order of the whole inverse's low-pass without phase: -3 dB at 1.65 kHz, 10 % above the bandwidth that is asked for."""
 
@@ -72,45 +95,59 @@ def run(json_path: str | None = None, figures: str | None = None) -> Table:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         training = record(folder / "training", identification(SAMPLE_TIME, 2.0), SAMPLE_TIME, SEED)
-        static, multi = (
-            record(folder / name, rows, SAMPLE_TIME, SEED + 1)
-            for name, rows in (("static", static_check()), ("multi", multi_frequency_check()))
-        )
-        fits = {method: identify([training], "mhl", method) for method in ("paper", "joint")}
+        checks = {"static": static_check(), "multi": multi_frequency_check()}
+        checked = {name: (record(folder / name, rows, SAMPLE_TIME, SEED + 1), scored) for name, (rows, scored) in checks.items()}
         fine = record(folder / "fine", identification(FINE_TIME, 1.0), FINE_TIME, SEED + 2)
         fast, places = fast_check()
         verified = record(folder / "verified", fast, FINE_TIME, SEED + 3)
-        fine_fit = identify([fine], "mhl", "paper")
+        fits = {"paper": identify([fine], "mhl", "paper"), "joint": identify([training], "mhl", "joint")}
+        inverses = {"inverse": inverse_model([training]), "slower": inverse_model([training], k2=mhl_tables.TABLE_2["k2'"])}
 
         tuning = tune(without_coupling(fits["joint"].model), sample_time=SAMPLE_TIME)
         reference, parts = tracking_reference()
-        models = {method: without_coupling(fit.model) for method, fit in fits.items()}
-        for method, model in models.items():
-            save_model(model, folder / f"{method}.yaml")
+        joint = without_coupling(fits["joint"].model)
+        for name, model in {"joint": joint, **inverses}.items():
+            save_model(model, folder / f"{name}.yaml")
         tracked = {
-            name: track(folder / kind, kind, folder / "paper.yaml", models["paper"], reference, tuning)
-            for name, kind in KINDS.items()
+            name: track(
+                folder / name.replace(" ", "_").replace(",", "").replace("'", ""),
+                kind,
+                folder / "joint.yaml",
+                joint,
+                reference,
+                tuning,
+                {
+                    "inverse_model": str(folder / f"{inverse}.yaml"),
+                    "rate_filter": list(rate_filter),
+                    "discretisation": "tustin",
+                },
+            )
+            for name, (kind, inverse, rate_filter) in COMPOSITES.items()
         }
         for name, feedback in (("whole inverse", tuning), ("whole inverse, no feedback", None)):
             tracked[name] = track(
                 folder / name.replace(", ", "_"),
                 "mhl_inverse",
                 folder / "joint.yaml",
-                models["joint"],
+                joint,
                 reference,
                 feedback,
-                SMOOTHING,
+                {"smoothing": SMOOTHING},
             )
-        tracked["lifted inverse, no feedback"] = lifted(folder / "lifted", models["joint"], reference)
+        tracked["lifted inverse, no feedback"] = lifted(folder / "lifted", joint, reference)
 
-    mhl_tables.parameters(table, fits["paper"])
-    mhl_tables.predictions(table, {name: fit.model for name, fit in fits.items()}, static, multi)
-    mhl_tables.fast(table, fine_fit.model, verified, places)
+    mhl_tables.parameters(table, fits["paper"], inverses["inverse"])
+    mhl_tables.widening(table, training)
+    mhl_tables.predictions(table, {name: fit.model for name, fit in fits.items()}, checked["static"], checked["multi"])
+    mhl_tables.fast(table, fits["paper"].model, verified, places)
+    mhl_tables.open_loop(table, fits["paper"].model, fine)
     mhl_tables.tracking(table, tracked, parts)
+    mhl_tables.feedback_effort(table, tracked, parts)
+    mhl_tables.phases(table, *checked["multi"], inverses["inverse"], COMPOSITES["proposed composite, N as published"][2])
     mhl_tables.error_spectrum(table, tracked, parts["single"], SAMPLE_TIME)
     mhl_tables.closed_loop(table, tracked, parts, SAMPLE_TIME)
     mhl_tables.robustness(table, tuning)
-    table.notes += mhl_tables.NOTES
+    table.notes += [*mhl_tables.NOTES, *claims.notes(claims.MHL)]
     if json_path:
         table.write(json_path)
     if figures:
@@ -118,8 +155,8 @@ def run(json_path: str | None = None, figures: str | None = None) -> Table:
             Path(figures),
             table,
             fits,
-            fine_fit,
-            {"static": static, "multi": multi, "fast": verified, "fine": fine},
+            fits["paper"],
+            {"static": checked["static"][0], "multi": checked["multi"][0], "fast": verified, "fine": fine},
             places,
             tracked,
             parts,
@@ -136,26 +173,41 @@ def identification(sample_time: float, sweep_time: float) -> Array:
     )
 
 
-def static_check() -> Array:
-    """1 Hz loops of other amplitudes than the identification's (Fig. 9), of both axes, after one that fills the memory."""
+def static_check() -> tuple[Array, list[slice]]:
+    """1 Hz loops of other amplitudes than the identification's (Fig. 9), after one that fills the memory; the rows of each axis."""
     waves = [excitation.loops(SAMPLE_TIME, 1.0, share * RATING[1], 1) for share in (1.0, 0.9, 0.7, 0.5, 0.3)]
-    return np.repeat(np.concatenate(waves)[:, None], 2, axis=1)
+    return one_after_the_other(np.concatenate(waves), SAMPLE_TIME)
 
 
-def multi_frequency_check() -> Array:
+def multi_frequency_check() -> tuple[Array, list[slice]]:
     """v = 50 - 19.2 sin 30πt - 10.7 (sin 80πt + sin 150πt + sin 200πt) (paper §4.3), after a loop that fills the memory."""
     wave = excitation.multi_frequency(SAMPLE_TIME, (15.0, 40.0, 75.0, 100.0), (-19.2, -10.7, -10.7, -10.7), 50.0, 0.4)
-    return np.repeat(np.concatenate([conditioned(SAMPLE_TIME, 50.0), wave])[:, None], 2, axis=1)
+    return one_after_the_other(np.concatenate([conditioned(SAMPLE_TIME, 50.0), wave]), SAMPLE_TIME)
 
 
-def fast_check() -> tuple[Array, list[tuple[float, int, int]]]:
-    """Sines of 10 V about 50 V at the frequencies of Table 3, and the rows of each without its beginning."""
+def fast_check() -> tuple[Array, list[tuple[float, slice, slice]]]:
+    """Sines of 10 V about 50 V at the frequencies of Table 3; of each the frequency, and the rows without its beginning by axis."""
     pieces, places = [conditioned(FINE_TIME, 50.0)], []
     for frequency in VERIFIED:
         begin = sum(len(piece) for piece in pieces)
         pieces += [excitation.sine(FINE_TIME, frequency, 10.0, 50.0, 0.05), excitation.rest(FINE_TIME, 0.02, 50.0)]
         places.append((frequency, begin + int(0.02 / FINE_TIME), begin + int(0.05 / FINE_TIME)))
-    return np.repeat(np.concatenate(pieces)[:, None], 2, axis=1), places
+    rows, (_, later) = one_after_the_other(np.concatenate(pieces), FINE_TIME)
+    shift = later.stop - sum(len(piece) for piece in pieces)
+    return rows, [(frequency, slice(begin, end), slice(begin + shift, end + shift)) for frequency, begin, end in places]
+
+
+def one_after_the_other(wave: Array, sample_time: float) -> tuple[Array, list[slice]]:
+    """A wave (N,) on each axis in turn, the other at rest at 0 V; and the rows of each from the top of its major loop to its end.
+
+    The paper's model has no cross-coupling: what an axis does is asked of it alone.
+    """
+    back = [excitation.cosine_ramp(sample_time, float(wave[-1]), 0.0, 0.1), excitation.rest(sample_time, 0.05)]
+    own = np.concatenate([wave, *back])
+    rows = np.zeros((2 * len(own), 2))
+    rows[: len(own), 0] = rows[len(own) :, 1] = own
+    first = int(np.flatnonzero(wave >= 0.99 * wave.max())[0])
+    return rows, [slice(first, len(wave)), slice(len(own) + first, len(own) + len(wave))]
 
 
 def conditioned(sample_time: float, end: float) -> Array:
@@ -188,9 +240,14 @@ def tracking_reference() -> tuple[Array, dict[str, Part]]:
         excitation.sine(ts, 5.0, 0.95 * REACH, CENTRE, 0.2, -np.pi / 2),
     )
     add("single", excitation.sine(ts, 100.0, REACH, CENTRE, 0.2, -np.pi / 2), skipped=0.02)
-    add("decreasing", excitation.decaying_sine(ts, 100.0, REACH, CENTRE, 0.2, 0.1 * REACH))
+    # These begin in the middle of their motion: they are faded in, so that nothing starts with a kink in velocity.
+    before = faded_in(excitation.sine(ts, 100.0, REACH, CENTRE, FADE))
+    wave = np.concatenate([before, excitation.decaying_sine(ts, 100.0, REACH, CENTRE, 0.2, 0.1 * REACH)])
+    add("decreasing", wave, skipped=FADE)
     scale = REACH / 50.0
-    add("multi", excitation.multi_frequency(ts, (20.0, 60.0, 100.0), (-35.3 * scale, -19.6 * scale, -19.6 * scale), CENTRE, 0.2))
+    tones = (20.0, 60.0, 100.0), (-35.3 * scale, -19.6 * scale, -19.6 * scale), CENTRE
+    before = faded_in(excitation.multi_frequency(ts, *tones, FADE))
+    add("multi", np.concatenate([before, excitation.multi_frequency(ts, *tones, 0.2)]), skipped=FADE)
     spiral = excitation.spiral(ts, 2, REACH, 20.0, 0.5, CENTRE)
     add("spiral", spiral[:, 0], spiral[:, 1])
     add("step", excitation.step(ts, STEP, CENTRE, 0.02, 0.08))
@@ -199,6 +256,11 @@ def tracking_reference() -> tuple[Array, dict[str, Part]]:
         add(f"step of {height:g} mrad", excitation.step(ts, height, CENTRE, 0.02, 0.08))
     pieces.append(np.repeat(pieces[-1][-1:], int(0.02 / ts), axis=0))
     return np.concatenate(pieces), parts
+
+
+def faded_in(wave: Array) -> Array:
+    """A wave (N,) about the centre that grows along half a cosine from rest at the centre to itself."""
+    return CENTRE + (wave - CENTRE) * (0.5 - 0.5 * np.cos(np.pi * np.arange(len(wave)) / len(wave)))
 
 
 def without_coupling(model: Model) -> Model:
@@ -226,9 +288,16 @@ def record(folder: Path, signal: Array, sample_time: float, seed: int) -> Datase
 
 
 def track(
-    folder: Path, kind: str, path: Path, model: Model, reference: Array, tuning: Tuning | None, smoothing: int = 0
+    folder: Path,
+    kind: str,
+    path: Path,
+    model: Model,
+    reference: Array,
+    tuning: Tuning | None,
+    settings: Mapping[str, Any],
 ) -> dict[str, Array]:
-    """One tracking run with a compensator, and feedback where it is tuned; every signal (N, 2)."""
+    """One tracking run with a compensator, and feedback where it is tuned; settings: the feedforward's; every signal (N, 2)."""
+    smoothing = settings.get("smoothing", 0)
     preview = build_compensator(model, kind, sample_time=SAMPLE_TIME, limits=RATING, smoothing=smoothing).preview
     feedback = {"lower": RATING[0], "upper": RATING[1], "slew_limit": SLEW_LIMIT, "feedback": tuning is not None}
     if tuning is not None:
@@ -238,7 +307,7 @@ def track(
         reference,
         SAMPLE_TIME,
         {
-            "mhl_feedforward": {"kind": kind, "model": str(path), "limits": list(RATING), "smoothing": smoothing},
+            "mhl_feedforward": {"kind": kind, "model": str(path), "limits": list(RATING), **settings},
             "pi_feedback": feedback,
             "plant": {"plant": str(config_path("plants/fsm.yaml")), "seed": SEED + 4},
         },
@@ -274,8 +343,3 @@ def lifted(folder: Path, model: Model, reference: Array) -> dict[str, Array]:
 def signals_of(bag: Path) -> dict[str, Array]:
     """The signals of a tracking run on one clock."""
     return dict(read_bag(bag).aligned(("reference", "feedforward", "feedback", "command", "measurement"))[0].values)
-
-
-def conditioned_rows(data: Dataset) -> int:
-    """The rows before the drive has been at the top of the major loop."""
-    return int(np.flatnonzero(data.command[:, 0] >= 0.99 * data.command[:, 0].max())[0])

@@ -19,7 +19,7 @@ from hyst_control.reporting.tables import Table
 from hyst_control.reproduction import mhl_tables
 
 LOOP = 2e-4
-SHOWN = ("traditional composite", "proposed composite", "whole inverse")
+SHOWN = ("traditional composite", "proposed composite, N as published", "proposed composite, N at 1 kHz", "whole inverse")
 MOST = 4000
 """Points of a line, at most."""
 
@@ -30,7 +30,7 @@ def write(
     fits: Mapping[str, Fit],
     fine: Fit,
     records: Mapping[str, Dataset],
-    places: Sequence[tuple[float, int, int]],
+    places: Sequence[tuple[float, slice, slice]],
     tracked: Mapping[str, Mapping[str, Array]],
     parts: Mapping[str, Any],
 ) -> None:
@@ -88,15 +88,9 @@ def prediction(data: Dataset, fits: Mapping[str, Fit]) -> go.Figure:
 
 def open_loop(data: Dataset, fit: Fit) -> go.Figure:
     """Responses by cross spectra of the last small sweep of axis x."""
-    rows = np.flatnonzero(np.ptp(np.lib.stride_tricks.sliding_window_view(data.command[:, 0], 40), axis=1) > 0)
-    last = rows[rows < len(data.command) // 2][-1]
-    part = slice(last - int(1.1 / data.sample_time), last)
-    u = data.command[part, 0] - data.command[part, 0].mean()
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, subplot_titles=("gain [dB re 1 mrad/V]", "phase [deg]"))
-    for colour, (name, y) in enumerate(
-        (("measured", data.measurement), ("model", simulate(fit.model, data.command, data.sample_time)))
-    ):
-        frequency, value = cross_spectrum(u, y[part, 0], data.sample_time)
+    frequency, measured, modelled = mhl_tables.open_loop_responses(fit.model, data, 0)
+    for colour, (name, value) in enumerate((("measured", measured), ("model", modelled))):
         figure.add_trace(line(frequency, 20 * np.log10(np.abs(value)), name, colour), 1, 1)
         figure.add_trace(line(frequency, np.degrees(np.unwrap(np.angle(value))), name, colour, legend=False), 2, 1)
     figure.update_xaxes(type="log", title_text="frequency [Hz]", row=2)
@@ -104,26 +98,11 @@ def open_loop(data: Dataset, fit: Fit) -> go.Figure:
     return figure
 
 
-def cross_spectrum(u: Array, y: Array, sample_time: float) -> tuple[Array, Array]:
-    """Response over 30 to 4000 Hz in bands of a thirtieth of an octave times two."""
-    window = np.hanning(len(u))
-    spectra = [np.fft.rfft(window * (signal - signal.mean())) for signal in (u, y)]
-    frequency = np.fft.rfftfreq(len(u), sample_time)
-    edges = np.geomspace(30.0, 4000.0, 110)
-    index = np.digitize(frequency, edges)
-    cross, power = (
-        np.array([values[index == band].sum() for band in range(1, len(edges))])
-        for values in (spectra[1] * spectra[0].conj(), np.abs(spectra[0]) ** 2)
-    )
-    kept = power > 0
-    return np.sqrt(edges[1:] * edges[:-1])[kept], (cross[kept] / power[kept])
-
-
-def fast_loops(data: Dataset, fit: Fit, places: Sequence[tuple[float, int, int]]) -> go.Figure:
+def fast_loops(data: Dataset, fit: Fit, places: Sequence[tuple[float, slice, slice]]) -> go.Figure:
     figure = make_subplots(rows=2, cols=3, subplot_titles=[f"{frequency:g} Hz" for frequency, _, _ in places])
     predicted = simulate(fit.model, data.command, data.sample_time)[:, 0]
-    for place, (frequency, begin, end) in enumerate(places):
-        rows = slice(max(end - int(round(2.0 / frequency / data.sample_time)), begin), end)
+    for place, (frequency, scored, _) in enumerate(places):
+        rows = slice(max(scored.stop - int(round(2.0 / frequency / data.sample_time)), scored.start), scored.stop)
         for colour, (name, y) in enumerate((("measured", data.measurement[:, 0]), ("model", predicted))):
             figure.add_trace(
                 line(

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from hyst_plant_sim.physics.effects import insert_effects, read_effects
 from hyst_plant_sim.physics.fsm import FsmParameters
 from hyst_plant_sim.physics.parts import WhiteNoise
 from hyst_plant_sim.physics.pea import PeaParameters
+from hyst_plant_sim.physics.plant_text import read_plant_text
 from hyst_plant_sim.physics.published_fsm import PublishedFsmParameters
 from hyst_plant_sim.physics.published_pea import PublishedPeaParameters
 from hyst_plant_sim.physics.signal_path import PLACES, Frame, Line, Plant, PlantError
@@ -72,11 +72,9 @@ def shipped(name: str) -> Path | None:
 def _read(path: Path) -> Any:
     known = shipped(str(path)) if str(path) in PLANTS and not path.exists() else None
     try:
-        return yaml.safe_load((known or path).read_text(encoding="utf-8"))
+        return read_plant_text(known or path)
     except OSError as error:
         raise PlantError(f"{error.strerror}: give the path of a plant file, or one of {', '.join(PLANTS)}") from None
-    except (yaml.YAMLError, UnicodeDecodeError):
-        raise PlantError("is not valid YAML") from None
 
 
 def _built(document: Any, seed: int | None, sample_time: float | None, refinement: int, changes: Mapping[str, Any]) -> Plant:

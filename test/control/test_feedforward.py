@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.inverse_multiplicative import InverseMultiplicative, slope_range
-from hyst_control.chain.linear import Delay, TransferFunction
+from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
-from hyst_control.control.feedforward import KINDS, build_compensator, split
+from hyst_control.control.feedforward import KINDS, RATE_FILTER, build_compensator, split
 from hyst_control.control.loop import feedforward_rows
-from hyst_control.control.mhl_inverse import inverse_rate_correction, mean_slope, rate_dependent_parts
+from hyst_control.control.mhl_inverse import inverse_rate_correction, mean_slope, rate_dependent_parts, tustin_lead
 from hyst_control.control.reachable_stroke import check_reachable
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model, Simulator, load_model
@@ -323,3 +323,18 @@ def test_plain_gain_is_the_mean_line_of_the_slow_loop():
 
 def test_every_kind_is_tested_here():
     assert set(KINDS) == {"none", "hapi", "hampi", "mhl", "mhl_static", "mhl_inverse"}
+
+
+@pytest.mark.parametrize("rate_filter", [None, RATE_FILTER])
+def test_lead_by_tustins_rule_is_its_response_at_the_warped_frequency(rate_filter):
+    """H(z) = H(s) at s = (2 / T) (z - 1) / (z + 1), every axis with coefficients of its own."""
+    k1, k2, b1, period = (0.011, 0.009), (5e-5, 5e-4), (0.002, 0.0), 2e-4
+    stage = tustin_lead(RateCorrection(k1, k2, b1), rate_filter, Sampling(period, 2, "foh"))
+    a, b, c, d = (np.array(getattr(stage, name)) for name in "ABCD")
+    for frequency in (0.0, 1.0, 100.0, 1700.0):
+        z = np.exp(2j * np.pi * frequency * period)
+        s = 2.0 / period * (z - 1.0) / (z + 1.0)
+        found = c @ np.linalg.solve(z * np.eye(len(a)) - a, b) + d
+        lead = [(k1[i] * s + b1[i]) / (k2[i] * s + 1.0) for i in range(2)]
+        filtered = 1.0 if rate_filter is None else 1.0 / np.polyval(rate_filter, s)
+        np.testing.assert_allclose(found, np.diag(lead) * filtered, rtol=1e-8, atol=1e-12)

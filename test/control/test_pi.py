@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
 from hyst_control.control.pi import PI
 from hyst_control.errors import InputError
@@ -24,10 +25,31 @@ def test_unlimited_it_is_the_textbook_sum():
     np.testing.assert_allclose(command, feedforward + expected, rtol=1e-12, atol=1e-12)
 
 
-@given(st.integers(0, 10**6), st.lists(st.integers(1, 9), min_size=1, max_size=8))
-def test_any_cutting_gives_the_same_bits(seed, cuts):
+def test_roll_off_is_the_textbook_filter_of_the_error():
+    """The low-pass by scipy, whose pole is exp(-2 pi f T): at f = 0.1 / T a unit step has come to 1 - exp(-0.2 pi k) after k samples."""
+    reference, measurement, feedforward = rows(1)
+    _, feedback = PI(2.0, 30.0, 1e-2, -1e9, 1e9, roll_off=10.0).start(2).step(reference, measurement, feedforward)
+    pole = np.exp(-0.2 * np.pi)
+    error = lfilter([1.0 - pole], [1.0, -pole], reference - measurement, axis=0)
+    np.testing.assert_allclose(feedback, 2.0 * error + 0.3 * np.cumsum(error, axis=0), rtol=1e-12, atol=1e-12)
+    one, zero = np.ones((12, 1)), np.zeros((12, 1))
+    _, step = PI(1.0, 0.0, 1e-2, -1e9, 1e9, roll_off=10.0).start(1).step(one, zero, zero)
+    np.testing.assert_allclose(step[:, 0], 1.0 - pole ** np.arange(1, 13), rtol=1e-12)
+
+
+@given(st.integers(0, 10**6))
+def test_a_roll_off_far_above_the_sample_rate_is_none(seed):
+    inputs = rows(seed)
+    plain, rolled = (PI(3.0, 200.0, 1e-3, -1.0, 1.5, 400.0, roll_off=corner).start(2).step(*inputs) for corner in (0.0, 1e6))
+    for one, other in zip(plain, rolled):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("roll_off", [0.0, 40.0])
+@given(seed=st.integers(0, 10**6), cuts=st.lists(st.integers(1, 9), min_size=1, max_size=8))
+def test_any_cutting_gives_the_same_bits(roll_off, seed, cuts):
     inputs = rows(seed, sum(cuts))
-    description = PI(3.0, 200.0, 1e-3, -1.0, 1.5, 400.0)
+    description = PI(3.0, 200.0, 1e-3, -1.0, 1.5, 400.0, roll_off=roll_off)
     whole = description.start(2).step(*inputs)
     cut = description.start(2)
     edges = np.cumsum([0, *cuts])
@@ -45,17 +67,22 @@ def test_limits_and_slope_always_hold(seed):
     assert np.abs(np.diff(command, axis=0, prepend=np.zeros((1, 2)))).max() <= 0.3 * (1 + 1e-12)
 
 
-def test_saturation_does_not_wind_up():
-    description = PI(1.0, 100.0, 1e-3, -1.0, 1.0)
-    running = description.start(1)
-    one, none = np.ones((5000, 1)), np.zeros((5000, 1))
-    assert running.step(10 * one, none, none)[0][-1, 0] == 1.0
-    command, _ = running.step(-10 * one[:20], none[:20], none[:20])
-    assert command[-1, 0] == -1.0
+@pytest.mark.parametrize("roll_off", [0.0, 50.0])
+def test_saturation_does_not_wind_up(roll_off):
+    """However long it was at its limit; the low-pass alone takes some 5 samples to change sign."""
+    description = PI(1.0, 100.0, 1e-3, -1.0, 1.0, roll_off=roll_off)
+    for saturated in (100, 5000):
+        running = description.start(1)
+        one, none = np.ones((saturated, 1)), np.zeros((saturated, 1))
+        assert running.step(10 * one, none, none)[0][-1, 0] == 1.0
+        command, _ = running.step(-10 * one[:20], none[:20], none[:20])
+        assert command[-1, 0] == -1.0
 
 
-def test_resume_continues_from_the_given_command():
-    running = PI(5.0, 70.0, 1e-3, -10.0, 10.0, 1.0).start(2)
+@pytest.mark.parametrize("roll_off", [0.0, 50.0])
+def test_resume_continues_from_the_given_command(roll_off):
+    running = PI(5.0, 70.0, 1e-3, -10.0, 10.0, 1.0, roll_off=roll_off).start(2)
+    running.step(*rows(4, 7))
     reference, measurement, feedforward = rows(3, 1)
     running.resume(np.array([1.25, -2.0]), reference[0], measurement[0], feedforward[0])
     command, _ = running.step(reference[0], measurement[0], feedforward[0])
@@ -84,7 +111,9 @@ def test_integral_action_removes_the_error_of_a_first_order_plant():
     np.testing.assert_allclose(output, 2.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("change", [{"kp": -1.0}, {"ki": np.nan}, {"sample_time": 0.0}, {"lower": 5.0}, {"slew_limit": -1.0}])
+@pytest.mark.parametrize(
+    "change", [{"kp": -1.0}, {"ki": np.nan}, {"sample_time": 0.0}, {"lower": 5.0}, {"slew_limit": -1.0}, {"roll_off": -1.0}]
+)
 def test_senseless_values_are_refused_by_name(change):
     with pytest.raises(InputError, match=next(iter(change))):
         PI(**{"kp": 1.0, "ki": 1.0, "sample_time": 1e-3, "lower": 0.0, "upper": 5.0, **change})

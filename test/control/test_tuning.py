@@ -11,9 +11,10 @@ from hyst_control.chain.memoryless import Gain
 from hyst_control.control.linearization import hysteresis_slopes, linearised, sampled_response, with_first_mode
 from hyst_control.control.loop import run_loop
 from hyst_control.control.pi import PI
-from hyst_control.control.tuning import margins, tune
+from hyst_control.control.tuning import _largest_scale, margins, tune
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model, Simulator, load_model
+from hyst_plant_sim.physics import load_plant
 
 MODELS = Path(__file__).resolve().parents[2] / "config" / "models"
 HAMPI, MHL = load_model(MODELS / "pea_hampi.yaml"), load_model(MODELS / "fsm_mhl.yaml")
@@ -108,6 +109,70 @@ def test_margins_hold_on_the_nonlinear_model_with_its_spread(model, sample_time,
                 assert np.abs(tail).max() < tolerance * stroke, (gain, mode, factor)
 
 
+@pytest.fixture(scope="module")
+def rolled():
+    return {0.0: tune(MHL, sample_time=2e-4), "auto": tune(MHL, sample_time=2e-4, roll_off="auto")}
+
+
+def test_roll_off_gains_at_the_same_margins(rolled):
+    """Less error at 100 Hz and a shorter step; no margin is given up."""
+    without, found = rolled[0.0], rolled["auto"]
+    assert found.roll_off > 0.0 == without.roll_off
+    for each in rolled.values():
+        assert each.worst.gain_margin >= 6.0 and each.worst.phase_margin >= 45.0 and each.worst.peak_sensitivity <= 2.0 + 1e-6
+    assert found.sensitivity(MHL, [100.0])[0] < 0.75 * without.sensitivity(MHL, [100.0])[0]
+    assert found.settling_time < without.settling_time and found.nominal.bandwidth > without.nominal.bandwidth
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("gain", [0.9, 1.1])
+@pytest.mark.parametrize("mode", [0.8, 1.2])
+def test_margins_with_roll_off_from_impulse_responses(rolled, axis, gain, mode):
+    """L by the transforms of what plant and controller answer to an impulse, each run by itself; no formula of the tuner is used."""
+    found, count = rolled["auto"], 1 << 13
+    impulse = np.zeros((count, 2))
+    impulse[0, axis] = 1.0
+    _, greatest = hysteresis_slopes(MHL)
+    stages = with_first_mode(linearised(MHL, gain * greatest), 2, mode)
+    plant = Simulator(MHL.with_stages(stages), found.sample_time)
+    plant.reset(np.zeros(2))
+    answer = np.concatenate([np.zeros((1, 2)), plant.step(impulse)[:-1]])[:, axis]
+    rest = np.zeros((count, 2))
+    _, feedback = found.controller(-1e9, 1e9).start(2).step(impulse, rest, rest)
+    integral = feedback[-1, axis]  # what stays of it for ever: its transform is that of a step
+    turn = np.exp(-2j * np.pi * np.arange(1, count // 2) / count)
+    correction = np.fft.fft(feedback[:, axis] - integral)[1 : count // 2] + integral / (1.0 - turn)
+    loop = np.fft.fft(answer)[1 : count // 2] * correction
+    inside, phase = np.abs(loop), np.unwrap(np.angle(loop))
+    crossings = np.flatnonzero(np.diff(np.sign(inside - 1.0)))
+    assert len(crossings) and np.degrees(np.abs(np.mod(phase[crossings], 2 * np.pi) - np.pi)).min() > 45.0
+    crossings = np.flatnonzero((np.diff(np.sign(loop.imag)) != 0) & (loop.real[:-1] < 0))
+    assert inside[crossings].max(initial=0.0) < 0.5
+    assert np.abs(1.0 / (1.0 + loop)).max() <= 2.0
+
+
+def test_a_loop_with_roll_off_settles_at_all_corners_of_the_spread_and_at_twice_the_gain(rolled):
+    found = rolled["auto"]
+    for gain in (0.9, 1.1):
+        for mode in (0.8, 1.2):
+            stages = with_first_mode(linearised(MHL, gain * hysteresis_slopes(MHL)[1]), 2, mode)
+            for factor, ticks in ((1.0, 80), (1.95, 800)):
+                controller = PI(factor * found.kp, factor * found.ki, 2e-4, -1e9, 1e9, roll_off=found.roll_off).start(2)
+                output = run_loop(np.ones((ticks, 2)), None, controller, Simulator(MHL.with_stages(stages), 2e-4))["measurement"]
+                assert np.abs(output[-10:] - 1.0).max() < 0.05, (gain, mode, factor)
+
+
+def test_the_roll_off_helps_on_the_truth_mirror(rolled):
+    """Its physics is not the model's: 100 Hz by feedback alone, after two periods."""
+    time = np.arange(500) * 2e-4
+    reference = np.repeat((1.0 - 0.5 * np.cos(200 * np.pi * time))[:, None], 2, axis=1)
+    errors = []
+    for each in rolled.values():
+        signals = run_loop(reference, None, each.controller(0.0, 100.0).start(2), load_plant("fsm", sample_time=2e-4))
+        errors.append(np.sqrt(np.mean((signals["measurement"] - reference)[100:] ** 2)))
+    assert errors[1] < 0.8 * errors[0]
+
+
 @pytest.mark.parametrize("error", [0.1, 0.3])
 def test_margins_hold_for_every_plant_within_the_model_error(error):
     """L = k / (z - 1) times 1 + d for errors d all round the circle: none has less margin than the worst that is reported."""
@@ -142,6 +207,7 @@ def test_settling_time_is_that_of_the_simulated_step():
     [
         (plain(Gain(-0.1)), {}, "falls"),
         (plain(Gain(0.1)), {"phase_margin": 95.0}, "phase margin"),
+        (plain(Gain(0.1)), {"roll_off": -1.0}, "roll_off"),
     ],
 )
 def test_what_cannot_be_tuned_is_refused(model, options, word):
@@ -153,5 +219,39 @@ def test_command_line_prints_and_writes_the_table(tmp_path, capsys):
     from hyst_control.cli import main
 
     assert main(["tune", str(MODELS / "fsm_mhl.yaml"), "--json", str(tmp_path / "out.json")]) == 0
-    assert "phase_margin" in capsys.readouterr().out and (tmp_path / "out.json").stat().st_size > 100
+    assert (
+        "roll_off" not in (text := capsys.readouterr().out)
+        and "phase_margin" in text
+        and (tmp_path / "out.json").stat().st_size > 100
+    )
+    assert main(["tune", str(MODELS / "fsm_mhl.yaml"), "--roll-off", "800", "--at", "100"]) == 0
+    printed = capsys.readouterr().out
+    assert "roll_off" in printed and "sensitivity" in printed
+    assert main(["tune", str(MODELS / "fsm_mhl.yaml"), "--roll-off", "fast"]) == 2
+    assert "--roll-off" in capsys.readouterr().err.splitlines()[-1]
     assert main(["tune", str(tmp_path / "absent.yaml")]) == 2
+
+
+def test_a_loop_whose_gain_margin_is_no_limit_is_scaled_to_its_phase_margin():
+    """k / (s (s + 1)), s = (z - 1) / (z + 1): -180 degrees at |L| = 0 alone; 45 degrees are left at w = 1, where k = √2."""
+    z = np.exp(1j * np.geomspace(1e-5, 1.0, 4000)[:-1] * np.pi)  # s is infinite at half the sampling rate
+    s = (z - 1.0) / (z + 1.0)
+    found = _largest_scale((1.0 / (s * (s + 1.0)))[None], 2.0, np.pi / 4, 2.0, 0.0, above=0.0)
+    assert found == pytest.approx(np.sqrt(2.0), rel=2e-3)
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_a_moved_mode_leaves_the_notch_that_hid_it_where_it_is(factor):
+    """(s² + 2 ζ' w s + w²) / (s² + 2 ζ w s + w²): the poles move, with their damping ratio and the gain at rest, the zeros do not."""
+    w, damping, notch = 2 * np.pi * 100.0, 0.04, 0.06
+    zeros, frequency = [1.0 / w**2, 2 * notch / w, 1.0], np.array([1.0, 60.0, 80.0, 100.0, 120.0, 300.0])
+    z = np.exp(2j * np.pi * frequency * SAMPLE_TIME)
+
+    def response(mode: float) -> np.ndarray:
+        den = np.polymul([1.0 / (mode * w) ** 2, 2 * damping / (mode * w), 1.0], [1e-4, 1.0])
+        return sampled_response([TransferFunction(zeros, den)], 1, SAMPLE_TIME, z)
+
+    present = [TransferFunction(zeros, np.polymul([1.0 / w**2, 2 * damping / w, 1.0], [1e-4, 1.0]))]
+    found = sampled_response(with_first_mode(present, 1, factor), 1, SAMPLE_TIME, z)
+    np.testing.assert_allclose(found, response(factor), rtol=1e-6)
+    assert np.abs(found - response(1.0)).max() > 1.0

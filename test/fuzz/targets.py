@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
+import gzip
 import inspect
+import io
 import os
+import sqlite3
 import struct
 import tempfile
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import yaml
 from hypothesis import strategies as st
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
+from rosbags.typesys import Stores, get_typestore
+from scipy.io import savemat
 
 from hyst_control.config_files import config_path
 from hyst_control.errors import InputError
@@ -19,7 +27,11 @@ from hyst_control.model_file import load_model, model_from_document, simulate
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.bag_writer import BagWriter
 from hyst_control.records.excitation import KINDS, build
-from hyst_control.records.signal_message import Decoder, Encoder, decode
+from hyst_control.records.excitation_files import read_description
+from hyst_control.records.importing import import_table, parse_columns
+from hyst_control.records.record import Record, Signal
+from hyst_control.records.signal_message import MESSAGE_TYPE, Decoder, Encoder, decode
+from hyst_control.yaml_files import parse_yaml
 
 MODELS = ("pea_hampi", "pea_hapi", "fsm_mhl", "fsm_mhl_inverse")
 DOCUMENTS = [yaml.safe_load(config_path(f"models/{name}.yaml").read_text()) for name in MODELS]
@@ -205,11 +217,264 @@ def description(spec) -> None:
         assert rows.ndim == 2 and rows.shape[1] == 2 and np.isfinite(rows).all()
 
 
+def saved_bags() -> list[dict[str, bytes]]:
+    """Finished bags of every storage and compression, as their files' bytes by name."""
+    store, found = get_typestore(Stores.ROS2_JAZZY), []
+    for plugin in StoragePlugin:
+        for mode in CompressionMode:
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder) / "bag"
+                writer = Writer(path, version=9, storage_plugin=plugin)
+                if mode != CompressionMode.NONE:
+                    writer.set_compression(mode, CompressionFormat.ZSTD)
+                try:
+                    with writer:
+                        for topic, unit in (("/command", "V"), ("/measurement", "um")):
+                            connection = writer.add_connection(topic, MESSAGE_TYPE, typestore=store)
+                            for k in range(4):
+                                writer.write(connection, k, Encoder(f"t[s],x[{unit}]").encode(np.array([[k * 1e-3, 1.0]])))
+                except WriterError:  # SQLite knows no compressed storage
+                    continue
+                found.append({each.name: each.read_bytes() for each in path.iterdir()})
+    return found
+
+
+SAVED = saved_bags()
+
+
+@st.composite
+def damaged_bags(draw):
+    """A finished bag with one of its files damaged, emptied or left out."""
+    files = dict(draw(st.sampled_from(SAVED)))
+    name = draw(st.sampled_from(sorted(files)))
+    action = draw(st.integers(0, 9))
+    if action == 0:
+        del files[name]
+    elif action == 1:
+        files[name] = b""
+    else:
+        files[name] = draw(damaged_bytes([files[name]]))
+    return files
+
+
+def finished_bag(files: dict[str, bytes]) -> None:
+    """A damaged finished bag gives a record, or is refused in one line; nothing appears in it."""
+    with tempfile.TemporaryDirectory(dir=scratch()) as folder:
+        path = Path(folder) / "bag"
+        path.mkdir()
+        for name, content in files.items():
+            (path / name).write_bytes(content)
+        _read(path)
+        assert {each.name for each in path.iterdir()} == set(files)
+
+
+def _read(path: Path) -> None:
+    try:
+        record = read_bag(path)
+        for signal in record.signals.values():
+            assert signal.values.shape == (len(signal.time), len(signal.axes)) and np.isfinite(signal.time).all()
+        assert not any("\n" in note for note in record.notes)
+        record.aligned(["command", "measurement"], allow_gaps=True)
+    except InputError as error:
+        one_line(error)
+
+
+CELLS = st.one_of(
+    st.none(), st.integers(-(2**63), 2**63 - 1), st.floats(), st.text(max_size=5), st.binary(max_size=30), st.sampled_from(MESSAGES)
+)
+COLUMNS = {"messages": ("id", "topic_id", "timestamp", "data"), "topics": ("id", "name", "type", "serialization_format")}
+CHANGES = st.lists(
+    st.sampled_from([(table, column) for table, columns in COLUMNS.items() for column in columns]).flatmap(
+        lambda place: st.tuples(st.just(place[0]), st.just(place[1]), st.integers(1, 4), CELLS)
+    ),
+    min_size=1,
+    max_size=4,
+)
+
+
+def database(changes) -> None:
+    """A .db3 file whose columns are of no type and hold anything."""
+    with tempfile.TemporaryDirectory(dir=scratch()) as folder:
+        path = Path(folder) / "a.db3"
+        with closing(sqlite3.connect(path)) as made:
+            for table, columns in COLUMNS.items():
+                made.execute(f"CREATE TABLE {table}({', '.join(columns)})")
+            made.execute("INSERT INTO topics VALUES (1, '/command', ?, 'cdr')", (MESSAGE_TYPE,))
+            made.execute("INSERT INTO topics VALUES (2, '/measurement', ?, 'cdr')", (MESSAGE_TYPE,))
+            for k in range(4):
+                made.execute("INSERT INTO messages VALUES (?, ?, ?, ?)", (k, 1 + k % 2, k, MESSAGES[1]))
+            for table, column, row, value in changes:
+                made.execute(f"UPDATE {table} SET {column} = ? WHERE rowid = ?", (value, row))
+            made.commit()
+        _read(path)
+
+
+METADATA = [files["metadata.yaml"] for files in SAVED]
+
+
+def metadata(data: bytes) -> None:
+    """Whatever metadata.yaml says, an intact bag beside it is read, or refused in one line."""
+    with tempfile.TemporaryDirectory(dir=scratch()) as folder:
+        (Path(folder) / "bag_0.mcap").write_bytes(BAGS[0])
+        (Path(folder) / "metadata.yaml").write_bytes(data)
+        _read(Path(folder))
+
+
+def tables() -> dict[str, bytes]:
+    """Small tables of every kind, by the ending of their names."""
+    values = np.random.default_rng(0).normal(size=(6, 2))
+    made = {ending: io.BytesIO() for ending in (".npy", ".npz", ".mat", ".csv", ".dat", ".csv.gz")}
+    np.save(made[".npy"], values)
+    np.savez_compressed(made[".npz"], a=values)
+    savemat(made[".mat"], {"a": values}, do_compression=True)
+    np.savetxt(made[".csv"], values, delimiter=",", header="u,y", comments="")
+    np.savetxt(made[".dat"], values)
+    made[".csv.gz"].write(gzip.compress(b"1,5;2,5\n3,0;4,25\n", mtime=0))
+    return {ending: file.getvalue() for ending, file in made.items()}
+
+
+TABLES = tables()
+DAMAGED_TABLES = st.one_of(
+    st.sampled_from(sorted(TABLES)).flatmap(lambda ending: st.tuples(st.just(ending), damaged_bytes([TABLES[ending]]))),
+    st.tuples(st.just(".csv"), st.text('0123456789.,; \t\ne-+uy"#%naif\ufeffé', max_size=60).map(str.encode)),
+    st.tuples(st.just(".csv.gz"), st.binary(max_size=40).map(lambda data: gzip.compress(data, mtime=0))),
+)
+COLUMN_TEXTS = ("command=1[V],measurement=2[um]", "time=1[s],command=2[mV]", "command=u[V]", "measurement=1+2[m]", "command=0[kV]")
+
+
+def table(given) -> None:
+    """A damaged table gives finite signals, or is refused in one line."""
+    (ending, data), columns, rate = given
+    with tempfile.TemporaryDirectory(dir=scratch()) as folder:
+        path = Path(folder) / f"run{ending}"
+        path.write_bytes(data)
+        try:
+            record = import_table(path, parse_columns(columns), rate)
+        except InputError as error:
+            one_line(error)
+        else:
+            for signal in record.signals.values():
+                assert np.isfinite(signal.values).all() and np.isfinite(signal.time).all()
+
+
+DESCRIPTIONS = [
+    b"signal: sine\nfrequency: 10\namplitude: 1.5\nduration: 0.5\n",
+    b"signal: sequence\njoin: 0.1\nparts:\n- {signal: rest, duration: 0.1}\n"
+    b"- {signal: steps, lowest: 0, highest: 5, hold: 0.1, count: 4}\n",
+    b"signal: multisine\nperiod: 1.0\nlower_frequency: 1\nupper_frequency: 30\nrms: 2.0\nslew_limit: 1.0e+6\n",
+    b"signal: staircase\nlevels: [0, 1, 2]\nhold: 0.1\nlower: -1\nupper: 5\n",
+]
+
+
+def excitation_file(data: bytes) -> None:
+    """A damaged description gives finite rows, or is refused in one line."""
+    with tempfile.TemporaryDirectory(dir=scratch()) as folder:
+        path = Path(folder) / "excitation.yaml"
+        path.write_bytes(data)
+        try:
+            spec = read_description([str(path)])
+        except InputError as error:
+            one_line(error)
+        else:
+            description(
+                {**spec, **({"duration": min(spec["duration"], 5.0)} if isinstance(spec.get("duration"), (int, float)) else {})}
+            )
+
+
+TIMES = st.lists(
+    st.one_of(
+        st.floats(),
+        st.integers(-5, 20).map(lambda k: k * 1e-3),
+        st.sampled_from([1e305, -1e305, 1e-320, 9e9, 1.7e9, 5e-324, 2.0**52]),
+    ),
+    max_size=6,
+)
+
+
+def times(given) -> None:
+    """Records of any times give stretches on one clock, or are refused in one line."""
+    command, measurement, timing, gaps = given
+    signals = {
+        name: Signal(np.array(stamps), np.zeros((len(stamps), 1)), ("x",), unit, timing)
+        for name, stamps, unit in (("command", command, "V"), ("measurement", measurement, "um"))
+    }
+    try:
+        with np.errstate(all="raise", under="ignore"):
+            parts = Record(signals, "made").aligned(["command", "measurement"], gaps)
+    except InputError as error:
+        one_line(error)
+    else:
+        assert all(len(part.time) == len(part.values["command"]) and np.isfinite(part.time).all() for part in parts)
+
+
+def any_yaml(data: bytes) -> None:
+    """A text is read within its limits, or refused in one line."""
+    with contextlib.suppress(UnicodeDecodeError):
+        try:
+            parse_yaml(data.decode(), "here")
+        except InputError as error:
+            one_line(error)
+
+
+YAML_WORDS = st.lists(
+    st.sampled_from(
+        [
+            "&a",
+            "*a",
+            "&b",
+            "*b",
+            "[",
+            "]",
+            "{",
+            "}",
+            ",",
+            ": ",
+            "- ",
+            "\n",
+            "<<",
+            "!!timestamp",
+            "!!int",
+            "!!binary",
+            "!!set",
+            "!!omap",
+        ]
+        + [
+            "1:59",
+            "0x1f",
+            "1e5",
+            ".inf",
+            "2001-01-01",
+            "~",
+            "'",
+            '"',
+            "|",
+            ">",
+            "? ",
+            "%TAG",
+            "---",
+            "x",
+            " ",
+            "\t",
+            "é",
+            "!!python/name:os",
+        ]
+    ),
+    max_size=25,
+).map(lambda words: "".join(words).encode())
+
+
 TARGETS = {
     "model documents": (damaged_documents(), model_document, 0.1),
-    "model files": (damaged_bytes(TEXTS), model_text, 0.1),
-    "messages": (damaged_bytes(MESSAGES), message, 0.5),
-    "bags": (damaged_bytes(BAGS), bag, 0.25),
-    "excitations": (descriptions(), description, 0.05),
+    "model files": (damaged_bytes(TEXTS), model_text, 0.05),
+    "messages": (damaged_bytes(MESSAGES), message, 0.3),
+    "bags": (damaged_bytes(BAGS), bag, 0.1),
+    "finished bags": (damaged_bags(), finished_bag, 0.1),
+    "databases": (CHANGES, database, 0.05),
+    "metadata": (damaged_bytes(METADATA), metadata, 0.05),
+    "tables": (st.tuples(DAMAGED_TABLES, st.sampled_from(COLUMN_TEXTS), st.sampled_from([None, 10.0])), table, 0.1),
+    "times": (st.tuples(TIMES, TIMES, st.sampled_from(["layout", "receive"]), st.booleans()), times, 0.05),
+    "excitations": (descriptions(), description, 0.03),
+    "excitation files": (damaged_bytes(DESCRIPTIONS), excitation_file, 0.03),
+    "texts": (YAML_WORDS, any_yaml, 0.04),
 }
 """By name: what comes in, what reads it, and its share of all inputs."""

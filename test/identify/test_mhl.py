@@ -8,12 +8,17 @@ import numpy as np
 import pytest
 
 from hyst_control.chain.linear import CrossCoupling, Delay, TransferFunction
+from hyst_control.chain.madelung import Madelung
+from hyst_control.chain.memoryless import Gain
 from hyst_control.config_files import config_path
 from hyst_control.errors import InputError
-from hyst_control.identify import identify
+from hyst_control.identify import identify, paper_mhl
+from hyst_control.identify.coupling import fit_coupling
 from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.mhl_axis import MhlOptions
 from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.model_file import Model, load_model, save_model, simulate
+from hyst_control.records import excitation
 
 TS = 5e-5
 SIGMA = 0.0008
@@ -190,3 +195,32 @@ def test_slow_loops_alone_say_what_they_cannot_tell():
 def test_what_cannot_be_fitted_is_refused(chosen, method, options, word):
     with pytest.raises(InputError, match=word):
         identify([data for data in records() if data.name in chosen], "mhl", method, **options)
+
+
+def test_the_inverse_correction_leads_by_all_that_the_raw_sweep_lags():
+    """H_S a straight line of 0.02 mrad/V behind a delay of less than a held sample: every sample of y is that of u one tick before."""
+    rate, delay, slope = 5000.0, 1.5e-4, 0.02
+    line = Madelung([1.0], [1.0], 100.0, 100.0 * slope)
+    model = replace(published(), axes=("x",), sample_time=1.0 / rate).with_stages([Delay(delay), line])
+    command = excitation.build({"signal": "mhl_identification", "peak": 100.0, "sweep_time": 1.0}, 1.0 / rate)
+    y = simulate(model, command, 1.0 / rate) + np.random.default_rng(1).normal(0.0, 1e-4, command.shape)
+    found = paper_mhl.inverse_model([Dataset("raw", command, y, 1.0 / rate, ("x",), "mrad")], MhlOptions(degree=1))
+    correction = found.chain.stages[-1].branches[1][0]
+    assert correction.k1[0] * slope == pytest.approx(1.0 / rate, rel=0.02)
+    assert abs(correction.b1[0]) < 0.05
+
+
+def test_a_virgin_curve_does_not_pass_for_coupling():
+    """Axis y comes to another zero once it has been at its top, long after x has moved; the true coupling is found all the same."""
+    rate, truth = 2000.0, -0.006
+    model = published().with_stages([Gain(0.02)])
+    loops = excitation.loops(1.0 / rate, 2.0, 100.0, 3)
+    rest = np.zeros_like(loops)
+    command = np.stack([np.concatenate([loops, rest]), np.concatenate([rest, loops])], axis=1)
+    y = simulate(model, command, 1.0 / rate)
+    y[:, 1] += truth * y[:, 0]
+    top = int(np.flatnonzero(command[:, 1] >= 99.9)[0])
+    y[:top, 1] -= np.where(command[:top, 1] > 0, 0.02, 0.04)
+    y += np.random.default_rng(2).normal(0.0, 3e-4, y.shape)
+    found = fit_coupling(model, [Dataset("virgin", command, y, 1.0 / rate, ("x", "y"), "mrad")])
+    assert found is not None and found.matrix[1, 0] == pytest.approx(truth, rel=0.05)

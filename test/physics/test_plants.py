@@ -15,6 +15,7 @@ from hyst_control.model_file import load_model, simulate
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.excitation import build
 from hyst_plant_sim.physics import PLANTS, Plant, PlantError, load_plant
+from hyst_plant_sim.physics.signal_path import PLACES, _through
 
 MEMORY_OF_TURNS = {
     "pea": {"slow_share": 0.0},
@@ -129,6 +130,30 @@ def test_loops_within_loops_are_forgotten(name):
     direct = staircase([0, 0.55, 0.15, 0.4, 0.6])
     detour = staircase([0, 0.55, 0.15, 0.4, 0.25, 0.4, 0.6])
     np.testing.assert_allclose(detour[5:], direct[3:], rtol=0, atol=1e-6 * np.ptp(direct))
+
+
+def at_hysteresis(truth: Plant, command: np.ndarray) -> np.ndarray:
+    """What the hysteresis of every axis gets (A, M), internal step by internal step, for a command (N,) held over each sample."""
+    first = next(index for index, place in enumerate(PLACES) if place == "hysteresis")
+    entries = [entry for place in PLACES[:first] for entry in truth._line.get(place, [])]
+    block = np.repeat(np.repeat(command[None], len(truth.axes), axis=0), truth.frame.substeps, axis=1)
+    return _through(entries, block)
+
+
+@pytest.mark.parametrize("frequency", [20.0, 100.0])
+@pytest.mark.parametrize("name", ["fsm", "pea"])
+def test_a_held_sine_turns_the_hysteresis_twice_a_cycle_and_stays_within_the_rating(name, frequency):
+    """A driver of first order makes a staircase of 5 kHz into no more than it is: no overshoot, and nothing beyond the rating."""
+    top, cycles, sample_time = described(name)["rating"][1], 4, 2e-4
+    count = int(round(1.0 / frequency / sample_time))
+    command = 0.5 * top * (1.0 - np.cos(2 * np.pi * np.arange(cycles * count) / count))
+    truth = plant(name, sample_time=sample_time)
+    truth.reset(command[:1])
+    for drive in at_hysteresis(truth, command):
+        moving = np.diff(drive)
+        moving = moving[np.abs(moving) > 1e-9 * top]
+        assert np.count_nonzero(np.diff(np.sign(moving))) == 2 * cycles - 1
+        assert drive.min() >= -1e-3 * top and drive.max() <= (1 + 1e-3) * top
 
 
 @pytest.mark.parametrize("name", RECORDS)

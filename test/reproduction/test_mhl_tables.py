@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from hyst_control.control.feedforward import RATE_FILTER
 from hyst_control.reporting.tables import Table
-from hyst_control.reproduction.mhl import SAMPLE_TIME, Part
-from hyst_control.reproduction.mhl_tables import error_spectrum
+from hyst_control.reproduction.mhl import REACH, SAMPLE_TIME, Part, tracking_reference
+from hyst_control.reproduction.mhl_tables import TABLE_2, error_spectrum
 
 
 def test_the_error_at_one_frequency_falls_into_its_parts():
@@ -34,3 +35,21 @@ def test_the_error_at_one_frequency_falls_into_its_parts():
     assert found == pytest.approx(expected, abs=0.02)
     nrmse = 100.0 * np.sqrt(np.mean(error[100:] ** 2)) / np.ptp(reference[100:])
     assert np.sqrt(sum(value**2 for value in found.values())) == pytest.approx(nrmse, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["single", "decreasing", "multi"])
+def test_references_start_without_a_kink_in_velocity(name):
+    """From a second before to the end no velocity changes by more from one sample to the next than in the sine of 100 Hz itself."""
+    reference, parts = tracking_reference()
+    turn = np.abs(np.diff(reference[parts[name].begin - 200 : parts[name].end, 0], 2)).max()
+    assert turn <= 1.1 * REACH * (2 * np.pi * 100.0 * SAMPLE_TIME) ** 2
+
+
+def test_the_printed_lead_and_filter_fit_another_mirror_than_the_printed_model():
+    """At 100 Hz 1 + N Ψ' of Tables 1, 2 and §4.4 undoes 0.86 at -6.3 degrees behind H_S^-1, whatever the gains of the feedback."""
+    s = 2j * np.pi * 100.0
+    lead = TABLE_2["k1'"] * s / (TABLE_2["k2'"] * s + 1.0) / np.polyval(RATE_FILTER, s)
+    wanted = 1.0 / (1.0 + lead)
+    assert abs(wanted) == pytest.approx(0.86, abs=0.005)
+    assert np.degrees(np.angle(wanted)) == pytest.approx(-6.3, abs=0.05)
+    assert -np.degrees(np.angle(1.0 / np.polyval(RATE_FILTER, s))) == pytest.approx(33.2, abs=0.1)

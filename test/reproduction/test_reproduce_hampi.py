@@ -15,6 +15,7 @@ SMALL = hampi.Extent(
     excitation=(("quasi_static", 4.0), ("time", 0.03)),
     methods=("joint",),
     margins=False,
+    second_truth=False,
 )
 
 

@@ -1,0 +1,121 @@
+"""The gap report of records that are no measurement of their command: nothing is diagnosed, and the reason named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hyst_control.errors import InputError
+from hyst_control.model_file import Model, simulate
+from hyst_control.records.record import Record
+from hyst_control.records.record_validity import Finding, Trial, check_records
+
+INVALID_RECORD = "invalid_record"
+"""First of the report's reasons; the findings' names follow it."""
+
+TOPICS = ("command", "measurement")
+
+
+def invalid_report(records: Sequence[Record], model: Model) -> tuple[dict[str, Any], str] | None:
+    """Report on records that show something else than the plant's answer to the command.
+
+    Parameters
+    ----------
+    records
+        With command and measurement.
+    model
+        Its simulation is what range and sign are held against.
+
+    Returns
+    -------
+    tuple of the JSON document and the same in words, or None
+        None where nothing is found, and where the records cannot be read at all: the diagnosis itself says why.
+    """
+    trials = trials_of(records, model)
+    found = check_records(trials)
+    if not found:
+        return None
+    return _document(trials, model, found), "\n".join(
+        ["The record is no measurement of its command, and is not diagnosed:", *_lines(found)]
+    )
+
+
+def trials_of(records: Sequence[Record], model: Model) -> list[Trial]:
+    """Gapless stretches of records with what the model makes of their commands; none where a record does not fit the model."""
+    trials = []
+    for record in records:
+        try:
+            for index, part in enumerate(record.aligned(TOPICS, allow_gaps=True)):
+                command, measurement = part.values["command"], part.values["measurement"]
+                if not command.shape[1] == measurement.shape[1] == len(model.axes):
+                    return []
+                with np.errstate(all="ignore"):
+                    simulated = simulate(model, command, part.sample_time, record.hold)
+                name = record.source + (f"[{index}]" if index else "")
+                finite = bool(np.isfinite(simulated).all())
+                axes = tuple(model.axes)
+                trials.append(Trial(name, command, measurement, part.sample_time, axes, simulated if finite else None))
+        except InputError:
+            return []
+    return trials
+
+
+def _lines(found: Sequence[Finding]) -> list[str]:
+    return [f"  {finding.text()}" for finding in found]
+
+
+def _document(trials: Sequence[Trial], model: Model, found: Sequence[Finding]) -> dict[str, Any]:
+    """Every field of a gap report; those that only a diagnosis fills are empty."""
+    simulated = [trial for trial in trials if trial.simulated is not None]
+    gap: dict[str, Any] = {"rms": None, "nrmse": None}
+    if simulated:
+        rows = np.concatenate([trial.measurement - trial.simulated for trial in simulated if trial.simulated is not None])
+        spans = np.ptp(np.concatenate([trial.measurement for trial in simulated]), axis=0)
+        energies = np.mean(rows**2, axis=0)
+        gap["rms"] = float(np.sqrt(np.mean(energies)))
+        gap["nrmse"] = float(np.mean(100.0 * np.sqrt(energies) / spans)) if np.all(spans > 0) else None
+    sigma = np.asarray(model.noise.get("sigma", 0.0), dtype=float)
+    return {
+        "schema": "hyst_control/gap-report",
+        "version": 1,
+        "verdict": "unknown",
+        "reasons": [INVALID_RECORD, *dict.fromkeys(finding.name for finding in found)],
+        "gap": {
+            **gap,
+            "nrmse_unit": "% of range",
+            "floor_rms": float(np.sqrt(np.mean(sigma**2))),
+            "unit": model.units["measurement"],
+        },
+        "where": {"stage": [], "kind": [], "band": [], "amplitude": [], "axis": [], "time": []},
+        "effects": [],
+        "candidates": [],
+        "parameters": [],
+        "next_experiment": None,
+        "augmented_model": None,
+        "unexplained_share": 1.0,
+        "replay": [],
+        "invalid_records": [finding.document() for finding in found],
+        "notes": [finding.text() for finding in found],
+    }
+
+
+def write_invalid_page(path: str, document: dict[str, Any]) -> None:
+    """Write the report's page. Raises `InputError` where it cannot be written."""
+    from pathlib import Path
+
+    from hyst_control.reporting.html_page import Page
+
+    page = Page("Gap report", "The record is no measurement of its command, and is not diagnosed.")
+    page.section("Findings")
+    page.table(
+        ["record", "axis", "finding", "value", "limit"],
+        [
+            [row["record"], row["axis"], row["name"].replace("_", " "), f"{row['value']:.3g}", f"{row['limit']:.3g}"]
+            for row in document["invalid_records"]
+        ],
+    )
+    for line in document["notes"]:
+        page.note(line)
+    page.write(Path(path))

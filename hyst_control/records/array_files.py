@@ -1,0 +1,134 @@
+"""Arrays out of NumPy and MATLAB files. What a file announces is held against its size before any memory is taken for it."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.errors import InputError
+from hyst_control.foreign_readers import foreign_reader
+from hyst_control.records.decompression import Budget
+
+KINDS = (".npy", ".npz", ".mat")
+PIECE = 2**20
+MAT_HEADER, MAT_COMPRESSED = 128, 15
+
+
+def read_array(path: str | Path) -> Array:
+    """The numbers of a .npy file, of any shape. Raises `InputError`."""
+    found = read_arrays(path, ".npy")
+    if not found:
+        raise InputError(f"{path}: holds no real numbers: give an array of them")
+    return found[""]
+
+
+def read_arrays(path: str | Path, kind: str) -> dict[str, Array]:
+    """All arrays of real numbers in a file, by name.
+
+    Parameters
+    ----------
+    path
+        The file.
+    kind
+        ".npy" (its one array has the name ""), ".npz" or ".mat".
+
+    Returns
+    -------
+    dict
+        Arrays as float64; those of a .mat file without their dimensions of length 1.
+
+    Raises
+    ------
+    InputError
+        Where the file is damaged, announces more than it can hold, or is of another format.
+    """
+    path = Path(path)
+    remedy = "check how it was written, or save it as CSV"
+    try:
+        with foreign_reader(path, f"a {kind} file", remedy):
+            if kind == ".npy":
+                with open(path, "rb") as file:
+                    found: dict[str, Any] = {"": _npy(file, path.stat().st_size)}
+            elif kind == ".npz":
+                found = _npz(path)
+            else:
+                found = _mat(path)
+            return {
+                name: np.asarray(value, dtype=np.float64)
+                for name, value in found.items()
+                if isinstance(value, np.ndarray) and value.dtype.kind in "iuf"
+            }
+    except _MatlabHdf:
+        raise InputError(f"{path}: is a MATLAB 7.3 file: save it with -v7, or as .npz or CSV") from None
+
+
+class _MatlabHdf(BaseException):
+    """Not an `Exception`: the wrapper of foreign readers lets it pass."""
+
+
+def _npy(file: IO[bytes], size: int) -> Any:
+    """The array of a .npy stream of so many bytes; None where it holds no real numbers."""
+    shape, dtype = _npy_header(file)
+    if dtype.kind not in "biuf":
+        return None  # texts, objects, complex numbers
+    count = 1
+    for length in shape:
+        count *= length  # of Python's integers: they do not overflow
+    if count * dtype.itemsize > size:
+        raise ValueError(f"it announces {count * dtype.itemsize} bytes and has {size}")
+    file.seek(0)
+    return np.lib.format.read_array(file, allow_pickle=False)
+
+
+def _npy_header(file: IO[bytes]) -> tuple[tuple[int, ...], Any]:
+    version = np.lib.format.read_magic(file)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(file)
+    return shape, dtype
+
+
+def _npz(path: Path) -> dict[str, Any]:
+    budget = Budget(path.stat().st_size)
+    found: dict[str, Any] = {}
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            if member.filename.endswith(".npy"):
+                budget.take(member.file_size)
+                with archive.open(member) as file:
+                    found[member.filename.removesuffix(".npy")] = _npy(file, member.file_size)
+    return found
+
+
+def _mat(path: Path) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    _check_mat(path)
+    try:
+        return {name: value for name, value in loadmat(path, squeeze_me=True).items() if not name.startswith("__")}
+    except NotImplementedError:
+        raise _MatlabHdf from None
+
+
+def _check_mat(path: Path) -> None:
+    """Hold what the compressed variables of a MATLAB 5 file expand to against its size."""
+    budget = Budget(path.stat().st_size)
+    with open(path, "rb") as file:
+        order: Any = {b"IM": "little", b"MI": "big"}.get(file.read(MAT_HEADER)[126:])
+        if order is None:
+            return  # MATLAB 4: nothing is compressed
+        while len(tag := file.read(8)) == 8:
+            kind, length = int.from_bytes(tag[:4], order), int.from_bytes(tag[4:], order)
+            if kind != MAT_COMPRESSED:
+                file.seek(length, 1)
+                continue
+            expander, left = zlib.decompressobj(), length
+            while left and (piece := file.read(min(left, PIECE))):
+                left -= len(piece)
+                while piece:
+                    budget.take(len(expander.decompress(piece, PIECE)))
+                    piece = expander.unconsumed_tail

@@ -1,0 +1,398 @@
+"""Checks of records before anything is fitted to them: is this a measurement of that command, and are these records of one plant.
+
+A fit to a shuffled command, to a sensor that was not plugged in, or to the records of two plants ends without an error and means nothing.
+What tells such records apart needs no model: how much of the measurement any linear system could make of the commands (the multiple
+coherence of all commands with each axis), which of the two comes first (a plant lags, whatever it is), how the axes pair up, and whether
+two records show one frequency response. Every limit lies between what sound records show, those of every plant and measurement at hand,
+and what records show that were spoilt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations, permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.errors import InputError
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+SEGMENTS = 32
+"""Parts of a record over which spectra are averaged, at least: few averages show a coherence where there is none."""
+
+LONGEST_SEGMENT = 2**14
+SHORTEST_SEGMENT = 8
+SHORTEST_RECORD = 1024
+"""Samples below which no spectrum is judged: a segment must be longer than a plant rings."""
+
+KNOWN = 0.7
+"""Share of a measurement's power, about its mean, that a model's simulation explains: from it on nothing further is asked."""
+
+EXPLAINED = 0.3
+"""Share of a measurement's power that some linear system makes of the commands. Sound records: 0.46 and more, shuffled ones 0.1 at most."""
+
+REVERSED = 0.25
+"""By how much the command read backwards explains more."""
+
+COHERENT = 0.5
+"""Coherence from which a frequency's phase counts; between records `SURE` and `EXCITED`."""
+
+SURE, EXCITED = 0.8, 1e-3
+"""Coherence, and power relative to the strongest frequency, from which a response is compared with another record's."""
+
+FEWEST_LINES = 3
+"""Frequencies that two records must share."""
+
+LEAD = 1.5
+"""deg by which a measurement leads, on the mean. Sound records lag, by 0 deg at least."""
+
+PAIRED = 0.3
+"""Mean share per axis by which another pairing of commands and measurements explains more."""
+
+DIFFERENT = 0.5
+"""Median relative difference of two records' responses. Records of one plant with like ranges: 0.4 at most."""
+
+VERY_DIFFERENT = 0.9
+"""The same where the ranges are not alike: a hysteresis' gain grows with amplitude, fivefold from the smallest on."""
+
+LIKE_RANGES = 3.0
+"""Ratio of two records' command ranges up to which they are alike."""
+
+FROZEN = 0.3
+"""Share of the command's range that passes while the measurement stands still."""
+
+LONG_STILL = 0.05
+"""Share of a record for which a measurement must keep one value to stand still."""
+
+SCALE = 20.0
+"""Ratio of the measured range to the model's, or of one record's response to another's."""
+
+OPPOSED = -0.5
+"""Correlation with the model's simulation, or cosine between two records' responses."""
+
+MAINS = (50.0, 60.0)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A gapless stretch of a record.
+
+    command (N, A) in V and measurement (N, A), sample_time in s, the axes' names; simulated (N, A): what a model makes of the command.
+    """
+
+    name: str
+    command: Array
+    measurement: Array
+    sample_time: float
+    axes: tuple[str, ...]
+    simulated: Array | None = None
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong with a record.
+
+    name: `NAMES`; record: its trial's name (two of them joined by " and "); axis: name, "" for all; value: what was found; limit: the
+    value that it may have.
+    """
+
+    name: str
+    record: str
+    axis: str
+    value: float
+    limit: float
+
+    def text(self) -> str:
+        """As one line for a person: what, where, remedy."""
+        what, remedy = NAMES[self.name]
+        where = f"{self.record}: {self.axis}" if self.axis else self.record
+        return f"{where}: {what} ({self.value:.3g}, limit {self.limit:.3g}): {remedy}"
+
+    def document(self) -> dict[str, str | float]:
+        """As plain JSON types."""
+        return {"name": self.name, "record": self.record, "axis": self.axis, "value": self.value, "limit": self.limit}
+
+
+NAMES = {
+    "dead_sensor": ("the measurement stands still while the command moves", "check the sensor and its cable"),
+    "noise_alone": (
+        "the measurement is noise that no command explains",
+        "check that the stage is driven and the sensor looks at it",
+    ),
+    "unplugged_sensor": ("the measurement drifts or hums and follows no command", "plug the sensor in"),
+    "shuffled_command": (
+        "the command's samples are in no order that the measurement knows",
+        "check the columns and how they were sorted",
+    ),
+    "unrelated_measurement": ("no part of the measurement follows the command", "check that both are of one run and one stage"),
+    "reversed_command": ("the command explains the measurement when it is read backwards", "turn the command's time around"),
+    "reversed_time": ("the measurement leads the command: time runs backwards", "turn the record's time around"),
+    "swapped_signals": ("the measurement leads the command and is the cleaner of the two", "swap command and measurement"),
+    "swapped_axes": ("the axes follow each other's commands", "swap the columns of the axes"),
+    "scaled_measurement": (
+        "the measured range is another than the model's or another record's",
+        "check the unit of the measurement",
+    ),
+    "sign_turned": ("the measurement moves against the model, or against another record", "check the sign of command and sensor"),
+    "different_plants": ("the records respond as different plants do", "give the records of one plant at a time"),
+}
+"""What each finding says, and the remedy."""
+
+
+def check_records(trials: Sequence[Trial]) -> list[Finding]:
+    """Everything that shows records to be no measurement of their commands, or of several plants.
+
+    Parameters
+    ----------
+    trials
+        Stretches of records, of finite numbers; those of fewer than `SHORTEST_RECORD` samples are looked at for dead sensors only.
+
+    Returns
+    -------
+    list of Finding
+        Empty where nothing is found: then the records may still be unusable, but not for one of these reasons.
+    """
+    found: list[Finding] = []
+    sound: list[Trial] = []
+    for trial in trials:
+        own = _of_trial(trial)
+        found += own
+        if not own and len(trial.command) >= SHORTEST_RECORD:
+            sound.append(trial)
+    for one, other in combinations(sound, 2):
+        found += _between(one, other)
+    return found
+
+
+def refuse_invalid(trials: Sequence[Trial]) -> None:
+    """Raise `InputError` with the first finding on records, and how many more there are."""
+    found = check_records(trials)
+    if found:
+        raise InputError(found[0].text() + (f" (and {len(found) - 1} more findings)" if len(found) > 1 else ""))
+
+
+def _of_trial(trial: Trial) -> list[Finding]:
+    moving = [index for index in range(len(trial.axes)) if np.ptp(trial.command[:, index]) > 0]
+    frozen = {index: passed for index in moving if (passed := _frozen(trial, index)) > FROZEN}
+    if len(trial.command) < SHORTEST_RECORD:
+        return [_dead(trial, index, passed) for index, passed in frozen.items()]
+    if _known(trial, moving):
+        return []
+    spectra = Spectra.of(trial.command, trial.measurement, _segment(len(trial.command)))
+    found = [] if frozen else _pairing(trial, spectra, moving)
+    if found:
+        return found
+    backwards: Array | None = None
+    for index in moving:
+        axis, explained = trial.axes[index], float(spectra.explained[index])
+        lead = -spectra.lag(index) if explained >= EXPLAINED else 0.0
+        if index in frozen and lead <= LEAD:
+            found.append(_dead(trial, index, frozen[index]))
+            continue
+        if explained < EXPLAINED + REVERSED + 0.2:
+            if backwards is None:
+                backwards = Spectra.of(trial.command[::-1], trial.measurement, _segment(len(trial.command))).explained
+            if backwards[index] > max(explained, EXPLAINED) + REVERSED:
+                found.append(Finding("reversed_command", trial.name, axis, float(backwards[index]), explained + REVERSED))
+                continue
+        if explained < EXPLAINED:
+            found.append(Finding(_kind_of_incoherence(trial, index), trial.name, axis, explained, EXPLAINED))
+        elif lead > LEAD:
+            cleaner = _roughness(trial.measurement[:, index]) < _roughness(trial.command[:, index])
+            found.append(Finding("swapped_signals" if cleaner else "reversed_time", trial.name, axis, lead, LEAD))
+    return found or list(_against_the_model(trial, moving))
+
+
+def _known(trial: Trial, moving: Sequence[int]) -> bool:
+    """Whether a model explains every axis that moves; one of a compensator may lead its command."""
+    if trial.simulated is None or not moving:
+        return False
+    measured, error = trial.measurement[:, moving], (trial.measurement - trial.simulated)[:, moving]
+    return bool(np.all(np.var(error, axis=0) < (1.0 - KNOWN) * np.var(measured, axis=0)))
+
+
+def _dead(trial: Trial, index: int, passed: float) -> Finding:
+    return Finding("dead_sensor", trial.name, trial.axes[index], passed, FROZEN)
+
+
+def _frozen(trial: Trial, index: int) -> float:
+    """Largest share of the command's range that passes while the measurement keeps one value for long."""
+    command, values = trial.command[:, index], trial.measurement[:, index]
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(values) != 0) + 1, [len(values)]])
+    lengths = np.diff(edges)
+    passed = [0.0]
+    for run in np.flatnonzero(lengths >= max(LONG_STILL * len(values), 3)):
+        end = edges[run + 1] - lengths[run] // 10  # a step at its end is only about to be followed
+        passed.append(float(np.ptp(command[edges[run] : max(end, edges[run] + 2)])))
+    return max(passed) / float(np.ptp(command))
+
+
+def _kind_of_incoherence(trial: Trial, index: int) -> str:
+    """Name of the finding on an axis that its command does not explain."""
+    command, values = trial.command[:, index], trial.measurement[:, index]
+    smooth, driven = _next_sample_correlation(values), _next_sample_correlation(command)
+    centered = (values - values.mean()) * np.hanning(len(values))
+    power = np.abs(np.fft.rfft(centered)) ** 2
+    power[0] = 0.0
+    width = 1.0 / (len(values) * trial.sample_time)
+    frequency = np.arange(len(power)) * width
+    hum = sum(float(power[np.abs(frequency - mains) < max(1.0, 2.5 * width)].sum()) for mains in MAINS)
+    if hum > 0.5 * float(power.sum()):
+        return "unplugged_sensor"
+    if abs(smooth) < 0.3:
+        return "noise_alone"
+    if driven < 0.5:
+        return "shuffled_command"
+    return "unplugged_sensor" if float(power[:4].sum()) > 0.5 * float(power.sum()) else "unrelated_measurement"
+
+
+def _pairing(trial: Trial, spectra: Spectra, moving: Sequence[int]) -> list[Finding]:
+    """Axes whose measurements follow each other's commands; of up to four that move, more are not paired."""
+    if not 2 <= len(moving) <= 4:
+        return []
+    shares = spectra.shares[np.ix_(moving, moving)]
+    own = float(np.trace(shares))
+    best = max(permutations(range(len(moving))), key=lambda order: sum(shares[order[k], k] for k in range(len(moving))))
+    gained = (sum(float(shares[best[k], k]) for k in range(len(moving))) - own) / len(moving)
+    if gained <= PAIRED:
+        return []
+    return [Finding("swapped_axes", trial.name, trial.axes[moving[k]], gained, PAIRED) for k in range(len(moving)) if best[k] != k]
+
+
+def _against_the_model(trial: Trial, moving: Sequence[int]) -> Iterator[Finding]:
+    if trial.simulated is None:
+        return
+    for index in moving:
+        expected, measured = trial.simulated[:, index], trial.measurement[:, index]
+        if np.ptp(expected) == 0 or np.ptp(measured) == 0:
+            continue
+        ratio = float(np.ptp(measured) / np.ptp(expected))
+        if not 1.0 / SCALE < ratio < SCALE:
+            yield Finding("scaled_measurement", trial.name, trial.axes[index], ratio, SCALE if ratio > 1 else 1.0 / SCALE)
+        correlation = float(np.corrcoef(expected, measured)[0, 1])
+        if correlation < OPPOSED:
+            yield Finding("sign_turned", trial.name, trial.axes[index], correlation, OPPOSED)
+
+
+def _between(one: Trial, other: Trial) -> Iterator[Finding]:
+    """What two sound records say of each other."""
+    name = f"{one.name} and {other.name}"
+    if one.axes != other.axes:
+        yield Finding("different_plants", name, "", float(len(other.axes)), float(len(one.axes)))
+        return
+    duration = min(len(trial.command) * trial.sample_time for trial in (one, other)) / SEGMENTS
+    lengths = [int(round(duration / trial.sample_time)) for trial in (one, other)]
+    if min(lengths) < SHORTEST_SEGMENT or max(lengths) > LONGEST_SEGMENT:
+        return
+    spectra = [Spectra.of(trial.command, trial.measurement, length) for trial, length in zip((one, other), lengths, strict=True)]
+    for index, axis in enumerate(one.axes):
+        spans = [float(np.ptp(trial.command[:, index])) for trial in (one, other)]
+        if min(spans) <= 0:
+            continue
+        limit = DIFFERENT if max(spans) <= LIKE_RANGES * min(spans) else VERY_DIFFERENT
+        responses = [each.response(index) for each in spectra]
+        count = min(len(response) for response, _ in responses)
+        shared = responses[0][1][:count] & responses[1][1][:count]
+        if shared.sum() < FEWEST_LINES:
+            continue
+        first, second = (response[:count][shared] for response, _ in responses)
+        largest = np.maximum(np.abs(first), np.abs(second))
+        cosine = float(np.median((first * second.conj()).real / np.maximum(np.abs(first) * np.abs(second), 1e-300)))
+        difference = float(np.median(np.abs(first - second) / np.maximum(largest, 1e-300)))
+        ratio = float(np.median(np.abs(first) / np.maximum(np.abs(second), 1e-300)))
+        if cosine < OPPOSED:
+            yield Finding("sign_turned", name, axis, cosine, OPPOSED)
+        elif not 1.0 / SCALE < ratio < SCALE:
+            yield Finding("scaled_measurement", name, axis, ratio, SCALE if ratio > 1 else 1.0 / SCALE)
+        elif difference > limit:
+            yield Finding("different_plants", name, axis, difference, limit)
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Averaged spectra: auto (F, A, A) of the commands, cross (F, A, A) [command, measurement], power (F, A) of the measurements."""
+
+    auto: Complex
+    cross: Complex
+    power: Array
+
+    @classmethod
+    def of(cls, command: Array, measurement: Array, length: int) -> Spectra:
+        """Average over segments of so many samples that overlap by half, about the means of the whole."""
+        command, measurement = command - command.mean(axis=0), measurement - measurement.mean(axis=0)
+        window = np.hanning(length)[:, None]
+        lines, axes = length // 2 + 1, command.shape[1]
+        auto, cross = np.zeros((lines, axes, axes), complex), np.zeros((lines, axes, axes), complex)
+        power = np.zeros((lines, axes))
+        for begin in range(0, len(command) - length + 1, max(length // 2, 1)):
+            part = slice(begin, begin + length)
+            u, y = np.fft.rfft(command[part] * window, axis=0), np.fft.rfft(measurement[part] * window, axis=0)
+            auto += u[:, :, None].conj() * u[:, None, :]
+            cross += u[:, :, None].conj() * y[:, None, :]
+            power += np.abs(y) ** 2
+        return cls(auto, cross, power)
+
+    @property
+    def explained(self) -> Array:
+        """Share (A,) of each measurement's power that a linear system of all commands could make."""
+        axes = self.auto.shape[1]
+        size = np.trace(self.auto, axis1=1, axis2=2).real
+        regular = self.auto + (1e-9 * size + 1e-300)[:, None, None] * np.eye(axes)
+        response = np.linalg.solve(regular, self.cross)
+        made = np.einsum("fab,fab->b", response.conj(), self.cross).real
+        return np.asarray(made / np.maximum(self.power.sum(axis=0), 1e-300), dtype=np.float64)
+
+    @property
+    def shares(self) -> Array:
+        """Share (A, A) [command, measurement] of a measurement's power that one command alone could make."""
+        own = np.einsum("faa->fa", self.auto).real
+        made = (np.abs(self.cross) ** 2 / np.maximum(own, 1e-300)[:, :, None]).sum(axis=0)
+        return np.asarray(made / np.maximum(self.power.sum(axis=0), 1e-300), dtype=np.float64)
+
+    def coherence(self, index: int) -> Array:
+        """Coherence (F,) of an axis' command and measurement."""
+        own = self.auto[:, index, index].real * self.power[:, index]
+        return np.asarray(np.abs(self.cross[:, index, index]) ** 2 / np.maximum(own, 1e-300), dtype=np.float64)
+
+    def lag(self, index: int) -> float:
+        """Mean angle (deg) by which an axis lags its command, negative where it leads.
+
+        Weighted with the coherent power, over the frequencies below the first at which it is turned by more than a right angle; a
+        plant whose gain is negative is turned around first.
+        """
+        cross, counted = self.cross[:, index, index], self.coherence(index) > COHERENT
+        turned = cross * (1.0 if cross[:2].real.sum() >= 0 else -1.0)
+        beyond = np.flatnonzero(counted & (turned.real < 0))
+        used = slice(1, max(int(beyond[0]) if len(beyond) else len(cross), 2))
+        weights = (np.abs(cross) * counted)[used]
+        if not weights.sum():
+            return 0.0
+        sine = -float((turned.imag * counted)[used].sum() / weights.sum())
+        return float(np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0))))
+
+    def response(self, index: int) -> tuple[Complex, NDArray[np.bool_]]:
+        """Response (F,) of an axis to its command, and at which frequencies (F,) it is known."""
+        own = self.auto[:, index, index].real
+        sure = self.coherence(index) > SURE
+        for power in (own, self.power[:, index]):
+            sure &= power > EXCITED * power[1:].max(initial=0.0)
+        return self.cross[:, index, index] / np.maximum(own, 1e-300), sure
+
+
+def _segment(count: int) -> int:
+    return min(max(count // SEGMENTS, SHORTEST_SEGMENT), LONGEST_SEGMENT)
+
+
+def _next_sample_correlation(values: Array) -> float:
+    centered = values - values.mean()
+    power = float(centered @ centered)
+    return float(centered[1:] @ centered[:-1]) / power if power else 0.0
+
+
+def _roughness(values: Array) -> float:
+    """Median size of the third difference relative to the range: noise has much of it, motion little."""
+    return float(np.median(np.abs(np.diff(values, 3)))) / max(float(np.ptp(values)), 1e-300)

@@ -1,0 +1,65 @@
+"""Diagnosis of records that are no measurement of their command: verdict unknown, the reason named, nothing fitted."""
+
+import json
+
+import numpy as np
+import pytest
+
+from hyst_control.cli import main
+from hyst_control.config_files import config_path
+from hyst_control.diagnose import workflow
+from hyst_control.diagnose.invalid_records import invalid_report
+from hyst_control.model_file import load_model, simulate
+from hyst_control.records.excitation import build
+from hyst_control.records.importing import write_bag
+from hyst_control.records.record import Record, Signal
+
+MODEL = config_path("models/pea_hampi.yaml")
+
+
+@pytest.fixture(scope="module")
+def sound():
+    model = load_model(MODEL)
+    command = build({"signal": "diagnostic", "lowest": 0.0, "highest": 50.0, "duration": 1.0}, model.sample_time)
+    noise = 0.003 * np.random.default_rng(0).normal(size=command.shape)
+    return model, command, simulate(model, command) + noise
+
+
+def record(model, command, measurement, name="made"):
+    time = np.arange(len(command)) * model.sample_time
+    return Record({"command": Signal(time, command, ("x",), "V"), "measurement": Signal(time, measurement, ("x",), "um")}, name)
+
+
+SPOILT = {
+    "noise_alone": lambda u, y: (u, np.random.default_rng(1).normal(size=y.shape)),
+    "dead_sensor": lambda u, y: (u, np.full_like(y, 2.5)),
+    "shuffled_command": lambda u, y: (np.random.default_rng(1).permutation(u), y),
+    "reversed_command": lambda u, y: (u[::-1], y),
+    "sign_turned": lambda u, y: (u, -y),
+    "scaled_measurement": lambda u, y: (u, 1e3 * y),
+    "swapped_signals": lambda u, y: (y, u),
+}
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_the_report_names_the_reason_and_fits_nothing(name, sound, tmp_path, monkeypatch, capsys):
+    model, command, measurement = sound
+    monkeypatch.setattr(workflow, "diagnosed", None)
+    write_bag(tmp_path / "bag", record(model, *map(np.ascontiguousarray, SPOILT[name](command, measurement))))
+    out, page = tmp_path / "gap.json", tmp_path / "gap.html"
+    assert main(["diagnose", str(tmp_path / "bag"), "--model", str(MODEL), "--json", str(out), "--report", str(page)]) == 0
+    document = json.loads(out.read_text())
+    assert document["verdict"] == "unknown" and document["reasons"] == ["invalid_record", name]
+    assert document["effects"] == [] and document["invalid_records"][0]["name"] == name
+    assert "is no measurement of its command" in capsys.readouterr().out and name.replace("_", " ") in page.read_text()
+
+
+def test_a_sound_record_is_diagnosed(sound):
+    model, command, measurement = sound
+    assert invalid_report([record(model, command, measurement)], model) is None
+
+
+def test_records_that_cannot_be_read_are_left_to_the_diagnosis(sound):
+    model, command, measurement = sound
+    assert invalid_report([record(model, command, np.full_like(measurement, np.nan))], model) is None
+    assert invalid_report([record(model, command, measurement)], load_model(config_path("models/fsm_mhl.yaml"))) is None

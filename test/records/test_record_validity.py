@@ -1,0 +1,233 @@
+"""Record checks: nothing is found on sound records of any plant and of measured stages; spoilt ones are named as what they are."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hyst_control.records.excitation import build
+from hyst_control.records.record_validity import NAMES, Finding, Trial, check_records
+from hyst_plant_sim.physics import load_plant
+
+RATES = {"pea": 5e-5, "pea_published": 5e-5, "third": 5e-5, "fsm": 1e-4, "fsm_published": 1e-4}
+PEAK = {"pea": 90.0, "pea_published": 50.0, "third": 90.0, "fsm": 90.0, "fsm_published": 90.0}
+
+
+def kinds(peak):
+    return {
+        "diagnostic": {"signal": "diagnostic", "lowest": 0.0, "highest": peak, "duration": 1.0},
+        "hampi": {"signal": "hampi_identification", "peak": peak},
+        "mhl": {"signal": "mhl_identification", "peak": peak, "sweep_time": 0.5},
+        "steps": {"signal": "steps", "lowest": 0.0, "highest": peak, "hold": 0.02, "count": 20},
+        "loops": {"signal": "loops", "frequency": 2.0, "peak": peak, "cycles": 2},
+        "sine": {"signal": "sine", "frequency": 10.0, "amplitude": 0.4 * peak, "offset": 0.5 * peak, "duration": 0.6},
+        "sweep": {
+            "signal": "sweep",
+            "start_frequency": 1.0,
+            "stop_frequency": 1000.0,
+            "amplitude": 0.1 * peak,
+            "offset": 0.5 * peak,
+        },
+    }
+
+
+@cache
+def trial(plant, kind, seed=3):
+    return driven(plant, kinds(PEAK[plant])[kind], seed, f"{plant} {kind}")
+
+
+def driven(plant, spec, seed, name):
+    truth = load_plant(plant, seed=seed, sample_time=RATES[plant])
+    command = build(spec, RATES[plant], len(truth.axes))
+    first = truth.reset(command[0])
+    return Trial(name, command, np.concatenate([first[None], truth.step(command)[:-1]]), RATES[plant], tuple(truth.axes))
+
+
+def changed(sound, command=None, measurement=None, **other):
+    values = {
+        "command": sound.command if command is None else command,
+        "measurement": sound.measurement if measurement is None else measurement,
+    }
+    return Trial(**{**vars(sound), **{key: np.ascontiguousarray(value) for key, value in values.items()}, **other})
+
+
+def names(*trials):
+    found = check_records(trials)
+    for finding in found:
+        assert "\n" not in finding.text() and finding.document()["name"] in NAMES
+    return {finding.name for finding in found}
+
+
+@pytest.mark.parametrize("plant", RATES)
+def test_nothing_is_found_on_sound_records_of_a_plant(plant):
+    assert check_records([trial(plant, kind) for kind in kinds(1.0)]) == []
+
+
+@settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_nothing_is_found_whatever_drives_a_plant(data):
+    plant = data.draw(st.sampled_from(sorted(RATES)))
+    peak = PEAK[plant] * data.draw(st.floats(0.3, 1.0))
+    spec = data.draw(
+        st.one_of(
+            st.fixed_dictionaries(
+                {
+                    "signal": st.just("multi_frequency"),
+                    "frequencies": st.lists(st.floats(3.0, 300.0), min_size=3, max_size=3),
+                    "amplitudes": st.just([0.2 * peak, 0.15 * peak, 0.1 * peak]),
+                    "offset": st.just(0.5 * peak),
+                    "duration": st.just(0.5),
+                }
+            ),
+            st.fixed_dictionaries(
+                {
+                    "signal": st.just("multisine"),
+                    "period": st.just(0.1),
+                    "lower_frequency": st.just(10.0),
+                    "upper_frequency": st.floats(100.0, 2000.0),
+                    "rms": st.just(0.08 * peak),
+                    "offset": st.just(0.5 * peak),
+                    "periods": st.integers(3, 5),
+                    "seed": st.integers(0, 1000),
+                }
+            ),
+            st.fixed_dictionaries(
+                {
+                    "signal": st.just("steps"),
+                    "lowest": st.just(0.0),
+                    "highest": st.just(peak),
+                    "hold": st.floats(0.005, 0.05),
+                    "count": st.integers(8, 20),
+                    "seed": st.integers(0, 1000),
+                }
+            ),
+        )
+    )
+    assert check_records([driven(plant, spec, data.draw(st.integers(0, 1000)), "random")]) == []
+
+
+def test_nothing_is_found_on_measured_records(measured_data):
+    stack = [np.loadtxt(measured_data / "pea_p885" / name)[5:][:, [0, 4]] for name in ("Model_Vi_Do.dat", "Test_Vi_Do_Di.dat")]
+    stack += [stack[0][2000:2201], stack[1][:7300], stack[1][7400:]]
+    assert check_records([Trial(f"stack {k}", z[:, :1], z[:, 1:], 0.005, ("x",)) for k, z in enumerate(stack)]) == []
+    mirror = []
+    for level in (100, 200, 300):
+        u, y = (np.load(measured_data / "fsm_cubespec" / f"{letter}_{level}mV_train.npy").astype(float) for letter in "uy")
+        for k in range(6):
+            both = [np.concatenate([signal[:, :, k, 0], signal[:, :, k, 1]]) for signal in (u, y)]
+            mirror.append(Trial(f"{level} mV {k}", both[0], 1e6 * both[1], 1 / 6400, ("x", "y", "z")))
+        mirror.append(Trial(f"{level} mV", u[:, :, 0, 0], 1e6 * y[:, :, 0, 0], 1 / 6400, ("x", "y", "z")))
+    assert check_records(mirror) == []
+    oscillator = [
+        np.load(measured_data / "bouc_wen" / f"{name}.npy") for name in ("multisine_train", "multisine_test", "sinesweep_test")
+    ]
+    assert check_records([Trial(str(k), z[:, :1], z[:, 1:], 1 / 750, ("x",)) for k, z in enumerate(oscillator)]) == []
+
+
+def shuffled(sound, random):
+    return changed(sound, command=random.permutation(sound.command))
+
+
+def backwards_command(sound, random):
+    return changed(sound, command=sound.command[::-1])
+
+
+def backwards(sound, random):
+    return changed(sound, command=sound.command[::-1], measurement=sound.measurement[::-1])
+
+
+def exchanged(sound, random):
+    return changed(sound, command=sound.measurement, measurement=sound.command)
+
+
+def noise(sound, random):
+    return changed(sound, measurement=5.0 + sound.measurement.std() * random.normal(size=sound.command.shape))
+
+
+def dead(sound, random):
+    return changed(sound, measurement=np.full(sound.command.shape, 3.2))
+
+
+def dying(sound, random):
+    half = len(sound.command) // 2
+    return changed(
+        sound,
+        measurement=np.concatenate(
+            [sound.measurement[:half], np.repeat(sound.measurement[half : half + 1], len(sound.command) - half, 0)]
+        ),
+    )
+
+
+def humming(sound, random):
+    wave = np.sin(2 * np.pi * 50.0 * sound.sample_time * np.arange(len(sound.command)))
+    return changed(sound, measurement=wave[:, None] + 0.1 * random.normal(size=sound.command.shape))
+
+
+def drifting(sound, random):
+    return changed(sound, measurement=np.cumsum(np.cumsum(random.normal(size=sound.command.shape), axis=0), axis=0))
+
+
+SPOILT = [
+    (shuffled, {"shuffled_command"}),
+    (backwards_command, {"reversed_command"}),
+    (backwards, {"reversed_time"}),
+    (exchanged, {"swapped_signals"}),
+    (noise, {"noise_alone"}),
+    (dead, {"dead_sensor"}),
+    (dying, {"dead_sensor"}),
+    (humming, {"unplugged_sensor"}),
+    (drifting, {"unplugged_sensor"}),
+]
+
+
+@pytest.mark.parametrize("spoil, expected", SPOILT, ids=[spoil.__name__ for spoil, _ in SPOILT])
+@pytest.mark.parametrize("kind", ["diagnostic", "hampi"])
+@pytest.mark.parametrize("plant", RATES)
+def test_spoilt_records_are_named_as_what_they_are(plant, kind, spoil, expected):
+    sound = trial(plant, kind)
+    assert names(spoil(sound, np.random.default_rng(1))) == expected
+
+
+def test_only_the_axis_that_is_dead_is_named():
+    sound = trial("fsm", "diagnostic")
+    broken = changed(sound, measurement=np.column_stack([sound.measurement[:, 0], np.zeros(len(sound.command))]))
+    assert [(finding.name, finding.axis) for finding in check_records([broken])] == [("dead_sensor", "y")]
+
+
+@pytest.mark.parametrize("plant, kind", [("fsm", "diagnostic"), ("fsm_published", "diagnostic"), ("fsm", "mhl")])
+def test_swapped_axes_are_named(plant, kind):
+    sound = trial(plant, kind)
+    assert names(changed(sound, measurement=sound.measurement[:, ::-1])) == {"swapped_axes"}
+
+
+@pytest.mark.parametrize("plant", RATES)
+def test_range_and_sign_against_a_model(plant):
+    """The model is the truth's own record of another seed, which is as good as a model gets."""
+    sound, model = trial(plant, "diagnostic"), trial(plant, "diagnostic", 4).measurement
+    assert names(changed(sound, simulated=model)) == set()
+    for factor in (1e3, 1e-3):
+        [finding, *_] = check_records([changed(sound, measurement=factor * sound.measurement, simulated=model)])
+        assert finding.name == "scaled_measurement" and finding.value == pytest.approx(factor, rel=0.1)
+    assert names(changed(sound, command=-sound.command, measurement=-sound.measurement, simulated=model)) == {"sign_turned"}
+
+
+@pytest.mark.parametrize("plant", RATES)
+def test_records_that_contradict_each_other_are_named(plant):
+    one, other = trial(plant, "diagnostic"), trial(plant, "hampi")
+    assert names(one, changed(other, command=-other.command)) == {"sign_turned"}
+    assert names(one, changed(other, measurement=1e3 * other.measurement)) == {"scaled_measurement"}
+    assert names(one, changed(other, measurement=4.0 * other.measurement)) == {"different_plants"}
+    assert names(one, changed(other, axes=tuple("uv"[: len(other.axes)]))) == {"different_plants"}
+
+
+def test_records_too_short_to_judge_or_at_rest_are_left_alone():
+    inverse = trial("pea", "diagnostic")
+    leading = changed(inverse, command=inverse.measurement, measurement=inverse.command)
+    assert names(leading) == {"swapped_signals"}
+    assert names(changed(leading, simulated=inverse.command)) == set()  # of a compensator's model
+    short = Trial("short", np.arange(20.0)[:, None], np.random.default_rng(0).normal(size=(20, 1)), 1e-3, ("x",))
+    rest = Trial("rest", np.ones((500, 1)), np.random.default_rng(0).normal(size=(500, 1)), 1e-3, ("x",))
+    assert check_records([]) == check_records([short]) == check_records([rest, rest]) == []
+    assert Finding("dead_sensor", "a", "x", 1.0, 0.3).text().startswith("a: x: the measurement stands still")

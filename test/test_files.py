@@ -1,0 +1,155 @@
+"""Outputs: whole or not at all, through links and devices, and never over what is read."""
+
+import json
+import os
+import stat
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from hyst_control.cli import main
+from hyst_control.errors import InputError
+from hyst_control.files import check_outputs, check_writable, replacing, write_json, write_text
+from hyst_control.records.importing import write_bag
+from hyst_control.records.record import Record, Signal
+
+
+def small_bag(path):
+    time = np.arange(50) * 1e-3
+    write_bag(path, Record({name: Signal(time, np.zeros((50, 1)), ("x",), "V") for name in ("command", "measurement")}, "made"))
+    return path
+
+
+def test_a_symbolic_link_is_written_through(tmp_path):
+    target, link, chain = tmp_path / "deep" / "real.json", tmp_path / "link.json", tmp_path / "chain.json"
+    target.parent.mkdir()
+    link.symlink_to("deep/real.json")
+    chain.symlink_to("link.json")
+    for path in (link, chain):
+        check_writable(path)
+        write_text(path, str(path))
+        assert path.is_symlink() and target.read_text() == str(path)
+    assert os.listdir(target.parent) == ["real.json"]
+    loop = tmp_path / "loop"
+    loop.symlink_to("loop")
+    for act in (check_writable, lambda path: write_text(path, "x")):
+        with pytest.raises(InputError, match="too many symbolic links"):
+            act(loop)
+
+
+def test_devices_and_pipes_stay_what_they_are(tmp_path):
+    check_writable("/dev/null")
+    write_json("/dev/null", {"a": 1})
+    assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
+    with pytest.raises(InputError, match="/dev/full: No space left"):
+        write_text("/dev/full", "x" * 100_000)
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    heard = []
+    reader = threading.Thread(target=lambda: heard.append(pipe.read_text()))
+    reader.start()
+    write_text(pipe, "through")
+    reader.join(10)
+    assert heard == ["through"] and stat.S_ISFIFO(os.stat(pipe).st_mode)
+
+
+def test_the_standard_output_by_its_name_takes_the_json_and_keeps_what_it_has(tmp_path):
+    out = tmp_path / "out.txt"
+    with open(out, "w") as file:
+        words = [sys.executable, "-c", "from hyst_control.cli import main; raise SystemExit(main())", "excite", "--list"]
+        assert subprocess.run([*words, "--json", "/dev/stdout"], stdout=file, check=False).returncode == 0
+    text = out.read_text()
+    assert '"schema": "hyst_control/excitations"' in text and "Each takes besides" in text
+
+
+@pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])
+def test_the_umask_counts_and_permissions_stay(tmp_path, mask):
+    path = tmp_path / "a.txt"
+    before = os.umask(mask)
+    try:
+        write_text(path, "new")
+        assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~mask
+        path.chmod(0o640)
+        write_text(path, "again")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+
+def test_what_fails_leaves_the_old_file(tmp_path):
+    path = tmp_path / "a.txt"
+    write_text(path, "old")
+    with pytest.raises(RuntimeError), replacing(path) as file:
+        file.write(b"half")
+        raise RuntimeError
+    with pytest.raises(KeyboardInterrupt), replacing(path) as file:
+        raise KeyboardInterrupt
+    assert path.read_text() == "old" and os.listdir(tmp_path) == ["a.txt"]
+    with pytest.raises(InputError, match="is a directory"):
+        write_text(tmp_path, "x")
+
+
+def test_names_that_are_no_text_are_written(tmp_path):
+    write_json(tmp_path / "a.json", {"bag": "run\udcff"})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"bag": "run\udcff"}
+
+
+def test_an_output_that_is_read_or_given_twice_is_refused(tmp_path):
+    bag = small_bag(tmp_path / "bag")
+    (tmp_path / "link").symlink_to(bag)
+    os.link(bag / "bag_0.mcap", tmp_path / "hard.mcap")
+    for output in (bag, bag / "bag_0.mcap", bag / "new.yaml", tmp_path / "link" / "new.yaml", tmp_path / "other" / ".." / "bag"):
+        with pytest.raises(InputError, match="is read as well|lies within"):
+            check_outputs({"--output": output}, [bag])
+    with pytest.raises(InputError, match="is read as well"):
+        check_outputs({"--output": tmp_path / "hard.mcap"}, [bag / "bag_0.mcap"])
+    with pytest.raises(InputError, match="--report .*: is --json as well"):
+        check_outputs({"--json": tmp_path / "a", "--report": tmp_path / "b" / ".." / "a"})
+    check_outputs(
+        {"--json": "-", "--report": "/dev/null", "--augmented": "/dev/null", "--output": tmp_path / "bag2", "--page": None},
+        [bag, "hampi", None],
+    )
+
+
+def commands(folder):
+    bag, model = str(small_bag(folder / "bag")), str(folder / "model.yaml")
+    table = folder / "t.csv"
+    table.write_text("1,2\n3,4\n")
+    inside, file = f"{bag}/new.yaml", f"{bag}/bag_0.mcap"
+    return [
+        ["identify", bag, "--model", "hampi", "--output", file],
+        ["identify", bag, "--model", "hampi", "--output", inside],
+        ["identify", bag, "--model", "hampi", "--output", model, "--json", model],
+        ["diagnose", bag, "--model", model, "--json", file],
+        ["diagnose", bag, "--model", model, "--report", str(folder / "x"), "--augmented", str(folder / "x")],
+        ["simulate", model, bag, "--output", f"{bag}/simulated"],
+        ["import", str(table), "--columns", "command=1[V]", "--rate", "1", "--output", str(folder / "out"), "--json", str(table)],
+        ["validate", model, bag, "--json", inside],
+        ["compare", model, bag, "--json", inside],
+        ["excite", "sine", "frequency=1", "amplitude=1", "--output", str(folder / "o.csv"), "--json", str(folder / "o.csv")],
+    ]
+
+
+@pytest.mark.parametrize("index", range(10))
+def test_every_command_refuses_before_it_reads(index, tmp_path, capsys):
+    """The model file does not exist: a command that reads first says that instead."""
+    words = commands(tmp_path)[index]
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+    assert main(words) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1 and ("read as well" in line or "lies within" in line or " as well: give every" in line)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
+
+
+def test_a_terminal_that_knows_ascii_alone_gets_a_line(tmp_path):
+    words = [sys.executable, "-c", "from hyst_control.cli import main; raise SystemExit(main())"]
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0", "LC_ALL": "C"}
+    for name in ("µ.csv", "a\udcffb.csv"):
+        given = [*words, "excite", "sine", "frequency=1", "amplitude=1", "--output", str(tmp_path / name), "--rate", "100"]
+        done = subprocess.run(given, env=environment, capture_output=True, check=False)
+        assert done.returncode == 0 and b"Traceback" not in done.stderr and b"written: " in done.stdout
+        again = subprocess.run(given, env=environment, capture_output=True, check=False)
+        assert again.returncode == 2 and again.stderr.count(b"\n") == 1 and b"exists already" in again.stderr
