@@ -15,6 +15,7 @@ from itertools import combinations, permutations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import correlate
 
 from hyst_control.errors import InputError
 
@@ -31,6 +32,9 @@ SHORTEST_RECORD = 1024
 
 KNOWN = 0.7
 """Share of a measurement's power, about its mean, that a model's simulation explains: from it on nothing further is asked."""
+
+LONGEST_LAGGED = 2**20
+"""Samples over which a late copy is looked for."""
 
 EXPLAINED = 0.3
 """Share of a measurement's power that some linear system makes of the commands. Sound records: 0.46 and more, shuffled ones 0.1 at most."""
@@ -61,6 +65,9 @@ VERY_DIFFERENT = 0.9
 
 LIKE_RANGES = 3.0
 """Ratio of two records' command ranges up to which they are alike."""
+
+LATER = 0.1
+"""By how much more of a measurement's power is explained when what was expected of it comes late."""
 
 FROZEN = 0.3
 """Share of the command's range that passes while the measurement stands still."""
@@ -188,6 +195,8 @@ def _of_trial(trial: Trial) -> list[Finding]:
         return found
     backwards: Array | None = None
     for index in moving:
+        if _comes_late(trial, index):
+            continue
         axis, explained = trial.axes[index], float(spectra.explained[index])
         lead = -spectra.lag(index) if explained >= EXPLAINED else 0.0
         if index in frozen and lead <= LEAD:
@@ -213,6 +222,22 @@ def _known(trial: Trial, moving: Sequence[int]) -> bool:
         return False
     measured, error = trial.measurement[:, moving], (trial.measurement - trial.simulated)[:, moving]
     return bool(np.all(np.var(error, axis=0) < (1.0 - KNOWN) * np.var(measured, axis=0)))
+
+
+def _comes_late(trial: Trial, index: int) -> bool:
+    """Whether an axis is what was expected of it, by the model or else by its command, but clearly later.
+
+    A lag of a good part of a period is what a diagnosis is to find: it leaves little coherence where a record is short, turns a sine's
+    sign, and looks like a lead where it is nearly a period.
+    """
+    expected = (trial.command if trial.simulated is None else trial.simulated)[:LONGEST_LAGGED, index]
+    one, other = (values - values.mean() for values in (expected, trial.measurement[:LONGEST_LAGGED, index]))
+    size = float(np.sqrt(np.sum(one**2) * np.sum(other**2)))
+    if size == 0.0:
+        return False
+    late = correlate(other, one, mode="full", method="fft")[len(one) - 1 : len(one) - 1 + max(len(one) // 2, 1)] / size
+    lag = int(np.argmax(late))
+    return bool(late[lag] ** 2 > KNOWN and late[lag] ** 2 > max(float(late[0]), 0.0) ** 2 + LATER)
 
 
 def _dead(trial: Trial, index: int, passed: float) -> Finding:
@@ -268,7 +293,7 @@ def _against_the_model(trial: Trial, moving: Sequence[int]) -> Iterator[Finding]
         return
     for index in moving:
         expected, measured = trial.simulated[:, index], trial.measurement[:, index]
-        if np.ptp(expected) == 0 or np.ptp(measured) == 0:
+        if np.ptp(expected) == 0 or np.ptp(measured) == 0 or _comes_late(trial, index):
             continue
         ratio = float(np.ptp(measured) / np.ptp(expected))
         if not 1.0 / SCALE < ratio < SCALE:

@@ -231,3 +231,17 @@ def test_records_too_short_to_judge_or_at_rest_are_left_alone():
     rest = Trial("rest", np.ones((500, 1)), np.random.default_rng(0).normal(size=(500, 1)), 1e-3, ("x",))
     assert check_records([]) == check_records([short]) == check_records([rest, rest]) == []
     assert Finding("dead_sensor", "a", "x", 1.0, 0.3).text().startswith("a: x: the measurement stands still")
+
+
+@pytest.mark.parametrize("share", [0.1, 0.25, 0.5, 0.8, 0.98])
+def test_a_lag_of_a_good_part_of_a_period_is_no_invalid_record(share):
+    """It is what a diagnosis is to find: short records of one sine whose amplitude falls, late by a share of a period."""
+    step, frequency = 1e-4, 50.0
+    time = np.arange(2400) * step
+    envelope = np.interp(time, np.arange(13) / frequency, 80.0 * 0.8 ** np.arange(13))
+    command = envelope * np.sin(2 * np.pi * frequency * time)
+    noise = 0.002 * np.random.default_rng(0).standard_normal(len(time))
+    measured = 0.03 * np.interp(time - share / frequency, time, command, left=0.0) + noise
+    for simulated in (None, 0.03 * command[:, None]):
+        trial = Trial("late", command[:, None], measured[:, None], step, ("x",), simulated)
+        assert not check_records([trial])
