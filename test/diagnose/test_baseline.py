@@ -25,14 +25,6 @@ from hyst_control.records.record import Record, Signal
 
 RATE = 5000.0
 SETTINGS = CONFIGURATION.baseline
-MODEL = Model(
-    "wrong",
-    ("x",),
-    {"command": "V", "measurement": "um"},
-    1.0 / RATE,
-    Chain((PrandtlIshlinskii((5.0, 20.0, 40.0), (0.004, 0.003, 0.002), w0=0.025), TransferFunction((1e7,), (1.0, 200.0, 1e7)))),
-)
-"""Neither the loop nor the mode (503 Hz) of the machine below."""
 
 
 def sines(frequency: float, cycles: int = 5) -> np.ndarray:
@@ -87,6 +79,22 @@ def record(command: np.ndarray, measurement: np.ndarray, source: str) -> Record:
     return Record(signals, source)
 
 
+def fitted() -> Model:
+    """A Prandtl-Ishlinskii model fitted to a slow clean record by least squares, in front of a mode at 400 Hz: near, and wrong."""
+    command, thresholds = sines(20.0), (4.0, 10.0, 20.0, 35.0, 55.0)
+    columns = [command, np.ones(len(command))]
+    for threshold in thresholds:
+        running = PrandtlIshlinskii((threshold,), (1.0,)).filter(Sampling(1.0 / RATE, 1, "foh"))
+        running.settle(command[:1])
+        columns.append(running.process(command[:, None])[:, 0])
+    weights = np.linalg.lstsq(np.stack(columns, axis=1), machine(command, 0), rcond=None)[0]
+    mode = (2 * np.pi * 400.0) ** 2
+    chain = Chain(
+        (PrandtlIshlinskii(thresholds, tuple(weights[2:]), w0=weights[0]), TransferFunction((mode,), (1.0, 0.08 * mode**0.5, mode)))
+    )
+    return Model("near", ("x",), {"command": "V", "measurement": "um"}, 1.0 / RATE, chain)
+
+
 CASES = {  # what is done to the machine, the names that fit, the parameter and its true value
     "delay of the sensor": ({"sensor": late(2e-3)}, {"delay"}, "tau", 2e-3),
     "delay of the drive": ({"drive": late(2e-3)}, {"delay"}, "tau", 2e-3),
@@ -94,6 +102,9 @@ CASES = {  # what is done to the machine, the names that fit, the parameter and 
     "low-pass of second order": ({"sensor": lowpass(80.0, 2)}, {"sensor_lowpass", "amplifier_lowpass"}, "cutoff", 80.0),
     "gain": ({"sensor": lambda y: 1.05 * y}, {"gain"}, "gain", 0.05),
 }
+
+
+MODEL = fitted()
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -129,15 +140,20 @@ def test_a_usual_session_is_no_effect():
     assert report["verdict"] == "no_gap" and not report["effects"]
 
 
-@pytest.mark.parametrize("name", ["delay of the sensor", "low-pass"])
-def test_clean_records_of_other_commands_tell_the_model_from_the_machine(name):
-    change, names, parameter, value = CASES[name]
-    command, others = 0.5 * sines(50.0) + 0.5 * np.roll(sines(12.5, 2), 37)[: len(sines(50.0))], [sines(20.0), sines(35.0)]
+@pytest.mark.parametrize(
+    ("change", "names", "parameter", "value"),
+    [
+        ({"sensor": late(8e-3)}, {"delay"}, "tau", 8e-3),
+        ({"sensor": lowpass(15.0, 1)}, {"sensor_lowpass", "amplifier_lowpass"}, "cutoff", 15.0),
+    ],
+)
+def test_clean_records_of_other_commands_tell_the_model_from_the_machine(change, names, parameter, value):
+    command, others = sines(25.0), [sines(20.0), sines(35.0)]
     clean = [record(other, machine(other, seed), "clean") for seed, other in enumerate(others)]
     report, *_ = diagnosed([record(command, machine(command, 7, **change), "new")], MODEL, cache=False, baseline=clean)
     assert not report["baseline"]["same_command"] and report["verdict"] in ("effect", "ambiguous")
     found = next(effect for effect in report["effects"] if effect["name"] in names)
-    assert found["parameters"][parameter]["value"] == pytest.approx(value, rel=0.1)
+    assert found["parameters"][parameter]["value"] == pytest.approx(value, rel=0.15)
 
 
 def test_a_new_clean_record_of_another_command_is_no_gap():
