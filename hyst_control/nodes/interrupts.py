@@ -1,6 +1,6 @@
-"""Ctrl-C in a process of nodes: one handler from beginning to end, which lets it wait or pass where that is asked for.
+"""Ctrl-C in a process of nodes: one handler for the whole run, which can delay or ignore an interrupt.
 
-It is set before `rclpy.init`, whose own handler then calls it. One that was set later would take rclpy's out of the chain.
+It is set before `rclpy.init`, whose own handler then calls it. A handler set later would replace rclpy's.
 """
 
 from __future__ import annotations
@@ -12,38 +12,38 @@ from contextlib import contextmanager
 from types import FrameType
 
 _count = 0
-"""Interrupts heard since `listen`."""
+"""Number of interrupts since `listen`."""
 _held = False
-"""True while an interrupt is only counted."""
+"""True while interrupts are only counted."""
 
 
 def listen() -> None:
-    """Answer the interrupts of this process from now on: each raises KeyboardInterrupt in the main thread."""
+    """Start handling the interrupts of this process: each raises KeyboardInterrupt in the main thread."""
     global _count, _held
     _count, _held = 0, False
     signal.signal(signal.SIGINT, _on_interrupt)
 
 
 def heard() -> bool:
-    """True once an interrupt has come, also one that a library has swallowed."""
+    """True after an interrupt, also one that a library has suppressed."""
     return _count > 0
 
 
 def ignore() -> None:
-    """Let interrupts pass without effect from now on: the process ends."""
+    """Ignore interrupts from now on, because the process is ending."""
     global _held
     _held = True
 
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Let interrupts pass without effect meanwhile.
+    """Ignore interrupts within the context.
 
-    rclpy hears a Ctrl-C first, in a thread of its own: Python's own interrupt of the same signal, or a second one, would come while the
-    nodes are being closed and a bag is finished.
+    rclpy receives a Ctrl-C first, in a thread of its own. Python's interrupt of the same signal, or a second one, would arrive while
+    nodes are being closed and a bag is being finished.
     """
     global _held
-    if threading.current_thread() is not threading.main_thread():  # where Python interrupts nobody
+    if threading.current_thread() is not threading.main_thread():  # Python interrupts the main thread only
         yield
         return
     before, _held = _held, True
@@ -55,7 +55,7 @@ def uninterrupted() -> Iterator[None]:
 
 @contextmanager
 def undivided() -> Iterator[None]:
-    """Let an interrupt wait until the block has ended: what is half done would be lost."""
+    """Delay an interrupt until the context ends, so that nothing is lost half done."""
     before = _count
     with uninterrupted():
         yield
