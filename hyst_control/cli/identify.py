@@ -48,7 +48,7 @@ def _add_when_needed(parser: argparse.ArgumentParser) -> None:
     plain = parser.parse_known_args
     added: list[str] = []
 
-    def parse(*arguments: Any, **keywords: Any) -> tuple[argparse.Namespace, list[str]]:
+    def parse(*arguments: Any, **keywords: Any) -> Any:  # overloaded in argparse
         if not added:
             added.extend(add_options(parser))
         return plain(*arguments, **keywords)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from rclpy.experimental import EventsExecutor
+from rclpy.executors import Executor
 
 from hyst_control.nodes.base import EndingNode, SignalNode
 from hyst_control.nodes.message_io import CallbackSubscription, LocalReceiver
@@ -14,14 +14,14 @@ MOST_AT_ONCE = 64
 """Most messages delivered before the executor serves timers, services and subscriptions again."""
 
 
-def hand_over(nodes: Sequence[EndingNode], executor: EventsExecutor, failed: Callable[[BaseException], None]) -> None:
+def hand_over(nodes: Sequence[EndingNode], executor: Executor, failed: Callable[[BaseException], None]) -> None:
     """Link the senders of nodes on one executor directly with the receivers of the same topics.
 
     Parameters
     ----------
     nodes : sequence of EndingNode
         The nodes of the executor.
-    executor : EventsExecutor
+    executor : Executor
         The executor.
     failed : callable
         Called with an exception that a callback raised.
@@ -44,7 +44,7 @@ def hand_over(nodes: Sequence[EndingNode], executor: EventsExecutor, failed: Cal
 class _Exchange:
     """Queue of handed-over messages, delivered in order by a task of the executor, never within a node's callback."""
 
-    def __init__(self, executor: EventsExecutor, failed: Callable[[BaseException], None]) -> None:
+    def __init__(self, executor: Executor, failed: Callable[[BaseException], None]) -> None:
         self._executor, self._failed = executor, failed
         self._posted: deque[CallbackSubscription] = deque()
         self._scheduled = False

@@ -13,6 +13,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -164,7 +165,7 @@ class PlainFeedback(PlainNode):
         self.command = self.create_publisher(Float64MultiArray, "command", 5000)
         self.feedback = self.create_publisher(Float64MultiArray, "feedback", 5000)
         for topic in self.rows:
-            self.hear(topic, lambda tick, values, topic=topic: self.heard(topic, tick, values))
+            self.hear(topic, partial(self.heard, topic))
 
     def heard(self, topic: str, tick: int, values: Array) -> None:
         """Keep a row, and compute the command once all rows of its tick are there.

@@ -12,7 +12,7 @@ from functools import partial
 import rclpy
 from rclpy.context import Context
 from rclpy.exceptions import NotInitializedException
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.task import Future
 
@@ -26,14 +26,14 @@ from hyst_control.processes import environment
 FOREVER = 1e6  # s
 
 
-def spin(executor: EventsExecutor, future: Future, timeout: float = FOREVER) -> None:
+def spin(executor: Executor, future: Future, timeout: float = FOREVER) -> None:
     """Spin until a future is done.
 
     Without a timeout an EventsExecutor runs no callbacks and handles no signals.
 
     Parameters
     ----------
-    executor : EventsExecutor
+    executor : Executor
         The executor.
     future : Future
         The future.
