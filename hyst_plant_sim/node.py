@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 AWAITED = 64
 """Most measurements whose command is awaited, for the latency of the loop."""
 MOST_AHEAD = 2048  # ticks that the plant may be ahead of a recorder it waits for
-LOOKS_BEFORE_GOING_ON = 5
+REPETITIONS_BEFORE_JOINING = 5
 """Successive repetitions without an answer after which a plant restarted during a run continues at the tick of that run."""
 
 
@@ -159,10 +159,10 @@ class PlantNode(SignalNode):
                 self._settle(np.zeros(len(self.axes)))
 
     def out_of_order(self, source: Input, tick: int) -> None:
-        if self._standstill.looks >= LOOKS_BEFORE_GOING_ON and self._tick in (
+        if self._standstill.looks >= REPETITIONS_BEFORE_JOINING and self._tick in (
             None,
             0,
-        ):  # nobody has tick 0 any more: restarted in a run under way
+        ):  # no node has tick 0 any more: restarted during a run
             self.get_logger().warning(f"joining a run in progress at tick {tick}")
             self._tick = None if self.settings.start == "first_command" else tick
             source.rows.expect(tick)

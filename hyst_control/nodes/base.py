@@ -438,11 +438,11 @@ class SignalNode(EndingNode):
         health = NodeHealth(
             trouble=self.trouble(),
             stale=[signal.topic for signal in self.inputs if not self.lockstep and signal.age > self.settings.timeout],
-            rivals=[signal.topic for signal in self.inputs if self.count_publishers(signal.topic) > self.settings.most_sources],
+            contested=[signal.topic for signal in self.inputs if self.count_publishers(signal.topic) > self.settings.most_sources],
             waits=self.waits(now),
             enabled=self.enabled,
         )
-        for topic in health.rivals:
+        for topic in health.contested:
             self.warn(
                 f"{topic}: sources", f"{topic}: {self.count_publishers(topic)} nodes publish this topic: was one started twice?"
             )

@@ -127,7 +127,7 @@ class DiagnosisNode(SignalNode):
         self._command = WatchedSignal(self, "command", "V", self.reset)
         self._measurement = WatchedSignal(self, "measurement", self.unit, self.reset)
         self._job: Job | None = None
-        self._told: tuple[float, int]
+        self._rate_reported: tuple[float, int]
         self._forget()
         self.service("diagnose", self._diagnose)
         self.every(DRAIN_INTERVAL, self._drain)
@@ -144,13 +144,15 @@ class DiagnosisNode(SignalNode):
     def trouble(self) -> str:
         if self._newest is not None and self._newest.alarm:
             return f"gap alarm: {self._newest.nrmse:.3g} % of the range"
-        quiet = time.monotonic() - self._heard
+        quiet = time.monotonic() - self._last_comparison
         return f"no tick with both command and measurement for {quiet:.0f} s" if quiet > max(1.0, self.settings.timeout) else ""
 
     def status(self) -> dict[str, Any]:
         newest, now = self._newest, time.monotonic()
-        entries: dict[str, Any] = {"rate [Hz]": f"{(self._compared - self._told[1]) / max(now - self._told[0], 1e-9):.1f}"}
-        self._told = now, self._compared
+        entries: dict[str, Any] = {
+            "rate [Hz]": f"{(self._compared - self._rate_reported[1]) / max(now - self._rate_reported[0], 1e-9):.1f}"
+        }
+        self._rate_reported = now, self._compared
         if newest is not None:
             entries |= {
                 f"rms [{self.unit}]": f"{newest.rms:.4g}",
@@ -190,9 +192,9 @@ class DiagnosisNode(SignalNode):
         self._kept_rows = 0
         self._from_rest = False  # the kept rows begin with the model settled, as a record should
         self._newest: Window | None = None
-        self._heard = time.monotonic()
+        self._last_comparison = time.monotonic()
         self._compared = self._bridged = self._settled_anew = 0
-        self._told = self._heard, 0  # time of the last reported rate, and rows compared until then
+        self._rate_reported = self._last_comparison, 0  # time of the last reported rate, and rows compared until then
 
     def _drain(self) -> None:
         self._command.drain()
@@ -237,7 +239,7 @@ class DiagnosisNode(SignalNode):
 
     def _compare(self, tick: int, commands: Array, measured: Array, predicted: Array, slopes: Array) -> None:
         """Publish, judge and keep successive rows of command, measurement and prediction."""
-        self._heard = time.monotonic()
+        self._last_comparison = time.monotonic()
         self._compared += len(measured)
         residual = measured - predicted
         self._residual.send(tick, residual)
@@ -261,8 +263,8 @@ class DiagnosisNode(SignalNode):
 
     def _diagnose(self) -> str:
         """Start a diagnosis, or report the state of the one that was started."""
-        if self._job is not None and (self._job.running or not self._job.told):
-            self._job.told = not self._job.running
+        if self._job is not None and (self._job.running or not self._job.reported):
+            self._job.reported = not self._job.running
             return self._job.text()
         if not self._kept:
             raise InputError("no data yet: run the loop until command and measurement have been received")
@@ -305,7 +307,7 @@ class Job:
     """
 
     def __init__(self, folder: Path, model: Path) -> None:
-        self.folder, self.told = folder, False
+        self.folder, self.reported = folder, False
         self._begun = time.monotonic()
         path = os.pathsep.join(filter(None, [str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH")]))
         arguments = [
@@ -345,8 +347,8 @@ class Job:
             lines = (self.folder / "gap.txt").read_text(encoding="utf-8", errors="replace").split("\n")
             if any(lines):
                 failed = self._process.returncode != 0
-                told = next(line for line in (reversed(lines) if failed else lines) if line)
-                return f"{'failed: ' if failed else ''}{told} ({self.folder})"
+                sentence = next(line for line in (reversed(lines) if failed else lines) if line)
+                return f"{'failed: ' if failed else ''}{sentence} ({self.folder})"
         return f"failed: status {self._process.returncode}, no output ({self.folder})"
 
     def end(self) -> None:

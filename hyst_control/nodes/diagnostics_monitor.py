@@ -21,9 +21,9 @@ class Monitor(EndingNode):
 
     def __init__(self, name: str = "monitor") -> None:
         super().__init__(name)
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._heard, 100)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
 
-    def _heard(self, message: DiagnosticArray) -> None:
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         for status in message.status:
             print(

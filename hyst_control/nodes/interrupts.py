@@ -13,58 +13,58 @@ from types import FrameType
 
 _count = 0
 """Number of interrupts since `listen`."""
-_held = False
+_only_counting = False
 """True while interrupts are only counted."""
 
 
 def listen() -> None:
     """Start handling the interrupts of this process: each raises KeyboardInterrupt in the main thread."""
-    global _count, _held
-    _count, _held = 0, False
+    global _count, _only_counting
+    _count, _only_counting = 0, False
     signal.signal(signal.SIGINT, _on_interrupt)
 
 
-def heard() -> bool:
+def received() -> bool:
     """True after an interrupt, also one that a library has suppressed."""
     return _count > 0
 
 
 def ignore() -> None:
     """Ignore interrupts from now on, because the process is ending."""
-    global _held
-    _held = True
+    global _only_counting
+    _only_counting = True
 
 
 @contextmanager
-def uninterrupted() -> Iterator[None]:
+def ignored() -> Iterator[None]:
     """Ignore interrupts within the context.
 
     rclpy receives a Ctrl-C first, in a thread of its own. Python's interrupt of the same signal, or a second one, would arrive while
     nodes are being closed and a bag is being finished.
     """
-    global _held
+    global _only_counting
     if threading.current_thread() is not threading.main_thread():  # Python interrupts the main thread only
         yield
         return
-    before, _held = _held, True
+    before, _only_counting = _only_counting, True
     try:
         yield
     finally:
-        _held = before
+        _only_counting = before
 
 
 @contextmanager
-def undivided() -> Iterator[None]:
+def delayed() -> Iterator[None]:
     """Delay an interrupt until the context ends, so that nothing is lost half done."""
     before = _count
-    with uninterrupted():
+    with ignored():
         yield
-    if _count > before and not _held and threading.current_thread() is threading.main_thread():
+    if _count > before and not _only_counting and threading.current_thread() is threading.main_thread():
         raise KeyboardInterrupt
 
 
 def _on_interrupt(number: int, frame: FrameType | None) -> None:
     global _count
     _count += 1
-    if not _held:
+    if not _only_counting:
         raise KeyboardInterrupt

@@ -31,7 +31,7 @@ class NodeHealth:
         Fault that keeps the node from its work; "" when there is none.
     stale : sequence of str
         Inputs that are too old, under the timer.
-    rivals : sequence of str
+    contested : sequence of str
         Inputs that several nodes publish.
     waits : sequence of Wait
         Signals that the node is waiting for, in lockstep.
@@ -41,7 +41,7 @@ class NodeHealth:
 
     trouble: str = ""
     stale: Sequence[str] = ()
-    rivals: Sequence[str] = ()
+    contested: Sequence[str] = ()
     waits: Sequence[Wait] = ()
     enabled: bool = True
 
@@ -55,7 +55,7 @@ class NodeHealth:
         """Entries of the diagnostics."""
         return {
             "stale": ", ".join(self.stale) or "none",
-            "several sources": ", ".join(self.rivals) or "none",
+            "several sources": ", ".join(self.contested) or "none",
             "waiting_for": self.waiting_for,
             "enabled": self.enabled,
         }
@@ -67,8 +67,8 @@ class NodeHealth:
             return self.trouble
         if self.stale:
             return f"stale: {', '.join(self.stale)}"
-        if self.rivals:
-            return f"several sources: {', '.join(self.rivals)}"
+        if self.contested:
+            return f"several sources: {', '.join(self.contested)}"
         if any(wait.seconds >= WAIT_WARNING for wait in self.waits):
             return f"waiting for {self.waiting_for}"
         return ""

@@ -138,7 +138,7 @@ class PiFeedback(SignalNode):
         if any(not each.available for each in rows):
             return
         first = max(each.start for each in rows)
-        if any(each.start != first for each in rows):  # one of them was restarted in a run under way
+        if any(each.start != first for each in rows):  # one of them was restarted during a run
             for each in rows:
                 each.skip_to(first)
         count = min(each.available for each in rows)

@@ -64,7 +64,7 @@ class PlainNode(Node):
     def tick(self) -> None:
         """Produce one sample, under the timer."""
 
-    def hear(self, topic: str, callback: Callable[[int, Array], None]) -> None:
+    def subscribe(self, topic: str, callback: Callable[[int, Array], None]) -> None:
         """Subscribe to a topic.
 
         Parameters
@@ -81,7 +81,7 @@ class PlainNode(Node):
 
         self.create_subscription(Float64MultiArray, topic, on_message, 5000)
 
-    def say(self, publisher: Publisher, tick: int, values: Array) -> None:
+    def publish_row(self, publisher: Publisher, tick: int, values: Array) -> None:
         """Publish one row.
 
         Parameters
@@ -110,7 +110,7 @@ class PlainReference(PlainNode):
         self.count = 0
         self.publisher = self.create_publisher(Float64MultiArray, "reference", 5000)
         if not self.timed:
-            self.hear("measurement", lambda tick, values: self.send(tick))
+            self.subscribe("measurement", lambda tick, values: self.send(tick))
 
     def send(self, tick: int) -> None:
         """Publish the reference of a tick.
@@ -122,7 +122,7 @@ class PlainReference(PlainNode):
         """
         low, high = self.settings["range"]
         value = 0.5 * (low + high) - 0.5 * (high - low) * math.cos(2 * math.pi * self.settings["frequency"] * tick * self.period)
-        self.say(self.publisher, tick, np.full(self.axes, value))
+        self.publish_row(self.publisher, tick, np.full(self.axes, value))
 
     def tick(self) -> None:
         self.send(self.count)
@@ -143,7 +143,7 @@ class PlainFeedforward(PlainNode):
         self.compensator = build_compensator(self.model, "mhl", sample_time=self.period, limits=LIMITS)
         self.compensator.settle(np.zeros(self.axes))
         self.publisher = self.create_publisher(Float64MultiArray, "feedforward", 5000)
-        self.hear("reference", lambda tick, values: self.say(self.publisher, tick, self.compensator.process(values)))
+        self.subscribe("reference", lambda tick, values: self.publish_row(self.publisher, tick, self.compensator.process(values)))
 
 
 class PlainFeedback(PlainNode):
@@ -165,9 +165,9 @@ class PlainFeedback(PlainNode):
         self.command = self.create_publisher(Float64MultiArray, "command", 5000)
         self.feedback = self.create_publisher(Float64MultiArray, "feedback", 5000)
         for topic in self.rows:
-            self.hear(topic, partial(self.heard, topic))
+            self.subscribe(topic, partial(self.receive, topic))
 
-    def heard(self, topic: str, tick: int, values: Array) -> None:
+    def receive(self, topic: str, tick: int, values: Array) -> None:
         """Keep a row, and compute the command once all rows of its tick are there.
 
         Parameters
@@ -198,8 +198,8 @@ class PlainFeedback(PlainNode):
             Reference, measurement and feedforward, by topic.
         """
         command, feedback = self.controller.step(rows["reference"], rows["measurement"], rows["feedforward"])
-        self.say(self.feedback, tick, feedback)
-        self.say(self.command, tick, command)
+        self.publish_row(self.feedback, tick, feedback)
+        self.publish_row(self.command, tick, command)
 
     def tick(self) -> None:
         if len(self.newest) == len(self.rows):
@@ -224,13 +224,13 @@ class PlainPlant(PlainNode):
         self.sent: dict[int, float] = {}
         self.latency, self.intervals, self.last = Durations(), Durations(), math.nan
         self.publisher = self.create_publisher(Float64MultiArray, "measurement", 5000)
-        self.hear("command", self.commanded)
+        self.subscribe("command", self.apply)
         self.diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(1.0, self.tell)
+        self.create_timer(1.0, self.publish_diagnostics)
         if not self.timed:
-            self.create_timer(0.2, lambda: self.say(self.publisher, self.count, self.measured) if not self.rounds else None)
+            self.create_timer(0.2, lambda: self.publish_row(self.publisher, self.count, self.measured) if not self.rounds else None)
 
-    def commanded(self, tick: int, values: Array) -> None:
+    def apply(self, tick: int, values: Array) -> None:
         """Apply a command, in lockstep at once, under the timer at the next tick.
 
         Parameters
@@ -261,7 +261,7 @@ class PlainPlant(PlainNode):
         if self.timed:
             self.sent[self.count] = time.monotonic()
             self.sent.pop(self.count - 1000, None)
-        self.say(self.publisher, self.count, self.measured)
+        self.publish_row(self.publisher, self.count, self.measured)
 
     def tick(self) -> None:
         now = time.monotonic()
@@ -270,7 +270,7 @@ class PlainPlant(PlainNode):
         self.last = now
         self.send(self.held)
 
-    def tell(self) -> None:
+    def publish_diagnostics(self) -> None:
         """Publish the diagnostics."""
         values = {
             "ticks": self.count if self.timed else self.rounds,
@@ -294,15 +294,15 @@ def main() -> None:
     *names, path = sys.argv[1:]
     settings = json.loads(Path(path).read_text(encoding="utf-8"))
     environment.prepare()
-    heard: list[int] = []
+    interrupts: list[int] = []
     signal.signal(
-        signal.SIGINT, lambda number, frame: heard.append(number)
+        signal.SIGINT, lambda number, frame: interrupts.append(number)
     )  # an exception within a call of rclpy would break that call
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # else a Ctrl-C would destroy the context during a callback
     executor = SingleThreadedExecutor()
     for name in names or NODES:
         executor.add_node(NODES[name](settings))
-    while not heard:
+    while not interrupts:
         executor.spin_once()
     rclpy.try_shutdown()
 

@@ -9,7 +9,7 @@ from std_msgs.msg import Int64
 
 from hyst_control.errors import InputError
 from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.interrupts import undivided
+from hyst_control.nodes.interrupts import delayed
 from hyst_control.nodes.message_io import QUEUE
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.recorded_topic import RecordedTopic
@@ -59,7 +59,7 @@ class Recorder(SignalNode):
         self.ends = self.settings.ticks > 0 or self.settings.duration > 0
         self._writer = BagWriter(self.settings.output)
         self._progress = self.create_publisher(Int64, "recorded", QUEUE)
-        self.told = -1
+        self.last_complete_tick = -1
         self._repetition = RepetitionBackoff(time.monotonic(), longest=REPEAT_INTERVAL)  # of the progress
         self._topics = [
             RecordedTopic(self, topic, self.store, self.repeat_progress, self.settings.merge, self.settings.ticks)
@@ -109,8 +109,8 @@ class Recorder(SignalNode):
         done = wanted and (last >= wanted - 1 if self.lockstep else all(topic.recorded >= wanted for topic in self._topics))
         now = time.monotonic()
         repeat = repeat and self._repetition.due(now)
-        if repeat or done or last - self.told >= (PROGRESS_INTERVAL if self.told >= 0 else 1):
-            self.told = last
+        if repeat or done or last - self.last_complete_tick >= (PROGRESS_INTERVAL if self.last_complete_tick >= 0 else 1):
+            self.last_complete_tick = last
             self._repetition.progress(now)
             self._progress.publish(Int64(data=last))
         if done and not self.finished.done():
@@ -121,7 +121,7 @@ class Recorder(SignalNode):
         return self._failure
 
     def status(self) -> dict[str, Any]:
-        return {"last complete tick": self.told}
+        return {"last complete tick": self.last_complete_tick}
 
     def close(self) -> None:
         if self._failure:  # the disk takes no more
@@ -137,7 +137,7 @@ class Recorder(SignalNode):
 
     def _drain(self) -> None:
         if not self.finished.done():
-            with undivided():  # rows taken from the queues must reach the bag
+            with delayed():  # rows taken from the queues must reach the bag
                 for topic in self._topics:
                     topic.drain()
             self.progress()
@@ -145,7 +145,7 @@ class Recorder(SignalNode):
     def _flush(self) -> None:
         if not self.finished.done():
             try:
-                with undivided():
+                with delayed():
                     for topic in self._topics:
                         topic.write()
                     self._writer.flush()

@@ -88,7 +88,7 @@ def run(
         return ended.result() if ended.done() else None
     finally:
         expected = isinstance(sys.exc_info()[1], (type(None), KeyboardInterrupt, ExternalShutdownException))
-        with interrupts.uninterrupted():
+        with interrupts.ignored():
             gc.unfreeze()
             status = ended.result() if ended.done() and ended.exception() is None else 0
             close(nodes, lambda: on_closed(status) if expected else None)
@@ -159,7 +159,7 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
         return 0
     except (RuntimeError, NotInitializedException):
         # rclpy fails in several ways on an interrupt during one of its calls, and on a message whose context no longer exists.
-        if interrupts.heard() or not rclpy.ok():
+        if interrupts.received() or not rclpy.ok():
             return 0
         raise
     finally:
@@ -182,7 +182,7 @@ def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | N
         _initialize(args)
         for factory in factories:
             nodes.append(factory())
-        if interrupts.heard():  # a library has suppressed the interrupt
+        if interrupts.received():  # a library has suppressed the interrupt
             close(nodes, lambda: exit_within(0))
             return 0
         return run(nodes, rclpy.get_default_context(), on_closed=exit_within) or 0
