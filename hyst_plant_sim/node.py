@@ -1,4 +1,4 @@
-"""The plant node: runs a truth plant or a model file, and is the clock of the loop in lockstep."""
+"""Plant node: runs a truth plant or a model file, and is the clock of the loop in lockstep."""
 
 from __future__ import annotations
 
@@ -28,35 +28,56 @@ from hyst_control.yaml_files import parse_yaml
 Array = NDArray[np.float64]
 
 AWAITED = 64
-"""Measurements whose command is awaited, for the latency of the loop."""
+"""Most measurements whose command is awaited, for the latency of the loop."""
 MOST_AHEAD = 2048  # ticks that the plant may be ahead of a recorder it waits for
-LOOKS_BEFORE_GOING_ON = 5
-"""Repetitions in a row without an answer after which a plant that was restarted in a run under way goes on where that is."""
+REPETITIONS_BEFORE_JOINING = 5
+"""Successive repetitions without an answer after which a plant restarted during a run continues at the tick of that run."""
 
 
 class PlantNode(SignalNode):
-    """Takes `command` (V), gives `measurement`.
+    """Node that receives `command` (V) and publishes `measurement`.
 
-    Lockstep: measurement[0] first; then for command rows k0 … k1 the measurement rows k0 + 1 … k1 + 1. While no command
-    comes, the newest measurement is repeated every `retry` s: this starts the loop and heals a lost message or a
-    restarted node. With `ticks` the plant ends after as many command rows, having published as many measurement rows.
-    Timer: at each tick the commands of the time since the last one, the newest held on, are run through the plant.
+    In lockstep it publishes measurement[0] first, then for command rows k0 … k1 the measurement rows k0 + 1 … k1 + 1. As long as no
+    command arrives, it repeats the newest measurement every `retry` s, which starts the loop and makes up for a lost message or a
+    restarted node. With `ticks` it ends after that many command rows and has published as many measurement rows.
+    Under the timer, each tick runs the plant over the commands since the previous tick; the newest command is held.
     """
 
     SETTINGS = (
         Setting("plant", "", "", "truth plant: a name in config/plants or a file"),
-        Setting("model", "", "", "model file, run in place of a truth plant"),
-        Setting("parameters", "", "", "of the truth plant, in place of its file's, as YAML: '{mode_frequency: 1180.0}'"),
-        Setting("effects", "", "", "in the truth plant, as YAML: '[{name: delay, tau: 4.0e-4, axis: x, from: 0.5}]'"),
+        Setting("model", "", "", "model file, run instead of a truth plant"),
+        Setting(
+            "parameters",
+            "",
+            "",
+            "parameters of the truth plant that replace those of its file, as YAML: '{mode_frequency: 1180.0}'",
+        ),
+        Setting("effects", "", "", "effects in the truth plant, as YAML: '[{name: delay, tau: 4.0e-4, axis: x, from: 0.5}]'"),
         Setting("seed", 0, "number", "seed of the plant's noise", 0, 2**31 - 1),
         Setting("ticks", 0, "ticks", "length of the run, 0 for endless", 0, 2**52),
-        Setting("start", "rest", "", "settled at 0 V, or at the first command (open loop)", choices=("rest", "first_command")),
+        Setting(
+            "start",
+            "rest",
+            "",
+            "initial state: settled at 0 V (rest) or at the first command (open loop)",
+            choices=("rest", "first_command"),
+        ),
         Setting("retry", 0.2, "s", "time without a command after which the newest measurement is repeated", 1e-3, 60.0),
-        Setting("wait_for_recorder", False, "", "keep within what the recorder has stored, in lockstep"),
+        Setting("wait_for_recorder", False, "", "stay close to the rows that the recorder has stored, in lockstep"),
     )
 
     def __init__(self, name: str = "plant", plant: Plant | None = None, **options: Any) -> None:
-        """plant: used in place of the one that the parameters describe."""
+        """Create the node.
+
+        Parameters
+        ----------
+        name : str
+            Name of the node.
+        plant : Plant, optional
+            Used instead of the one that the parameters describe.
+        **options : object
+            Passed on to `rclpy.node.Node`.
+        """
         super().__init__(name, **options)
         self.ends = self.settings.ticks > 0
         self._plant = plant or self._described()
@@ -66,9 +87,9 @@ class PlantNode(SignalNode):
         self._tick: int | None = None  # of the newest measurement
         self._held = rest
         self._recorded = -1
-        self._recorded_at = time.monotonic()  # s: when the recorder told something new last
+        self._recorded_at = time.monotonic()  # s: time of the recorder's last progress
         self._standstill = Standstill()
-        self._sent: dict[int, int] = {}  # ns since the epoch, by tick: when the newest measurements were sent
+        self._sent: dict[int, int] = {}  # time of sending of the newest measurements, ns since the epoch, by tick
         self._latency = Durations()
         self.measurement = self.output("measurement", self.unit)
         self.command = self.input("command", "V")
@@ -114,7 +135,7 @@ class PlantNode(SignalNode):
                 self._held = newest
             commands[row] = self._held
         if self.command.age > self.settings.timeout:
-            self.warn("stale", f"no command for {self.settings.timeout:g} s: the newest one is held")
+            self.warn("stale", f"no command for {self.settings.timeout:g} s: the last one is held")
         measurements = self._plant.step(commands)
         self._sent[tick] = time.time_ns()
         if len(self._sent) > AWAITED:
@@ -138,16 +159,16 @@ class PlantNode(SignalNode):
                 self._settle(np.zeros(len(self.axes)))
 
     def out_of_order(self, source: Input, tick: int) -> None:
-        if self._standstill.looks >= LOOKS_BEFORE_GOING_ON and self._tick in (
+        if self._standstill.looks >= REPETITIONS_BEFORE_JOINING and self._tick in (
             None,
             0,
-        ):  # nobody has tick 0 any more: restarted in a run under way
-            self.get_logger().warning(f"a run is under way: going on at tick {tick}")
+        ):  # no node has tick 0 any more: restarted during a run
+            self.get_logger().warning(f"joining a run in progress at tick {tick}")
             self._tick = None if self.settings.start == "first_command" else tick
             source.rows.expect(tick)
 
     def waits(self, now: float) -> list[Wait]:
-        """The command, or the recorder while commands wait for it or the run is over but for it."""
+        """Signals that the node is waiting for: the command, or the recorder while commands or the end of the run depend on it."""
         over = self.settings.ticks > 0 and self._tick == self.settings.ticks and not self.finished.done()
         if self.lockstep and self.settings.wait_for_recorder and (over or self.command.rows.available):
             return [Wait("recorded", self._recorded + 1, now - self._recorded_at)]
@@ -157,7 +178,7 @@ class PlantNode(SignalNode):
         return {"tick": self._tick, "recorded": self._recorded, **self._latency.entries("loop latency")}
 
     def _settle(self, command: Array) -> int:
-        """Settle the plant at a command (A,) and send the measurement; its tick."""
+        """Settle the plant at a command (A,), publish the measurement, and return its tick."""
         first, tick = self._plant.reset(command), self.command.rows.start
         self._tick = tick
         self.measurement.send(tick, first[None])
@@ -187,7 +208,7 @@ class PlantNode(SignalNode):
         if looks == 1:
             self.measurement.repeat_newest()
         elif looks:
-            self.measurement.repeat()  # somebody lacks earlier rows, its own or those that followed from them
+            self.measurement.repeat()  # a node lacks earlier rows, its own or those that followed from them
 
     def _described(self) -> Plant:
         given, name = self.settings, self.get_name()
@@ -196,7 +217,7 @@ class PlantNode(SignalNode):
         try:
             if given.model:
                 if given.parameters or given.effects:
-                    raise InputError("parameters and effects are a truth plant's: put them into the model file")
+                    raise InputError("parameters and effects belong to a truth plant: write them into the model file instead")
                 plant: Any = Simulator(load_model(given.model), self.period)
             else:
                 from hyst_plant_sim.physics import load_plant
@@ -221,7 +242,7 @@ class PlantNode(SignalNode):
 
 
 def _yaml(text: str, name: str, kind: type) -> Any:
-    """Value that a parameter's text describes, None for an empty one. Raises `InputError` naming the parameter."""
+    """Parse a parameter's text; None when it is empty. Raises `InputError` when it is not of the kind."""
     if not text.strip():
         return None
     try:
@@ -236,7 +257,7 @@ def _yaml(text: str, name: str, kind: type) -> Any:
 
 
 def main() -> int:
-    """The executable."""
+    """Run the executable; its exit status."""
     return run_main(PlantNode)
 
 

@@ -1,9 +1,8 @@
-"""`hyst`: one command, a subcommand per job. Every module of this package is a subcommand; each only parses and calls.
+"""Command line `hyst`: every module of this package is a subcommand, which only parses arguments and calls the library.
 
 A subcommand module has `NAME`, `HELP`, `JSON` (what `--json` writes), `add_arguments(parser)` and `run(arguments)`, and
-where it has such arguments `READS` and `WRITES`: names of those that are files or folders. `run` returns its
-result, which has `text()` for people and `document()` for programs, or an exit status when it has told everything itself. It imports
-what it needs within `run`, so that `hyst --help` is quick. `--json` and `--quiet` are every subcommand's and added here.
+where it has such arguments `READS` and `WRITES`: names of those that are files or folders. `run` returns its result, which has `text()` for people and `document()` for programs, or an exit status when it has printed everything itself. Imports of
+the library stand within `run`, so that `hyst --help` is quick. `--json` and `--quiet` are added here for every subcommand.
 """
 
 from __future__ import annotations
@@ -25,11 +24,11 @@ from hyst_control.errors import InputError
 from hyst_control.files import check_outputs, check_writable, write_json
 
 ROS = ("rclpy", "std_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces")
-"""Packages that nodes need and pip does not bring."""
+"""Packages that nodes need and pip does not install."""
 
 
 def parser() -> argparse.ArgumentParser:
-    """The parser of all subcommands."""
+    """Parser of all subcommands."""
     top = argparse.ArgumentParser(
         prog="hyst",
         description="Excite, record, identify, control and diagnose piezo stages and fast steering mirrors.",
@@ -45,26 +44,37 @@ def parser() -> argparse.ArgumentParser:
         sub.add_argument(
             "--json",
             metavar="OUT",
-            help=f"{command.JSON} to write as JSON; -: to the standard output, and all else to the standard error",
+            help=f"{command.JSON} to write as JSON; -: to the standard output, with all text on the standard error",
         )
-        sub.add_argument("--quiet", action="store_true", help="no progress, which is shown on a terminal only")
+        sub.add_argument("--quiet", action="store_true", help="do not show progress (it is shown on a terminal only)")
         sub.set_defaults(run=command.run, reads=getattr(command, "READS", ()), writes=("json", *getattr(command, "WRITES", ())))
     return top
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a subcommand. Exit status 0 when it finished, 2 on unusable input (one line says what, where and what to do)."""
+    """Run the command line.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        Arguments; default: those of the process.
+
+    Returns
+    -------
+    int
+        Exit status: 0 when the subcommand finished, 2 on unusable input (one line names fault, place and remedy), 130 when interrupted.
+    """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a terminal that knows no µ, a file's name that is no text
     top = parser()
-    if "_ARGCOMPLETE" in os.environ:  # the shell asks for completions
+    if "_ARGCOMPLETE" in os.environ:  # the shell requests completions
         import argcomplete
 
         argcomplete.autocomplete(top)
     arguments = top.parse_args(argv)
     if argv is None:
-        signal.signal(signal.SIGTERM, signal.default_int_handler)  # whatever was started is ended, as on Ctrl-C
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends all that was started, as Ctrl-C does
     try:
         return run(arguments)
     except InputError as error:
@@ -74,13 +84,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         if error.name not in ROS:
             raise
         print(
-            f"hyst {arguments.command}: {error.name} is not installed: source a ROS 2 Jazzy installation, or use make's "
-            "environment (make env, then .venv/bin/hyst)",
+            f"hyst {arguments.command}: {error.name} is not installed: source a ROS 2 Jazzy installation, or use the environment "
+            "that make builds (make env, then .venv/bin/hyst)",
             file=sys.stderr,
         )
         return 2
-    except BrokenPipeError:  # `hyst … | head` has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the end's flush finds a place
+    except BrokenPipeError:  # `hyst … | head` has ended
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at the end
         return 0
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
@@ -92,7 +102,18 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the subcommand, tell its result, write it as JSON where that is asked for; the exit status."""
+    """Run a subcommand, print its result, and write it as JSON where requested.
+
+    Parameters
+    ----------
+    arguments : Namespace
+        Parsed arguments.
+
+    Returns
+    -------
+    int
+        Exit status.
+    """
     read = [getattr(arguments, name) for name in arguments.reads]
     check_outputs(
         {f"--{name}": getattr(arguments, name) for name in arguments.writes},
@@ -100,18 +121,18 @@ def run(arguments: argparse.Namespace) -> int:
     )
     if arguments.json != "-":
         if arguments.json is not None:
-            check_writable(arguments.json)  # before what may take an hour
-        return _told(arguments)
+            check_writable(arguments.json)  # before a run that may take an hour
+        return _run_and_print(arguments)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "result.json"
         with redirect_stdout(sys.stderr):
-            status = _told(argparse.Namespace(**{**vars(arguments), "json": str(path)}))
+            status = _run_and_print(argparse.Namespace(**{**vars(arguments), "json": str(path)}))
         if path.exists():
             sys.stdout.write(path.read_text(encoding="utf-8"))
     return status
 
 
-def _told(arguments: argparse.Namespace) -> int:
+def _run_and_print(arguments: argparse.Namespace) -> int:
     with progress.shown(not arguments.quiet):
         result = arguments.run(arguments)
     if result is None or isinstance(result, int):

@@ -1,11 +1,11 @@
-"""Check the diagnosis blind: draw cases, diagnose each in a process that never sees its label, score, and write the page.
+"""Test the diagnosis blind: draw cases, diagnose each in a process that never sees its label, score, and write the page.
 
-Seeds 0 to 999 are for tuning; scoring seeds begin at 100000 and are used once a version. A run that was interrupted goes on where
-it stopped when it is called again with the same folder.
+Seeds 0 to 999 are for tuning; scoring seeds begin at 100000, and each is used for one version. An interrupted run continues when it is
+called again with the same folder.
 
 example:
   hyst blind-test --seed 100000 --count 800 --output blind --page docs/blind-test.md
-  hyst blind-test --measured --page docs/blind-test-measured.md     models of measured plants that lost an element
+  hyst blind-test --measured --page docs/blind-test-measured.md     models of measured plants with one element removed
 """
 
 from __future__ import annotations
@@ -17,35 +17,42 @@ if TYPE_CHECKING:
     from hyst_control.reporting.tables import Table
 
 NAME = "blind-test"
-HELP = "check the diagnosis on cases whose effect is withheld"
+HELP = "test the diagnosis on cases whose effect is withheld"
 JSON = "result table"
 WRITES = ("page",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
     what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--seed", type=int, help="of the cases")
-    what.add_argument("--measured", action="store_true", help="diagnose measured records instead, with models that lost an element")
+    what.add_argument("--seed", type=int, help="seed of the cases")
+    what.add_argument(
+        "--measured", action="store_true", help="diagnose measured records with models from which one element was removed"
+    )
     parser.add_argument(
         "--modes",
         choices=("none", "middle", "all"),
         default="all",
-        help="with --measured: at which levels of the mirror there are cases that lose one mode (default all)",
+        help="with --measured: levels of the mirror that have cases without one mode (default all)",
     )
-    parser.add_argument("--count", type=int, default=800, help="number of cases")
+    parser.add_argument("--count", type=int, default=800, help="number of cases (default 800)")
     parser.add_argument(
-        "--left-out", type=int, default=100, help="how many single effects to diagnose again without them in the catalogue"
+        "--left-out",
+        type=int,
+        default=100,
+        help="number of single-effect cases to diagnose again without their effect in the catalogue (default 100)",
     )
     parser.add_argument(
         "--output", default="blind_out", metavar="FOLDER", help="folder to write: cases, labels and reports (default blind_out)"
     )
     parser.add_argument(
-        "--so-far", action="store_true", help="score what an interrupted run has diagnosed, and diagnose nothing more"
+        "--so-far", action="store_true", help="score the cases that an interrupted run has diagnosed, without diagnosing more"
     )
     parser.add_argument("--page", metavar="OUT.md", help="page to write, with its figure")
 
 
 def run(arguments: argparse.Namespace) -> Table:
+    """Run this command; its result, as `hyst_control.cli` describes it."""
     if arguments.measured:
         from hyst_control.blind_test import measured
 

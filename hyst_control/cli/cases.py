@@ -1,4 +1,4 @@
-"""Draw cases from the truth plants: recorded bags with a model each, and what is in them in one file apart; or show what can be.
+"""Draw cases from the truth plants: recorded bags with a model each and their labels in a separate file; or draw all effects.
 
 examples:
   hyst cases make --seed 7 --count 20 --output cases
@@ -15,14 +15,17 @@ if TYPE_CHECKING:
     from hyst_control.reporting.artifacts import Made
 
 NAME = "cases"
-HELP = "draw recorded cases with effects in them, labels apart"
-JSON = "what was made"
+HELP = "draw recorded cases with effects in them, labels in a separate file"
+JSON = "list of written files"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("action", choices=("make", "figures"), help="draw and record cases; or write the page of effects")
-    parser.add_argument("--seed", type=int, help="of the cases (make)")
-    parser.add_argument("--count", type=int, default=60, help="number of cases (make)")
+    """Add the arguments of this command."""
+    parser.add_argument(
+        "action", choices=("make", "figures"), help="make: draw and record cases; figures: write the page of effects"
+    )
+    parser.add_argument("--seed", type=int, help="seed of the cases (make)")
+    parser.add_argument("--count", type=int, default=60, help="number of cases (make; default 60)")
     parser.add_argument(
         "--output",
         required=True,
@@ -37,7 +40,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "pea_published, fsm_published and third",
     )
     parser.add_argument(
-        "--kinds", nargs="+", metavar="KIND", help="what is in them (make): single, pair, parameters, none, open_set (default: all)"
+        "--kinds",
+        nargs="+",
+        metavar="KIND",
+        help="content of the cases (make): single, pair, parameters, none, open_set (default: all)",
     )
     parser.add_argument(
         "--excitations", nargs="+", metavar="EXCITATION", help="records (make): rich, multisine, sine, closed_loop (default: all)"
@@ -47,11 +53,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         metavar="SHARE",
-        help="share of the cases with effects in which they begin within the record (make; default 0)",
+        help="share of the cases with effects whose effects begin within the record (make; default 0)",
     )
 
 
 def run(arguments: argparse.Namespace) -> Made:
+    """Run this command; its result, as `hyst_control.cli` describes it."""
     from hyst_control.reporting.artifacts import Made
 
     if arguments.action == "figures":
@@ -64,7 +71,7 @@ def run(arguments: argparse.Namespace) -> Made:
     from hyst_control.errors import InputError
 
     if arguments.seed is None:
-        raise InputError("--seed: is missing: hyst cases make --seed 7 --output cases, say")
+        raise InputError("--seed: is missing: give it, as in hyst cases make --seed 7 --output cases")
     labels = make_cases(
         arguments.output,
         arguments.seed,

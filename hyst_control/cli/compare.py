@@ -21,18 +21,22 @@ READS = ("models", "bags")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("models", nargs="+", metavar="MODEL.yaml|BAG", help="model files, then the bag; or only models with --bags")
+    """Add the arguments of this command."""
+    parser.add_argument(
+        "models", nargs="+", metavar="MODEL.yaml|BAG", help="model files, then the bag; only model files with --bags"
+    )
     parser.add_argument("--bags", nargs="+", metavar="BAG", help="recorded bags")
     validate.add_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> Table:
+    """Run this command; its result, as `hyst_control.cli` describes it."""
     from hyst_control.errors import InputError
 
     if not arguments.bags:
-        # `hyst compare MODEL… BAG`: what is no model file is a bag.
+        # `hyst compare MODEL… BAG`: a path that is not a model file is a bag.
         arguments.bags = [path for path in arguments.models if not path.endswith((".yaml", ".yml"))]
         arguments.models = [path for path in arguments.models if path.endswith((".yaml", ".yml"))]
     if not arguments.bags or not arguments.models:
-        raise InputError("model files (.yaml) and at least one bag are due: hyst compare MODEL.yaml… BAG")
+        raise InputError("models, bags: give at least one model file (.yaml) and one bag: hyst compare MODEL.yaml… BAG")
     return validate.run(arguments)

@@ -1,4 +1,4 @@
-"""Excite, record, identify and track on a truth actuator, through five ROS 2 nodes; then the HAMPI paper's Table 5.
+"""Excite, record, identify and track a simulated actuator through five ROS 2 nodes; ends with Table 5 of the HAMPI paper.
 
 Writes a folder with the bags, the identified models, the figures, summary.json and report.html.
 
@@ -21,10 +21,12 @@ WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
     parser.add_argument("--output", metavar="FOLDER", default="demo_out", help="folder to write (default demo_out)")
 
 
 def run(arguments: argparse.Namespace) -> Table:
+    """Run this command; its result, as `hyst_control.cli` describes it."""
     from hyst_control import progress
     from hyst_control.reproduction import demo
 

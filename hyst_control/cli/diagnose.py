@@ -1,7 +1,7 @@
-"""Say where the gap between a model and recorded bags lies, which effect causes it, and how far it shrinks once that is added.
+"""Locate the gap between a model and recorded bags, name the effect that causes it, and compute how far it shrinks with it.
 
-The bags need command and measurement; reference, feedforward and feedback are replayed where they are there. The first run for
-a model, command and noise calibrates its threshold on simulated records without a gap, and keeps it for the next.
+The bags need command and measurement; reference, feedforward and feedback are replayed if they were recorded. The first run for a
+model, command and noise level calibrates its threshold on simulated records without a gap, and stores it for later runs.
 
 example:
   hyst diagnose record --model hampi.yaml --json gap.json --report gap.html --augmented better.yaml
@@ -21,6 +21,7 @@ WRITES = ("report", "augmented")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
     parser.add_argument("bags", nargs="+", metavar="BAG", help="recorded bags of one plant")
     parser.add_argument(
         "--model", metavar="MODEL.yaml", help="model file of the simulator; needed unless a baseline has the same command"
@@ -32,29 +33,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="CLEAN",
         help="clean records of the same plant: what the model leaves on them is its own error; best with the same command",
     )
-    parser.add_argument("--report", metavar="OUT.html", help="page to write, for people")
+    parser.add_argument("--report", metavar="OUT.html", help="HTML page to write")
     parser.add_argument("--augmented", metavar="OUT.yaml", help="model file to write: the model with the effects added")
     parser.add_argument("--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the catalogue")
     parser.add_argument(
         "--on",
         metavar="COMMAND",
-        help="bag or .npy file (rows by axes, V) with the command of a run to come: say how far the gap will shrink on it",
+        help="bag or .npy file (rows by axes, V) with the command of a future run: predict how far the gap will shrink on it",
     )
     parser.add_argument(
         "--warm-up",
         type=float,
         default=0.0,
         metavar="SECONDS",
-        help="beginning of each record that only brings the "
-        "simulation into the plant's state, for records that do not begin at rest",
+        help="initial part of each record that only brings the simulation into the "
+        "plant's state and is not counted, for records that do not begin at rest (default 0)",
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the simulated records and the resampling")
-    parser.add_argument("--no-cache", action="store_true", help="calibrate the threshold anew")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the simulated records and of the resampling (default 0)")
+    parser.add_argument("--no-cache", action="store_true", help="calibrate the threshold again")
     parser.add_argument("--namespace", help="namespace of the topics")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
 
 
 def run(arguments: argparse.Namespace) -> int:
+    """Run this command; its result, as `hyst_control.cli` describes it."""
     import sys
 
     from hyst_control.diagnose.workflow import diagnose_bags

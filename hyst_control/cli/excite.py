@@ -1,4 +1,4 @@
-"""Build an excitation or a reference and write it: a table, an array, a bag, or a description that the reference generator takes.
+"""Build an excitation or a reference and write it as a table, an array, a bag, or a description for the reference generator.
 
 The signal is a kind (see --list) or a .yaml file with its description, followed by parameter=value.
 
@@ -20,29 +20,29 @@ if TYPE_CHECKING:
 
 NAME = "excite"
 HELP = "build an excitation and write it as a table, array, bag or description"
-JSON = "what was made, or with --list the kinds,"
+JSON = "list of written files, or of kinds with --list,"
 READS = ("signal",)
 WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "signal", nargs="*", metavar="KIND parameter=value", help="the kind of signal, or a .yaml file, and parameters"
-    )
+    """Add the arguments of this command."""
+    parser.add_argument("signal", nargs="*", metavar="KIND parameter=value", help="kind of signal or .yaml file, and parameters")
     parser.add_argument("--list", action="store_true", help="print every kind with its parameters")
-    parser.add_argument("--output", metavar="FILE", help="to write: .csv, .npy, .yaml, else a bag; it must not exist")
+    parser.add_argument("--output", metavar="FILE", help="file to write: .csv, .npy or .yaml, otherwise a bag; it must not exist")
     parser.add_argument("--rate", type=float, default=20000.0, help="sample rate in Hz (default 20000)")
     parser.add_argument(
         "--plant",
         metavar="PLANT",
-        help="truth plant (a name in config/plants or a file): its axes, and its rating "
-        "and slew limit as bounds of an excitation in V",
+        help="truth plant (a name in config/plants or a file) whose axes are used, "
+        "and whose rating and slew limit bound an excitation in V",
     )
     parser.add_argument("--axes", type=int, help="number of axes (default 1, or the plant's)")
-    parser.add_argument("--unit", default="V", help="V for an excitation (default), um or mrad for a reference")
+    parser.add_argument("--unit", default="V", help="unit: V for an excitation (default), um or mrad for a reference")
 
 
 def run(arguments: argparse.Namespace) -> Made | Kinds:
+    """Run this command; its result, as `hyst_control.cli` describes it."""
     import numpy as np
 
     from hyst_control.errors import InputError
@@ -53,18 +53,18 @@ def run(arguments: argparse.Namespace) -> Made | Kinds:
     if arguments.list:
         return Kinds()
     if not arguments.signal:
-        raise InputError("give a kind of signal: --list names them")
+        raise InputError("give a kind of signal: hyst excite --list shows them")
     if not arguments.output:
         raise InputError("--output: give the file to write")
     if not np.isfinite(arguments.rate) or arguments.rate <= 0:
-        raise InputError(f"rate: {arguments.rate!r} Hz, a positive rate is due")
+        raise InputError(f"--rate: must be > 0 Hz, got {arguments.rate!r}")
     if arguments.axes is not None and not 1 <= arguments.axes <= 100:
-        raise InputError(f"axes: {arguments.axes}, 1 to 100 is due")
+        raise InputError(f"--axes: must be 1 to 100, got {arguments.axes}")
     spec, axes = read_description(arguments.signal), arguments.axes or 1
     if arguments.plant:
         limits, axes = plant_limits(arguments.plant, arguments.unit)
         if arguments.axes not in (None, axes):
-            raise InputError(f"axes: {arguments.axes}, the plant {arguments.plant} has {axes}: leave --axes out")
+            raise InputError(f"--axes: must be {axes} for the plant {arguments.plant}, got {arguments.axes}: leave it out")
         spec = {**limits, **spec}
     rows = build(spec, 1.0 / arguments.rate, axes)
     write_excitation(arguments.output, spec, rows, 1.0 / arguments.rate, arguments.unit)
@@ -87,12 +87,32 @@ def run(arguments: argparse.Namespace) -> Made | Kinds:
 
 
 def plant_limits(name: str, unit: str) -> tuple[dict[str, float], int]:
-    """lower, upper (V), slew_limit (V/s, where the plant has one) of a truth plant, and how many axes it has."""
+    """Bounds of an excitation for a truth plant.
+
+    Parameters
+    ----------
+    name : str
+        Name in config/plants, or file.
+    unit : str
+        Unit of the excitation, which must be V.
+
+    Returns
+    -------
+    limits : dict of str to float
+        `lower` and `upper` in V, and `slew_limit` in V/s if the plant has one.
+    axes : int
+        Number of axes of the plant.
+
+    Raises
+    ------
+    InputError
+        For another unit, and for a plant that cannot be read.
+    """
     from hyst_control.errors import InputError
     from hyst_plant_sim.physics import PlantError, load_plant
 
     if unit != "V":
-        raise InputError(f"--plant: bounds an excitation in V, not one in {unit}: leave it out, or --unit")
+        raise InputError(f"--plant: bounds an excitation in V, not in {unit}: leave out --plant or --unit")
     try:
         plant = load_plant(name)
     except PlantError as error:
@@ -102,12 +122,12 @@ def plant_limits(name: str, unit: str) -> tuple[dict[str, float], int]:
 
 
 class Kinds:
-    """Every kind of signal: its parameters with their defaults, and what it is."""
+    """List of all kinds of signals with their parameters and a sentence each."""
 
     COMMON = ("lower", "upper", "slew_limit", "axis", "idle")
 
     def document(self) -> dict[str, Any]:
-        """By name: parameters (a default of null: it has none, and must be given), and a sentence."""
+        """JSON document: kinds by name, each with parameters (a default of null must be given) and a sentence."""
         import inspect
 
         from hyst_control.records.excitation import KINDS
@@ -123,6 +143,7 @@ class Kinds:
         return {"schema": "hyst_control/excitations", "version": 1, "kinds": kinds, "common_parameters": list(self.COMMON)}
 
     def text(self) -> str:
+        """Text for people: two lines per kind."""
         lines = []
         for name, kind in self.document()["kinds"].items():
             words = [key if default is None else f"{key}={default}" for key, default in kind["parameters"].items()]
@@ -131,6 +152,6 @@ class Kinds:
         return "\n".join(
             [
                 *lines,
-                f"Each takes besides: {lower}, {upper}, {slew_limit} (bounds that it is checked against), {', '.join(others)}.",
+                f"Parameters of every kind: {lower}, {upper}, {slew_limit} (bounds that it is checked against), {', '.join(others)}.",
             ]
         )

@@ -1,4 +1,4 @@
-"""Identify a model from bags that hold `command` and `measurement`, all records at once.
+"""Identify a model from all records of bags with `command` and `measurement` together.
 
 examples:
   hyst identify demo_out/excitation --model hampi --output hampi.yaml --json fit.json
@@ -22,22 +22,24 @@ WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
     parser.add_argument("bags", nargs="+", metavar="BAG", help="rosbag2 directories, or .mcap or .db3 files")
-    parser.add_argument("--model", metavar="NAME", help="model family; without it the best on held-out data of several")
+    parser.add_argument("--model", metavar="NAME", help="model family (default: the best of several on held-out data)")
     parser.add_argument("--output", metavar="MODEL.yaml", required=True, help="model file to write")
     parser.add_argument(
         "--hold",
         choices=("zoh", "foh"),
-        help="zoh: a DAC holds the command between samples; foh: a smooth source "
-        "was sampled (default: what the bag says, else zoh)",
+        help="command between samples: zoh, held by a DAC; foh, a sampled smooth source (default: as stated in the bag, else zoh)",
     )
     parser.add_argument(
         "--start",
         choices=("settled", "unknown"),
         default="settled",
-        help="settled: at the first command, reached from 0 V; unknown: in the middle of something",
+        help="state at the start: settled at the first command, reached from 0 V (default), or unknown",
     )
-    parser.add_argument("--allow-gaps", action="store_true", help="use the stretches between lost samples")
+    parser.add_argument(
+        "--allow-gaps", action="store_true", help="accept records with lost samples, and use the stretches between them"
+    )
     parser.add_argument("--force", action="store_true", help="fit records, too, that are no measurement of their command")
     parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
@@ -45,11 +47,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_when_needed(parser: argparse.ArgumentParser) -> None:
-    """Add the families' options as soon as this command is parsed or explained: to know them takes seconds of imports."""
+    """Add the families' options only when this command is parsed or explained, because they take seconds of imports."""
     plain = parser.parse_known_args
     added: list[str] = []
 
-    def parse(*arguments: Any, **keywords: Any) -> Any:
+    def parse(*arguments: Any, **keywords: Any) -> Any:  # overloaded in argparse
         if not added:
             added.extend(add_options(parser))
         return plain(*arguments, **keywords)
@@ -58,7 +60,18 @@ def _add_when_needed(parser: argparse.ArgumentParser) -> None:
 
 
 def add_options(parser: argparse.ArgumentParser) -> list[str]:
-    """Add the options of every family, none of them given by default; their names."""
+    """Add the options of all model families, none of which has a default.
+
+    Parameters
+    ----------
+    parser : ArgumentParser
+        Parser of the command.
+
+    Returns
+    -------
+    list of str
+        Names of the options.
+    """
     from textwrap import fill
 
     from hyst_control.identify.estimator import described, estimators, every_option
@@ -80,6 +93,7 @@ def add_options(parser: argparse.ArgumentParser) -> list[str]:
 
 
 def run(arguments: argparse.Namespace) -> Result:
+    """Run this command; its result, as `hyst_control.cli` describes it."""
     from hyst_control.identify.estimator import every_option
     from hyst_control.identify.workflow import identify_bags
 

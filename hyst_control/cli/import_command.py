@@ -1,6 +1,6 @@
-"""Turn recordings of other tools into bags: CSV, white-space tables (.gz too), .npy, .npz and MATLAB .mat files.
+"""Convert recordings of other tools to bags: CSV, white-space tables (.gz too), .npy, .npz and MATLAB .mat files.
 
-A bag is taken too, also one whose recorder was killed: what can be read of it is written as a finished bag for every other tool.
+A bag is accepted too, even if its recorder was killed: its readable part is written as a finished bag for other tools.
 
 examples:
   hyst import Model_Vi_Do.dat --output model.bag --columns "command=1[V],measurement=5[um]" --rate 200 --rows 5: --hold foh
@@ -22,28 +22,30 @@ if TYPE_CHECKING:
     from hyst_control.reporting.artifacts import Made
 
 NAME = "import"
-HELP = "turn CSV, NPY, NPZ or MAT recordings into bags"
-JSON = "what was made"
+HELP = "convert CSV, NPY, NPZ or MAT recordings to bags"
+JSON = "list of written files"
 READS = ("file",)
 WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE", help="the recording")
+    """Add the arguments of this command."""
+    parser.add_argument("file", metavar="FILE", help="recording to convert")
     parser.add_argument("--output", metavar="BAG", required=True, help="bag to write, which must not exist")
     parser.add_argument("--columns", help="topic=column[unit], separated by commas (not for a bag)")
     parser.add_argument("--rate", type=float, help="sample rate in Hz (not for a bag, nor for a table with a column of times)")
-    parser.add_argument("--rows", default=":", help="first:end, counted from 0 (default all)")
+    parser.add_argument("--rows", default=":", help="rows as first:end, counted from 0 (default: all)")
     parser.add_argument(
         "--hold",
         choices=("zoh", "foh"),
         default="zoh",
-        help="zoh: a DAC held the command between samples; foh: a smooth source was sampled (default zoh)",
+        help="command between samples: zoh, held by a DAC (default); foh, a sampled smooth source",
     )
-    parser.add_argument("--variable", help="array of an .npz or .mat file")
+    parser.add_argument("--variable", help="array to read from an .npz or .mat file")
 
 
 def run(arguments: argparse.Namespace) -> Made:
+    """Run this command; its result, as `hyst_control.cli` describes it."""
     from pathlib import Path
 
     from hyst_control import progress
@@ -61,7 +63,7 @@ def run(arguments: argparse.Namespace) -> Made:
         first, _, last = arguments.rows.partition(":")
         rows = (int(first or 0), int(last) if last else None)
     except ValueError:
-        raise InputError(f"rows: {arguments.rows!r}: first:end, whole numbers, is due") from None
+        raise InputError(f"--rows: must be first:end in whole numbers, got {arguments.rows!r}") from None
     record = import_table(
         arguments.file, parse_columns(arguments.columns), arguments.rate, rows, arguments.hold, arguments.variable
     )
@@ -69,7 +71,22 @@ def run(arguments: argparse.Namespace) -> Made:
 
 
 def written(output: str, record: Record, notes: list[str]) -> Made:
-    """Write the record and say what is in it."""
+    """Write a record to a bag and describe it.
+
+    Parameters
+    ----------
+    output : str
+        Bag to write.
+    record : Record
+        The record.
+    notes : list of str
+        Lines printed before the description.
+
+    Returns
+    -------
+    Made
+        The written files, with the number of samples of every topic.
+    """
     from hyst_control import progress
     from hyst_control.records.importing import write_bag
     from hyst_control.reporting.artifacts import Made

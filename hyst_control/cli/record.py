@@ -1,7 +1,7 @@
-"""Record signal topics to a bag with the recorder node, until Ctrl-C, for a time, or for a number of ticks.
+"""Record signal topics to a bag with the recorder node until Ctrl-C, for a time, or for a number of ticks.
 
-The bag can be read at any moment, also when the recorder is killed. `--schedule timer` for signals on the wall clock, `lockstep` for
-those of a simulation that waits; the rate is that of the signals.
+The bag is readable at any moment, even if the recorder is killed. Use `--schedule timer` for signals on the wall clock and `lockstep`
+for a simulation that waits for its inputs; `--rate` is the sample rate of the signals.
 
 examples:
   hyst record --rate 1000 --duration 60 --output run.bag
@@ -18,22 +18,24 @@ if TYPE_CHECKING:
 
 NAME = "record"
 HELP = "record signal topics to a bag"
-JSON = "what was recorded"
+JSON = "list of written files"
 WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
     parser.add_argument("--output", metavar="BAG", required=True, help="bag to write, which must not exist")
     parser.add_argument("--topics", nargs="+", help="topics (default: the five of the loop)")
     parser.add_argument("--rate", type=float, default=1000.0, help="sample rate of the signals in Hz (default 1000)")
-    parser.add_argument("--schedule", choices=("timer", "lockstep"), default="timer", help="what the loop ticks by (default timer)")
-    parser.add_argument("--duration", type=float, help="end after so many seconds")
-    parser.add_argument("--ticks", type=int, help="end after so many rows of every topic")
-    parser.add_argument("--merge", type=int, default=1, help="rows stored in one message, at least (default 1)")
+    parser.add_argument("--schedule", choices=("timer", "lockstep"), default="timer", help="schedule of the loop (default timer)")
+    parser.add_argument("--duration", type=float, help="end after this time in s")
+    parser.add_argument("--ticks", type=int, help="end after this many rows of every topic")
+    parser.add_argument("--merge", type=int, default=1, help="least number of rows stored in one message (default 1)")
     parser.add_argument("--namespace", help="namespace of the topics")
 
 
 def run(arguments: argparse.Namespace) -> Made | int:
+    """Run this command; its result, as `hyst_control.cli` describes it."""
     import json
     from pathlib import Path
 
@@ -47,7 +49,7 @@ def run(arguments: argparse.Namespace) -> Made | int:
     for name in ("duration", "ticks"):
         value = getattr(arguments, name)
         if value is not None and not 0 < value < 1e12:
-            raise InputError(f"{name}: {value!r}, more than 0 is due")
+            raise InputError(f"--{name}: must be > 0 and < 1e12, got {value!r}")
     parameters = {
         "output": arguments.output,
         "topics": arguments.topics,

@@ -3,7 +3,7 @@
 examples:
   hyst reproduce hampi --json hampi.json --figures figures
   hyst reproduce page --results hampi.json mhl.json --page docs/reproduction.md
-Measurements are looked for in ../shared/data beside the repository, or in the folder that HYST_DATA names.
+Measurements are read from ../shared/data beside the repository, or from the folder named by HYST_DATA.
 """
 
 from __future__ import annotations
@@ -19,30 +19,32 @@ if TYPE_CHECKING:
 
 NAME = "reproduce"
 HELP = "run a published experiment and print its table"
-JSON = "result table (page: what was made)"
+JSON = "result table (page: list of written files)"
 READS = ("results",)
 WRITES = ("page",)
 EXPERIMENTS = ("hampi", "mhl", "pea-p885", "fsm-cubespec")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
     parser.add_argument(
         "experiment",
         choices=(*EXPERIMENTS, "page"),
         metavar="NAME",
-        help=f"{', '.join(EXPERIMENTS)}; page: the papers' targets met and missed, from results",
+        help=f"{', '.join(EXPERIMENTS)}; page: targets of the papers, met and missed, from results",
     )
     parser.add_argument("--figures", metavar="FOLDER", help="folder for the figures")
-    parser.add_argument("--results", nargs="+", metavar="JSON", help="page: results of hampi and mhl")
+    parser.add_argument("--results", nargs="+", metavar="JSON", help="page: JSON results of hampi and mhl")
     parser.add_argument("--page", metavar="OUT.md", help="page: Markdown to write")
 
 
 def run(arguments: argparse.Namespace) -> Table | Made:
+    """Run this command; its result, as `hyst_control.cli` describes it."""
     from importlib import import_module
 
     given = [arguments.results is not None, arguments.page is not None]
     if not all(given) if arguments.experiment == "page" else any(given):
-        raise InputError("--results, --page: both belong to `hyst reproduce page`, and only there")
+        raise InputError("--results, --page: give both with `hyst reproduce page`, and neither with an experiment")
     if arguments.experiment == "page":
         from hyst_control.reporting.artifacts import Made
         from hyst_control.reproduction.page import write_page
@@ -50,4 +52,5 @@ def run(arguments: argparse.Namespace) -> Table | Made:
         write_page(arguments.results, arguments.page)
         return Made("reproduce page", [arguments.page])
     experiment = import_module(f"hyst_control.reproduction.{arguments.experiment.replace('-', '_')}")
-    return experiment.run(None, arguments.figures)
+    table: Table = experiment.run(None, arguments.figures)
+    return table

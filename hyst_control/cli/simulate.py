@@ -1,4 +1,4 @@
-"""Run a model file over a recorded command or an excitation; writes a bag with `command` and `measurement`.
+"""Run a model file over a recorded command or an excitation, and write a bag with `command` and `measurement`.
 
 examples:
   hyst simulate model.yaml run.bag --output simulated.bag
@@ -15,15 +15,18 @@ if TYPE_CHECKING:
 
 NAME = "simulate"
 HELP = "run a model over a recorded command or an excitation"
-JSON = "what was made"
+JSON = "list of written files"
 READS = ("model", "bag", "excitation")
 WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
     parser.add_argument("model", metavar="MODEL.yaml", help="model file")
-    parser.add_argument("bag", nargs="?", metavar="BAG", help="bag whose command is taken")
-    parser.add_argument("--excitation", nargs="+", metavar="WORD", help="kind or .yaml file, and parameter=value (see hyst excite)")
+    parser.add_argument("bag", nargs="?", metavar="BAG", help="bag whose command is used")
+    parser.add_argument(
+        "--excitation", nargs="+", metavar="WORD", help="kind of signal or .yaml file, and parameter=value (see hyst excite)"
+    )
     parser.add_argument("--output", metavar="BAG", required=True, help="bag to write, which must not exist")
     parser.add_argument("--rate", type=float, help="sample rate of an excitation in Hz (default: the model's)")
     parser.add_argument("--seed", type=int, help="add the model's noise, drawn with this seed (default: no noise)")
@@ -31,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Made:
+    """Run this command; its result, as `hyst_control.cli` describes it."""
     import numpy as np
 
     from hyst_control import progress
@@ -46,12 +50,12 @@ def run(arguments: argparse.Namespace) -> Made:
     if bool(arguments.bag) == bool(arguments.excitation):
         raise InputError("give either a bag or --excitation")
     if arguments.seed is not None and arguments.seed < 0:
-        raise InputError(f"seed: {arguments.seed}, 0 or more is due")
+        raise InputError(f"--seed: must be >= 0, got {arguments.seed}")
     model = load_model(arguments.model)
     hold, notes = model.hold, []
     if arguments.bag:
         if arguments.rate is not None:
-            raise InputError("rate: a bag has its own: leave --rate out")
+            raise InputError("--rate: a bag has its own rate: leave it out")
         record = read_bag(arguments.bag, arguments.namespace, topics=("command",))
         [data] = record.aligned(["command"])
         commands, sample_time, hold = data.values["command"], data.sample_time, record.hold
@@ -61,7 +65,7 @@ def run(arguments: argparse.Namespace) -> Made:
     else:
         rate = 1.0 / model.sample_time if arguments.rate is None else arguments.rate
         if not np.isfinite(rate) or rate <= 0:
-            raise InputError(f"rate: {rate!r} Hz, a positive rate is due")
+            raise InputError(f"--rate: must be > 0 Hz, got {rate!r}")
         sample_time = 1.0 / rate
         commands = build(read_description(arguments.excitation), sample_time, len(model.axes))
     progress.step(f"simulate {len(commands)} samples")
@@ -75,8 +79,10 @@ def run(arguments: argparse.Namespace) -> Made:
         sigma = np.broadcast_to(np.asarray(model.noise.get("sigma", 0.0), dtype=float), len(model.axes))
         measurement = measurement + sigma * np.random.default_rng(arguments.seed).standard_normal(measurement.shape)
     if not np.isfinite(measurement).all():
-        raise InputError(f"{arguments.model}: the simulation does not stay finite with this command: is the model stable?")
-    time = np.arange(len(commands)) * sample_time
+        raise InputError(
+            f"{arguments.model}: the simulation diverges with this command: check that the model is stable and the command within its range"
+        )
+    time = np.arange(len(commands), dtype=np.float64) * sample_time
     signals = {
         "command": Signal(time, commands, tuple(model.axes), "V"),
         "measurement": Signal(time, measurement, tuple(model.axes), model.units["measurement"]),

@@ -1,4 +1,4 @@
-"""Tune the PI feedback from a model to given stability margins, and report what the loop then does.
+"""Tune the PI feedback from a model to given stability margins, and report the properties of the loop.
 
 examples:
   hyst tune config/models/fsm_mhl.yaml --rate 5000
@@ -21,22 +21,29 @@ READS = ("model",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
     parser.add_argument("model", metavar="MODEL.yaml", help="model file")
     parser.add_argument("--rate", type=float, help="sample rate of the loop in Hz (default: the model's)")
-    parser.add_argument("--gain-margin", type=float, default=6.0, metavar="DB", help="at least, in dB (default 6)")
-    parser.add_argument("--phase-margin", type=float, default=45.0, metavar="DEG", help="at least, in degrees (default 45)")
-    parser.add_argument("--peak-sensitivity", type=float, default=2.0, metavar="MS", help="at most (default 2)")
+    parser.add_argument("--gain-margin", type=float, default=6.0, metavar="DB", help="least gain margin in dB (default 6)")
+    parser.add_argument(
+        "--phase-margin", type=float, default=45.0, metavar="DEG", help="least phase margin in degrees (default 45)"
+    )
+    parser.add_argument(
+        "--peak-sensitivity", type=float, default=2.0, metavar="MS", help="greatest peak of the sensitivity (default 2)"
+    )
     parser.add_argument(
         "--loop-delay",
         type=int,
         default=0,
         metavar="TICKS",
-        help="further ticks in the loop: 0 in lockstep (default), about 1 on wall-clock timers",
+        help="additional delay of the loop in ticks: 0 in lockstep (default), about 1 on wall-clock timers",
     )
-    parser.add_argument("--gain-spread", type=float, default=0.1, help="of the plant, relative (default 0.1)")
-    parser.add_argument("--mode-spread", type=float, default=0.2, help="of the first resonance, relative (default 0.2)")
+    parser.add_argument("--gain-spread", type=float, default=0.1, help="relative spread of the plant's gain (default 0.1)")
     parser.add_argument(
-        "--model-error", type=float, default=0.15, help="of the model's response at any frequency, relative (default 0.15)"
+        "--mode-spread", type=float, default=0.2, help="relative spread of the first resonance's frequency (default 0.2)"
+    )
+    parser.add_argument(
+        "--model-error", type=float, default=0.15, help="relative error of the model's response at any frequency (default 0.15)"
     )
     parser.add_argument(
         "--roll-off",
@@ -53,13 +60,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Table:
+    """Run this command; its result, as `hyst_control.cli` describes it."""
     from hyst_control.control.tuning import tune
     from hyst_control.errors import InputError
     from hyst_control.model_file import load_model
 
     model = load_model(arguments.model)
     if arguments.rate is not None and not 0 < arguments.rate < 1e12:
-        raise InputError(f"rate: {arguments.rate!r} Hz, a positive rate is due")
+        raise InputError(f"--rate: must be > 0 Hz and < 1e12 Hz, got {arguments.rate!r}")
     try:
         roll_off = "auto" if arguments.roll_off == "auto" else float(arguments.roll_off)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Score a model on recorded bags it was not fitted to: NRMSE, NME, RMSE, as a whole and by frequency and amplitude.
+"""Score a model on recorded bags that it was not fitted to: NRMSE, NME and RMSE, in total and by frequency and amplitude.
 
 example:
   hyst validate hampi.yaml another_record
@@ -19,30 +19,37 @@ READS = ("model", "bags")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
     parser.add_argument("model", metavar="MODEL.yaml", help="model file")
     parser.add_argument("bags", nargs="+", metavar="BAG", help="recorded bags")
     add_options(parser)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Options that validate and compare share."""
+    """Add the options that `validate` and `compare` share.
+
+    Parameters
+    ----------
+    parser : ArgumentParser
+        Parser of the command.
+    """
     parser.add_argument(
         "--hold",
         choices=("zoh", "foh"),
-        help="zoh: a DAC holds the command between samples; foh: a smooth source "
-        "was sampled (default: what the bag says, else zoh)",
+        help="command between samples: zoh, held by a DAC; foh, a sampled smooth source (default: as stated in the bag, else zoh)",
     )
     parser.add_argument(
         "--start",
         choices=("settled", "unknown"),
         default="settled",
-        help="settled: at the first command, reached from 0 V; unknown: in the middle of something",
+        help="state at the start: settled at the first command, reached from 0 V (default), or unknown",
     )
     parser.add_argument("--namespace", help="namespace of the topics")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
 
 
 def run(arguments: argparse.Namespace) -> Table:
+    """Run this command; its result, as `hyst_control.cli` describes it."""
     from hyst_control.identify.validation import validate_bags
 
     models = arguments.models if hasattr(arguments, "models") else [arguments.model]

@@ -1,1 +1,1 @@
-"""ROS 2 nodes: one thin file each around an algorithm that knows no ROS."""
+"""ROS 2 nodes, each a thin file around an algorithm without ROS."""

@@ -1,9 +1,9 @@
-"""The base of every node: an end with an exit status, signals in and out by tick, services, and the two schedules.
+"""Base classes of the nodes: exit status, signals in and out by tick, services, and the two schedules.
 
-Two schedules, one code path. In `lockstep` a node advances whenever its inputs allow it, the plant being the clock; rows
-have ticks 0, 1, 2, …, each is used once, and what was lost is asked for again by repeating the newest measurement: a node
-that meets rows it knows already repeats its own newest rows. In `timer` a node ticks on the wall clock (see `tick_timer`). It then
-takes what has arrived: to be called for every message would cost more than all the rest.
+Two schedules, one code path. In `lockstep` a node advances whenever its inputs allow it; the plant is the clock. Rows have the ticks
+0, 1, 2, … and each is used once. Lost rows are requested by repeating the newest measurement: a node that receives rows it already
+has repeats its own newest rows. In `timer` a node ticks on the wall clock (see `tick_timer`) and then takes the messages that have
+arrived, because one callback per message would cost more than all the rest.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 from rclpy.task import Future
+from rclpy.timer import Timer
 from std_srvs.srv import SetBool, Trigger
 
 from hyst_control.errors import InputError
@@ -35,7 +37,15 @@ from hyst_control.records.signal_rows import Missing, SignalRows, Wait, waits
 
 
 class EndingNode(Node):
-    """A node that may end by itself, with an exit status, and answers services of its own."""
+    """Node that can end by itself with an exit status and offers services of its own.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    **options : object
+        Passed on to `rclpy.node.Node`.
+    """
 
     SETTINGS: tuple[Setting, ...] = ()
     ends = False
@@ -44,18 +54,37 @@ class EndingNode(Node):
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         self.finished = Future()
-        # not _clock: that is the node's own one, which may be simulated
+        # not `_clock`: that is the node's own clock, which may be simulated
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
 
     def close(self) -> None:
-        """Release what the node holds; called on every way out."""
+        """Release the node's files and processes; called however the node ends."""
 
-    def every(self, seconds: float, callback: Callable[[], None]) -> Any:
-        """Call back at this interval of the steady clock."""
+    def every(self, seconds: float, callback: Callable[[], None]) -> Timer:
+        """Call a function at a fixed interval of the steady clock.
+
+        Parameters
+        ----------
+        seconds : float
+            Interval in s.
+        callback : callable
+            The function.
+
+        Returns
+        -------
+        Timer
+            The node's timer, which `cancel` stops.
+        """
         return self.create_timer(seconds, callback, clock=self._steady)
 
     def once(self, callback: Callable[[], None]) -> None:
-        """Call back once, as soon as the node spins."""
+        """Call a function once, as soon as the node spins.
+
+        Parameters
+        ----------
+        callback : callable
+            The function.
+        """
 
         def call() -> None:
             timer.cancel()
@@ -64,9 +93,17 @@ class EndingNode(Node):
         timer = self.every(1e-3, call)
 
     def service(self, name: str, action: Callable[[], str]) -> None:
-        """Offer `~/name` (std_srvs/Trigger): the action's text is the answer, an `InputError` the reason why it failed."""
+        """Offer the service `~/name` (std_srvs/Trigger).
 
-        def answer(request: Any, response: Any) -> Any:
+        Parameters
+        ----------
+        name : str
+            Name of the service below the node's name.
+        action : callable
+            Carries out the request and returns the response's message; an `InputError` is the reason of a failure.
+        """
+
+        def answer(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
                 response.success, response.message = True, action()
             except InputError as error:
@@ -76,14 +113,30 @@ class EndingNode(Node):
         self.create_service(Trigger, f"~/{name}", answer)
 
     def finish(self, publisher: Publisher, code: int = 0) -> None:
-        """End the node, with this exit status, once everyone has received what the publisher sent."""
+        """End the node once every subscriber has received the messages of a publisher.
+
+        Parameters
+        ----------
+        publisher : Publisher
+            Publisher whose messages are waited for, at most 2 s.
+        code : int
+            Exit status.
+        """
         if not self.finished.done():
             publisher.wait_for_all_acked(Duration(seconds=2))
             self.finished.set_result(code)
 
 
 class SignalNode(EndingNode):
-    """A node that turns signals into signals. Subclasses implement `advance` (lockstep) and `tick` (timer)."""
+    """Node that turns signals into signals. Subclasses implement `advance` (lockstep) and `tick` (timer).
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    **options : object
+        Passed on to `rclpy.node.Node`.
+    """
 
     def __init__(self, name: str, **options: Any) -> None:
         self.polled: list[PolledSubscription] = []
@@ -98,10 +151,10 @@ class SignalNode(EndingNode):
         self.enabled = True
         refused = set_scheduler(self.settings.realtime_priority, self.settings.cpu)
         if refused:
-            self.get_logger().warning(f"realtime_priority, cpu: {refused}: running without; see ulimit -r and nproc")
+            self.get_logger().warning(f"realtime_priority, cpu: {refused}: the node runs without them; see ulimit -r and nproc")
         self.inputs: list[Input] = []
         self.received: dict[str, SignalRows] = {}
-        """State of all signals that the node receives, by topic."""
+        """State of every received signal, by topic."""
         self.counts: Counter[str] = Counter()
         self.tick_timer = TickTimer(self, self.period, self.settings.block)
         self._warnings = ThrottledWarnings(self)
@@ -113,64 +166,131 @@ class SignalNode(EndingNode):
         self.create_service(SetBool, "~/enable", self._on_enable)
 
     def advance(self) -> None:
-        """Lockstep: use whatever rows are there."""
+        """Use the rows that are available, in lockstep."""
 
     def tick(self, tick: int) -> None:
-        """Timer: `block` samples from `tick` on are due; the `tick_timer.missed` ones before it were not asked for."""
+        """Produce `block` samples, under the timer; the `tick_timer.missed` samples before them were not requested.
+
+        Parameters
+        ----------
+        tick : int
+            Tick of the first sample.
+        """
 
     def arrived(self, source: Input, tick: int, stamp: int) -> None:
-        """Timer: rows of `source` up to this tick came at this time (ns since the epoch)."""
+        """Take note of the time at which rows arrived, under the timer.
+
+        Parameters
+        ----------
+        source : Input
+            Signal that received them.
+        tick : int
+            Tick of the last row.
+        stamp : int
+            Time of reception in ns since the epoch.
+        """
 
     def repeat(self, source: Input, tick: int) -> None:
-        """Lockstep: rows of `source` from this tick on were repeated; what followed from them may have been lost."""
+        """Publish again the rows that followed from repeated ones, which may have been lost, in lockstep.
+
+        Parameters
+        ----------
+        source : Input
+            Signal whose rows were repeated.
+        tick : int
+            Tick of the first repeated row.
+        """
 
     def out_of_order(self, source: Input, tick: int) -> None:
-        """Lockstep: rows of `source` from `tick` on came while earlier ones are missing."""
+        """React to rows that arrived while earlier ones are missing, in lockstep.
+
+        Parameters
+        ----------
+        source : Input
+            Signal that received them.
+        tick : int
+            Tick of the first of them.
+        """
 
     def reset(self) -> None:
-        """Forget all state, as after a start."""
+        """Return to the state after a start."""
 
     def changed(self, name: str, value: Any) -> None:
-        """Take over the new value of a live parameter."""
+        """Take over the new value of a live parameter.
+
+        Parameters
+        ----------
+        name : str
+            Name of the parameter.
+        value : object
+            Its new value.
+        """
 
     def trouble(self) -> str:
-        """Reason that keeps the node from its work, for the diagnostics; "" when there is none."""
+        """Fault that keeps the node from its work, for the diagnostics; "" when there is none."""
         return ""
 
     def waits(self, now: float) -> list[Wait]:
-        """Signals that keep the node waiting, in lockstep; now: s, monotonic clock."""
+        """Signals that the node is waiting for, in lockstep.
+
+        Parameters
+        ----------
+        now : float
+            Time of the monotonic clock in s.
+
+        Returns
+        -------
+        list of Wait
+            One entry per signal; empty under the timer.
+        """
         return waits(self.received, now) if self.lockstep and not self.finished.done() else []
 
     def status(self) -> dict[str, Any]:
-        """More entries for the diagnostics."""
+        """Further entries of the diagnostics, by key."""
         return {}
 
     @property
-    def subscriptions(self) -> Iterator[Any]:
-        """Without those that the node polls: the executor is to leave them alone."""
+    def subscriptions(self) -> Iterator[Subscription]:
+        """Subscriptions that the executor serves: all but those that the node polls."""
         own = [intake.subscription for intake in self.polled]
         yield from (each for each in super().subscriptions if not any(each is other for other in own))
 
     def intake(self, topic: str) -> PolledSubscription:
-        """Subscribe to a topic whose messages are taken when the node asks for them."""
+        """Subscribe to a topic whose messages are taken when the node asks for them.
+
+        Parameters
+        ----------
+        topic : str
+            The topic.
+
+        Returns
+        -------
+        PolledSubscription
+            The subscription.
+        """
         self.polled.append(PolledSubscription(self, topic, self.settings.message_objects))
         return self.polled[-1]
 
     def signal_rows(
         self, topic: str, missing: Missing, drop_oldest: bool = False, clock_may_be_set_back: bool = False
     ) -> SignalRows:
-        """State of a signal that the node receives.
+        """Create the state of a signal that the node receives.
 
         Parameters
         ----------
         topic : str
             Its topic, for the diagnostics.
         missing : Missing
-            Rule for rows before which others are missing.
+            Rule for rows that arrive while earlier ones are missing.
         drop_oldest : bool
-            Drop the oldest of too many rows rather than refuse new ones.
+            Drop the oldest rows when too many wait, instead of refusing new ones.
         clock_may_be_set_back : bool
-            Tell rows that go back by the parameter `backwards` from duplicates.
+            Distinguish rows that go back by the parameter `backwards` from duplicates.
+
+        Returns
+        -------
+        SignalRows
+            The state, which the diagnostics report as well.
         """
         self.received[topic] = SignalRows(
             missing,
@@ -183,7 +303,20 @@ class SignalNode(EndingNode):
         return self.received[topic]
 
     def input(self, topic: str, unit: str, every_row: bool = True) -> Input:
-        """Subscribe to a signal whose values have this unit; `every_row`: in lockstep, none of its rows may be skipped."""
+        """Subscribe to a signal.
+
+        Parameters
+        ----------
+        topic, unit : str
+            Topic, and the unit of its values.
+        every_row : bool
+            Refuse rows that skip earlier ones, in lockstep.
+
+        Returns
+        -------
+        Input
+            The signal.
+        """
         rows = self.signal_rows(
             topic,
             Missing.REFUSE if self.lockstep and every_row else Missing.SKIP,
@@ -196,28 +329,63 @@ class SignalNode(EndingNode):
         return signal
 
     def output(self, topic: str, unit: str) -> Output:
-        """Publish a signal whose values have this unit."""
+        """Create the publisher of a signal.
+
+        Parameters
+        ----------
+        topic, unit : str
+            Topic, and the unit of its values.
+
+        Returns
+        -------
+        Output
+            The signal.
+        """
         self.senders.append(Sender(self, topic, label_for(self.axes, unit), self.settings.message_objects))
         return Output(self.senders[-1], len(self.axes) + 1, self.period, self.settings.block)
 
     def start_timer(self, phase: float) -> None:
-        """Timer schedule: tick from now on, `phase` of a tick after its beginning."""
+        """Start ticking under the timer; without effect in lockstep.
+
+        Parameters
+        ----------
+        phase : float
+            Share of a tick after its beginning at which the node is called, 0 to 1.
+        """
         if not self.lockstep:
             simulated = bool(self.get_parameter("use_sim_time").value)
             self.tick_timer.start(self, self.get_clock() if simulated else self._steady, phase, simulated)
 
     def tick_by(self, callback: Callable[[], None] | None) -> None:
-        """Let the node's timer call this at every tick; None: somebody else calls `tick_timer.call`."""
+        """Set the function that the node's timer calls at every tick.
+
+        Parameters
+        ----------
+        callback : callable or None
+            The function; None removes the timer, and the caller calls `tick_timer.call` instead.
+        """
         self.tick_timer.call_instead(self, self._steady, callback)
 
     def take_tick(self, tick: int) -> None:
-        """Timer: take what has arrived, then tick."""
+        """Take the messages that have arrived, then tick, under the timer.
+
+        Parameters
+        ----------
+        tick : int
+            Tick of the first sample.
+        """
         for signal in self.inputs:
             signal.poll()
         self.tick(tick)
 
     def time_ran_backwards(self, seconds: float) -> None:
-        """Begin anew: the clock was set back by so much (a simulation started again)."""
+        """Start again after the clock was set back, as by a restarted simulation.
+
+        Parameters
+        ----------
+        seconds : float
+            Time in s by which the clock went back.
+        """
         self.counts["time ran backwards"] += 1
         self.warn("backwards", f"time ran backwards by {seconds:g} s: starting again")
         for signal in self.inputs:
@@ -225,12 +393,24 @@ class SignalNode(EndingNode):
         self.reset()
 
     def drop(self, topic: str, kind: str, reason: str) -> None:
-        """Count a refused message, and say so once in a while."""
+        """Count a refused message, and log it at most once per interval.
+
+        Parameters
+        ----------
+        topic, kind, reason : str
+            Topic, kind of fault (counted under it), and the reason in words.
+        """
         self.counts[f"{topic}: {kind}"] += 1
         self.warn(f"{topic}: {kind}", f"{topic}: message dropped: {reason}")
 
     def warn(self, key: str, text: str) -> None:
-        """Log one line per key and interval."""
+        """Log a warning, at most one per key and interval.
+
+        Parameters
+        ----------
+        key, text : str
+            Key of the warning, and the line.
+        """
         self._warnings.warn(key, text)
 
     def _reset(self) -> str:
@@ -243,9 +423,9 @@ class SignalNode(EndingNode):
 
     def _stop(self) -> str:
         self.enabled = False
-        return "stopped: ~/enable or ~/reset goes on"
+        return "stopped: call ~/enable or ~/reset to continue"
 
-    def _on_enable(self, request: Any, response: Any) -> Any:
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self.enabled = request.data
         response.success, response.message = True, "enabled" if request.data else "disabled"
         return response
@@ -258,12 +438,14 @@ class SignalNode(EndingNode):
         health = NodeHealth(
             trouble=self.trouble(),
             stale=[signal.topic for signal in self.inputs if not self.lockstep and signal.age > self.settings.timeout],
-            rivals=[signal.topic for signal in self.inputs if self.count_publishers(signal.topic) > self.settings.most_sources],
+            contested=[signal.topic for signal in self.inputs if self.count_publishers(signal.topic) > self.settings.most_sources],
             waits=self.waits(now),
             enabled=self.enabled,
         )
-        for topic in health.rivals:
-            self.warn(f"{topic}: sources", f"{topic}: {self.count_publishers(topic)} nodes publish it: was one started twice?")
+        for topic in health.contested:
+            self.warn(
+                f"{topic}: sources", f"{topic}: {self.count_publishers(topic)} nodes publish this topic: was one started twice?"
+            )
         values = {
             "schedule": self.settings.schedule,
             "rate [Hz]": f"{(ticks - ticks_before) / (now - before):.1f}",

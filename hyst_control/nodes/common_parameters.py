@@ -1,4 +1,4 @@
-"""Parameters that all nodes of the loop have."""
+"""Parameters common to all nodes of the loop."""
 
 from __future__ import annotations
 
@@ -7,27 +7,37 @@ from hyst_control.nodes.parameters import Setting
 LOCKSTEP, TIMER = "lockstep", "timer"
 
 COMMON = (
-    Setting("schedule", LOCKSTEP, "", "what makes a node tick", choices=(LOCKSTEP, TIMER)),
+    Setting(
+        "schedule",
+        LOCKSTEP,
+        "",
+        "schedule of the node: lockstep (ticks when its inputs are there) or timer (wall clock)",
+        choices=(LOCKSTEP, TIMER),
+    ),
     Setting("rate_hz", 1000.0, "Hz", "sample rate of the signals", 1e-3, 1e6),
-    Setting("block", 1, "samples", "samples a message streams, and a tick of the timer covers", 1, 1_000_000),
+    Setting("block", 1, "samples", "samples per message, and per tick of the timer", 1, 1_000_000),
     Setting("axes", ("x",), "", "names of the axes"),
     Setting("unit", "um", "", "unit of reference and measurement", choices=("um", "mrad")),
     Setting("timeout", 0.1, "s", "age from which an input is stale, under the timer", 1e-4, 1e3, live=True),
     Setting(
-        "backwards", 1.0, "s", "an input that goes back by so much has another time: dropped, under the timer", 1e-3, 1e9, live=True
+        "backwards",
+        1.0,
+        "s",
+        "an input whose time goes back by this much has another clock: dropped, under the timer",
+        1e-3,
+        1e9,
+        live=True,
     ),
-    Setting(
-        "most_sources", 1, "publishers", "publishers of one input from which on the diagnostics warn, less one", 1, 1000, live=True
-    ),
+    Setting("most_sources", 1, "publishers", "publishers that an input may have before the diagnostics warn", 1, 1000, live=True),
     Setting(
         "most_waiting",
         65536,
         "rows",
-        "rows of an input that wait to be used; while there are so many, new ones are refused",
+        "most rows of an input that wait to be used; further ones are refused",
         1,
         100_000_000,
     ),
-    Setting("realtime_priority", 0, "level", "SCHED_FIFO priority of the process, 0 for the ordinary scheduler", 0, 99),
+    Setting("realtime_priority", 0, "level", "SCHED_FIFO priority of the process, 0 for the default scheduler", 0, 99),
     Setting("cpu", -1, "core", "core that the process is pinned to, -1 for any", -1, 1023),
-    Setting("message_objects", False, "", "exchange message objects in place of serialized bytes"),
+    Setting("message_objects", False, "", "exchange message objects instead of serialized bytes"),
 )

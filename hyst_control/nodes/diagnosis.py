@@ -1,4 +1,4 @@
-"""The diagnosis node: the model beside the running system, an alarm for the gap, and the full diagnosis on request."""
+"""Diagnosis node: runs the model beside the system, raises an alarm for the gap, and starts the full diagnosis on request."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ from hyst_control.records.signal_message import Encoder, label_for
 Array = NDArray[np.float64]
 
 GAP_LABEL = "t[s],nrmse[%],alarm[]"
-DRAIN_INTERVAL = 0.02  # s, between two looks at what has arrived: the queues hold far more
+DRAIN_INTERVAL = 0.02  # s, between two polls of the subscriptions: their queues hold far more
 ROWS_PER_MESSAGE = 1000  # in the bag of a diagnosis
 DIAGNOSE = "import os, sys; os.nice(10); from hyst_control.cli import main; sys.exit(main())"
-"""Program of the process that diagnoses; it gives way to the loop."""
+"""Program of the diagnosing process, at a lower priority than the loop."""
 
 
 class Stretch(NamedTuple):
-    """Successive rows kept for a diagnosis: the tick of the first, command and measurement (N, A)."""
+    """Successive rows kept for a diagnosis: tick of the first row, command (N, A) in V, and measurement (N, A)."""
 
     tick: int
     command: Array
@@ -48,30 +48,51 @@ class Stretch(NamedTuple):
 
 
 class DiagnosisNode(SignalNode):
-    """Runs `model` from `command` and compares it with `measurement`; see `hyst_control.diagnose.live_twin` for the alarm's statistics.
+    """Node that runs `model` from `command` and compares it with `measurement`; `diagnose.live_twin` has the alarm's statistics.
 
-    Publishes `residual` (measurement less prediction, by tick), `gap` (per window: NRMSE in % of the range, alarm 0 or 1) and its
-    diagnostics. It listens only: nothing of the loop waits for it. Ticks without a command, up to `bridge` of them, count
-    as held, as a DAC does; after longer gaps the model settles at the new command, and `settle` seconds are not counted, at
-    the start neither: the memory of the hysteresis has to fill.
+    It publishes `residual` (measurement minus prediction, by tick), `gap` (per window: NRMSE in % of the range, alarm 0 or 1) and
+    diagnostics. It only listens: no other node waits for it. Up to `bridge` ticks without a command count as held, as by a DAC. After
+    a longer gap the model settles at the new command, and `settle` seconds are not judged, because the memory of the hysteresis has
+    to fill; nor are they after the start.
 
-    `~/diagnose` starts `hyst diagnose` on what the ring buffer holds, in a process of its own that gives way to the loop, and
-    answers at once. Called while it runs, it says so; called afterwards, it tells the result once. Everything goes into a new
-    folder below `output`: bag, gap.json, augmented.yaml (where there is something to add) and the report in words.
+    `~/diagnose` starts `hyst diagnose` on the rows in the buffer, in a process of lower priority than the loop, and answers
+    immediately. A call during the diagnosis returns its progress, the first call afterwards its result. A new folder below `output`
+    gets the bag, gap.json, augmented.yaml (if there is an effect to add) and the printed report.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    **options : object
+        Passed on to `rclpy.node.Node`.
     """
 
     SETTINGS = (
         Setting("model", "", "", "model file of the simulator"),
-        Setting("window", 0.1, "s", "length of the windows that are judged", 1e-4, 1e3),
-        Setting("settle", 0.1, "s", "not counted after the start and after a gap in the ticks", 0.0, 1e4),
+        Setting("window", 0.1, "s", "length of a judged window", 1e-4, 1e3),
+        Setting("settle", 0.1, "s", "time that is not judged after the start and after a gap in the ticks", 0.0, 1e4),
         Setting(
-            "calibrate", 0.5, "s", "at the start: the coefficients, within their tolerance, and the noise are learned", 1e-3, 1e4
+            "calibrate",
+            0.5,
+            "s",
+            "time at the start in which coefficients (within their tolerance) and noise are learned",
+            1e-3,
+            1e4,
         ),
-        Setting("false_alarm_rate", 0.1, "1/h", "false alarms expected at most", 1e-9, 1e4, live=True),
-        Setting("consecutive", 3, "windows", "in a row beyond the threshold that raise the alarm, or below that end it", 1, 1000),
-        Setting("bridge", 10, "ticks", "without a command, up to which the newest one counts as held", 0, 1_000_000),
-        Setting("buffer", 2.0, "s", "newest rows kept for the diagnosis", 0.01, 1e4),
-        Setting("output", "diagnosis", "", "folder of the results of ~/diagnose", live=True),
+        Setting("false_alarm_rate", 0.1, "1/h", "highest expected rate of false alarms", 1e-9, 1e4, live=True),
+        Setting(
+            "consecutive",
+            3,
+            "windows",
+            "successive windows above the threshold that raise the alarm, or below it that end it",
+            1,
+            1000,
+        ),
+        Setting(
+            "bridge", 10, "ticks", "most successive ticks without a command that count as holding the newest one", 0, 1_000_000
+        ),
+        Setting("buffer", 2.0, "s", "length of the newest data kept for the diagnosis", 0.01, 1e4),
+        Setting("output", "diagnosis", "", "folder for the results of ~/diagnose", live=True),
     )
 
     def __init__(self, name: str = "diagnosis", **options: Any) -> None:
@@ -106,7 +127,7 @@ class DiagnosisNode(SignalNode):
         self._command = WatchedSignal(self, "command", "V", self.reset)
         self._measurement = WatchedSignal(self, "measurement", self.unit, self.reset)
         self._job: Job | None = None
-        self._told: tuple[float, int]
+        self._rate_reported: tuple[float, int]
         self._forget()
         self.service("diagnose", self._diagnose)
         self.every(DRAIN_INTERVAL, self._drain)
@@ -123,13 +144,15 @@ class DiagnosisNode(SignalNode):
     def trouble(self) -> str:
         if self._newest is not None and self._newest.alarm:
             return f"gap alarm: {self._newest.nrmse:.3g} % of the range"
-        quiet = time.monotonic() - self._heard
-        return f"no command and measurement of one tick for {quiet:.0f} s" if quiet > max(1.0, self.settings.timeout) else ""
+        quiet = time.monotonic() - self._last_comparison
+        return f"no tick with both command and measurement for {quiet:.0f} s" if quiet > max(1.0, self.settings.timeout) else ""
 
     def status(self) -> dict[str, Any]:
         newest, now = self._newest, time.monotonic()
-        entries: dict[str, Any] = {"rate [Hz]": f"{(self._compared - self._told[1]) / max(now - self._told[0], 1e-9):.1f}"}
-        self._told = now, self._compared
+        entries: dict[str, Any] = {
+            "rate [Hz]": f"{(self._compared - self._rate_reported[1]) / max(now - self._rate_reported[0], 1e-9):.1f}"
+        }
+        self._rate_reported = now, self._compared
         if newest is not None:
             entries |= {
                 f"rms [{self.unit}]": f"{newest.rms:.4g}",
@@ -147,7 +170,7 @@ class DiagnosisNode(SignalNode):
         }
 
     def held_share(self) -> float:
-        """Share of the kept measurements that repeat the one before although the command moved."""
+        """Share of the kept measurements that repeat the previous one although the command moved, 0 to 1."""
         if not self._kept:
             return 0.0
         within = np.ones(self._kept_rows - 1, bool)  # not from one stretch to the next
@@ -167,11 +190,11 @@ class DiagnosisNode(SignalNode):
         self._uncounted = 0
         self._kept: deque[Stretch] = deque()
         self._kept_rows = 0
-        self._from_rest = False  # the rows kept begin with the model settled, as a record should
+        self._from_rest = False  # the kept rows begin with the model settled, as a record should
         self._newest: Window | None = None
-        self._heard = time.monotonic()
+        self._last_comparison = time.monotonic()
         self._compared = self._bridged = self._settled_anew = 0
-        self._told = self._heard, 0  # when the rate was told last, and rows compared then
+        self._rate_reported = self._last_comparison, 0  # time of the last reported rate, and rows compared until then
 
     def _drain(self) -> None:
         self._command.drain()
@@ -189,7 +212,7 @@ class DiagnosisNode(SignalNode):
             self._due = None
 
     def _follow(self, first: int, commands: Array, ticks: NDArray[np.int64], measured: Array) -> None:
-        """Successive commands (N, A) from this tick on, and the measurements (M, A) of those of their ticks that have one."""
+        """Run the model over successive commands (N, A) and compare it with the measurements (M, A) of these ticks that exist."""
         missing = None if self._due is None else first - self._due
         if missing is None or missing > self.settings.bridge:
             self._settle(first, commands[0])
@@ -215,8 +238,8 @@ class DiagnosisNode(SignalNode):
         self._from_rest = self.lockstep and tick == 0
 
     def _compare(self, tick: int, commands: Array, measured: Array, predicted: Array, slopes: Array) -> None:
-        """Successive rows that have both: publish what is between them, judge it, keep them."""
-        self._heard = time.monotonic()
+        """Publish, judge and keep successive rows of command, measurement and prediction."""
+        self._last_comparison = time.monotonic()
         self._compared += len(measured)
         residual = measured - predicted
         self._residual.send(tick, residual)
@@ -239,12 +262,12 @@ class DiagnosisNode(SignalNode):
             self._from_rest = False
 
     def _diagnose(self) -> str:
-        """Start a diagnosis, or tell how the one that was started goes."""
-        if self._job is not None and (self._job.running or not self._job.told):
-            self._job.told = not self._job.running
+        """Start a diagnosis, or report the state of the one that was started."""
+        if self._job is not None and (self._job.running or not self._job.reported):
+            self._job.reported = not self._job.running
             return self._job.text()
         if not self._kept:
-            raise InputError("nothing was recorded yet: run the loop until command and measurement have come")
+            raise InputError("no data yet: run the loop until command and measurement have been received")
         with as_input_error(self.settings.output):
             output = Path(self.settings.output).resolve()
             output.mkdir(parents=True, exist_ok=True)
@@ -254,12 +277,12 @@ class DiagnosisNode(SignalNode):
         return f"started: {self._kept_rows} rows, {self._kept_rows * self.period:.3g} s: {folder}"
 
     def _write(self, path: Path) -> None:
-        """The kept rows as a bag."""
+        """Write the kept rows to a bag."""
         ticks = np.concatenate([rows.tick + np.arange(len(rows.command)) for rows in self._kept])
         values = {name: np.concatenate([getattr(rows, name) for rows in self._kept]) for name in ("command", "measurement")}
         wanted = np.ones(len(ticks), bool)
-        # A record that does not start at rest gets a gap behind its first row: behind a gap, the diagnosis leaves out the time in
-        # which the memory of the hysteresis fills.
+        # A record that does not start at rest gets a gap after its first row: after a gap the diagnosis ignores the time in which the
+        # memory of the hysteresis fills.
         wanted[1:2] = self._from_rest
         ticks = ticks[wanted]
         runs = np.split(np.arange(len(ticks)), np.flatnonzero(np.diff(ticks) > 1) + 1)
@@ -273,10 +296,18 @@ class DiagnosisNode(SignalNode):
 
 
 class Job:
-    """A diagnosis in a process of its own, in a folder that gets its results."""
+    """Diagnosis in a process of its own.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder with the bag `record`, which gets the results.
+    model : Path
+        Model file.
+    """
 
     def __init__(self, folder: Path, model: Path) -> None:
-        self.folder, self.told = folder, False
+        self.folder, self.reported = folder, False
         self._begun = time.monotonic()
         path = os.pathsep.join(filter(None, [str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH")]))
         arguments = [
@@ -293,7 +324,7 @@ class Job:
         if find_spec("hyst_control.diagnose.gap_page"):
             arguments += ["--report", str(folder / "gap.html")]
         with open(folder / "gap.txt", "wb") as words:
-            # In a session of its own, so that a Ctrl-C for the node does not reach it, and all of it can be ended at once.
+            # A session of its own: a Ctrl-C for the node does not reach it, and all its processes can be ended together.
             self._process = subprocess.Popen(
                 [sys.executable, "-c", DIAGNOSE, *arguments],
                 stdin=subprocess.DEVNULL,
@@ -309,19 +340,19 @@ class Job:
         return self._process.poll() is None
 
     def text(self) -> str:
-        """Progress, or the result in a sentence and its folder."""
+        """Progress, or the result in one sentence with its folder."""
         if self.running:
             return f"running for {time.monotonic() - self._begun:.0f} s: {self.folder}"
         with suppress(OSError):
             lines = (self.folder / "gap.txt").read_text(encoding="utf-8", errors="replace").split("\n")
             if any(lines):
                 failed = self._process.returncode != 0
-                told = next(line for line in (reversed(lines) if failed else lines) if line)
-                return f"{'failed: ' if failed else ''}{told} ({self.folder})"
-        return f"failed: status {self._process.returncode}, without a word ({self.folder})"
+                sentence = next(line for line in (reversed(lines) if failed else lines) if line)
+                return f"{'failed: ' if failed else ''}{sentence} ({self.folder})"
+        return f"failed: status {self._process.returncode}, no output ({self.folder})"
 
     def end(self) -> None:
-        """End the process and those that it started."""
+        """End the process and all that it started."""
         if self.running:
             with suppress(ProcessLookupError):
                 os.killpg(self._process.pid, signal.SIGTERM)
@@ -330,7 +361,13 @@ class Job:
 
 @contextmanager
 def as_input_error(path: str) -> Iterator[None]:
-    """Tell a folder or disk that cannot be written in one line."""
+    """Raise `InputError` for a folder or disk that cannot be written to.
+
+    Parameters
+    ----------
+    path : str
+        Path that the message names.
+    """
     try:
         yield
     except OSError as error:
@@ -338,7 +375,7 @@ def as_input_error(path: str) -> Iterator[None]:
 
 
 def main() -> int:
-    """The executable."""
+    """Run the executable; its exit status."""
     return run_main(DiagnosisNode)
 
 

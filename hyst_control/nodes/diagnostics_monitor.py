@@ -1,4 +1,4 @@
-"""Writes what the nodes of a ROS domain say in their diagnostics as lines of JSON, for programs that know no ROS."""
+"""Diagnostics of all nodes of a ROS domain as lines of JSON, for programs without ROS."""
 
 from __future__ import annotations
 
@@ -11,13 +11,19 @@ from hyst_control.nodes.run import main as run_main
 
 
 class Monitor(EndingNode):
-    """One line per message and status: `{"node": …, "stamp": s, "values": {…}}`."""
+    """Node that prints one line per status: `{"node": …, "stamp": …, "values": {…}}`, the stamp in s.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    """
 
     def __init__(self, name: str = "monitor") -> None:
         super().__init__(name)
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._heard, 100)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
 
-    def _heard(self, message: DiagnosticArray) -> None:
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         for status in message.status:
             print(
@@ -33,7 +39,7 @@ class Monitor(EndingNode):
 
 
 def main() -> int:
-    """The executable."""
+    """Run the executable; its exit status."""
     return run_main(Monitor)
 
 

@@ -1,4 +1,4 @@
-"""Distributions of durations, kept in a fixed room whatever the length of the run."""
+"""Distribution of durations in fixed memory, however long the run."""
 
 from __future__ import annotations
 
@@ -7,29 +7,46 @@ import math
 import numpy as np
 
 SHORTEST, LONGEST = 1e-7, 1e3
-"""s; shorter and longer durations count as these."""
+"""s; shorter and longer durations are counted as these."""
 RESOLUTION = 0.01
-"""Width of a class, relative."""
+"""Relative width of a bin."""
 
 
 class Durations:
-    """A histogram of durations (s) with logarithmic classes of 1 %."""
+    """Histogram of durations (s) with logarithmic bins of 1 %."""
 
     def __init__(self) -> None:
         self._offset = math.log(SHORTEST)
         self._counts = np.zeros(int((math.log(LONGEST) - self._offset) / RESOLUTION) + 2, dtype=np.int64)
 
     def add(self, seconds: float) -> None:
-        """Count one duration."""
+        """Count one duration.
+
+        Parameters
+        ----------
+        seconds : float
+            The duration in s.
+        """
         self._counts[int((math.log(min(max(seconds, SHORTEST), LONGEST)) - self._offset) / RESOLUTION)] += 1
 
     @property
     def count(self) -> int:
-        """Number of durations that were counted."""
+        """Number of counted durations."""
         return int(self._counts.sum())
 
     def quantile(self, share: float) -> float:
-        """The duration (s) that this share of all did not exceed, to 1 %; NaN before the first one."""
+        """Quantile of the durations, to 1 %.
+
+        Parameters
+        ----------
+        share : float
+            Share of the durations that do not exceed it, 0 to 1.
+
+        Returns
+        -------
+        float
+            The quantile in s; NaN before the first duration.
+        """
         total = self.count
         if not total:
             return math.nan
@@ -37,7 +54,18 @@ class Durations:
         return math.exp(self._offset + (at + 0.5) * RESOLUTION)
 
     def entries(self, name: str) -> dict[str, str]:
-        """Median, 99 and 99.9 % in us, as entries of the diagnostics."""
+        """Median, 99 % and 99.9 % quantiles as entries of the diagnostics.
+
+        Parameters
+        ----------
+        name : str
+            Beginning of the keys.
+
+        Returns
+        -------
+        dict of str
+            Quantiles in us, by key; empty before the first duration.
+        """
         return {
             f"{name} {label} [us]": f"{self.quantile(share) * 1e6:.1f}"
             for label, share in (("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999))

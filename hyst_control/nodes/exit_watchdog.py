@@ -1,7 +1,7 @@
-"""The end of a process that the middleware keeps from ending.
+"""Watchdog that ends a process which the middleware keeps from ending.
 
-The standard library has no equal. `faulthandler.dump_traceback_later(exit=True)` needs no lock of the interpreter either, but it ends
-the process with status 1 and a traceback, where a node's own status is due: 0 after an interrupt, 2 on bad input. A
+The standard library has no equivalent. `faulthandler.dump_traceback_later(exit=True)` does not need the interpreter's lock either, but
+ends the process with status 1 and a traceback, not with the node's own status (0 after an interrupt, 2 on bad input). A
 `threading.Timer` and a handler of `signal.signal` need the lock, and the default action of SIGALRM ends the process by a signal.
 """
 
@@ -11,7 +11,7 @@ import ctypes
 import sys
 
 PATIENCE = 5.0
-"""s, for what takes some milliseconds."""
+"""s; ending normally takes a few milliseconds."""
 
 _SIGEV_THREAD, _CLOCK_MONOTONIC = 2, 1
 
@@ -36,11 +36,11 @@ class _Duration(ctypes.Structure):
 
 
 def exit_within(status: int, seconds: float = PATIENCE) -> None:
-    """End the process if it still runs after a while, whatever it waits for.
+    """End the process if it is still running after a time, whatever it is waiting for.
 
-    Fast DDS 2.14 may stand still for ever while it destroys a participant and hears that another one leaves, as when one Ctrl-C ends
-    all nodes: `DomainParticipant::set_listener` waits for a callback of the discovery, which waits for it. The call holds the
-    interpreter's lock, so no Python code could end it: a timer of the C library calls `_exit`.
+    Fast DDS 2.14 can deadlock while it destroys a participant and learns that another one leaves, as when one Ctrl-C ends all nodes:
+    `DomainParticipant::set_listener` waits for a callback of the discovery, which waits for it. The call holds the interpreter's
+    lock, so no Python code can end it; a timer of the C library calls `_exit`.
 
     Parameters
     ----------

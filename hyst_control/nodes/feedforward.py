@@ -1,4 +1,4 @@
-"""Base of the feedforward nodes: reference rows in, the compensator's rows out, each labelled with its own tick."""
+"""Base of the feedforward nodes: reference rows in, compensator rows out, each labeled with its own tick."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hyst_control.nodes.signal_ports import Input
 
 
 class Feedforward(SignalNode):
-    """Streams `reference` through a compensator to `feedforward` (V).
+    """Node that streams `reference` through a compensator to `feedforward` (V).
 
     A compensator with a preview of q ticks gives row k once row k + q of the reference is there, so the generator's
     `lead` must be q at least. After a start or reset it is at rest at the first reference it meets. With `learning` it adds what it
@@ -29,24 +29,41 @@ class Feedforward(SignalNode):
     KIND = "proportional"
 
     def __init__(self, name: str, compensator: Compensator | None = None, **options: Any) -> None:
-        """compensator: used in place of the one that the parameters describe."""
+        """Create the node.
+
+        Parameters
+        ----------
+        name : str
+            Name of the node.
+        compensator : Compensator, optional
+            Used instead of the one that the parameters describe.
+        **options : object
+            Passed on to `rclpy.node.Node`.
+        """
         self.SETTINGS = (
             *feedforward_learning.SETTINGS,
             Setting("model", "", "", "model file that the compensator inverts"),
             Setting("kind", self.KIND, "", "kind of compensator", choices=(*KINDS, "proportional")),
             Setting("inverse", "zpetc", "", "inverse of the dynamics", choices=("zpetc", "zmetc", "npz_ignore", "none")),
-            Setting("discretisation", "zoh", "", "of the dynamics", choices=("zoh", "tustin")),
-            Setting("preview", True, "", "look ahead where the inverse of the dynamics can; otherwise the command is late"),
-            Setting("iterations", -1, "iterations", "of the inverse of the hysteresis, -1 for the kind's own", -1, 1000),
+            Setting("discretisation", "zoh", "", "discretization of the dynamics", choices=("zoh", "tustin")),
+            Setting("preview", True, "", "look ahead as far as the inverse of the dynamics allows; if false, the command is late"),
+            Setting(
+                "iterations",
+                -1,
+                "iterations",
+                "iterations of the inverse of the hysteresis, -1 for the default of the kind",
+                -1,
+                1000,
+            ),
             Setting(
                 "smoothing",
                 0,
                 "ticks",
-                "order of a low-pass without phase of the reference, which looks as many ticks ahead",
+                "order of a zero-phase low-pass of the reference, which looks as many ticks ahead",
                 0,
                 20,
             ),
-            Setting("inverse_model", "", "", "model file with inverse curves identified by themselves"),
+            Setting("inverse_model", "", "", "model file with separately identified inverse curves"),
             Setting(
                 "rate_filter",
                 RATE_FILTER,
@@ -55,7 +72,9 @@ class Feedforward(SignalNode):
                 0.0,
                 1e12,
             ),
-            Setting("limits", (0.0, 0.0), "V", "rating of the drive, lower and upper; equal: the model's valid range", -1e6, 1e6),
+            Setting(
+                "limits", (0.0, 0.0), "V", "rating of the drive, lower and upper; if equal, the model's valid range", -1e6, 1e6
+            ),
             Setting("gain", (0.0,), "V per unit", "proportional: gain of all axes or of each", -1e12, 1e12),
             Setting("offset", (0.0,), "V", "proportional: command at reference 0, of all axes or of each", -1e6, 1e6),
         )

@@ -1,4 +1,4 @@
-"""The identification node: fits a model to recorded bags, on request or once."""
+"""Identification node: fits a model to recorded bags, on request or once."""
 
 from __future__ import annotations
 
@@ -17,12 +17,36 @@ from hyst_control.nodes.run import main as run_main
 
 @dataclass(frozen=True)
 class FamilyOption(Setting):
-    """An option of some model families; empty: not given. Any type that one of them takes, or its text."""
+    """Parameter for an option of one or several model families.
+
+    Its value has any type that one of the families accepts, or is the text of such a value; an empty text means not given.
+
+    Attributes
+    ----------
+    families : mapping of str to Option
+        The option as each family declares it.
+    """
 
     families: Mapping[str, Option] = field(default_factory=dict)
 
     def convert(self, value: object) -> object:
-        """Return the value as given. Raises `InputError` where it is an option of no family."""
+        """Check a value.
+
+        Parameters
+        ----------
+        value : object
+            The value as given.
+
+        Returns
+        -------
+        object
+            The value, a list as a tuple.
+
+        Raises
+        ------
+        InputError
+            When no family accepts it.
+        """
         if isinstance(value, str) and value == "":
             return value
         given = tuple(value) if isinstance(value, Iterable) and not isinstance(value, str) else value
@@ -37,7 +61,7 @@ class FamilyOption(Setting):
 
 
 def family_settings() -> tuple[FamilyOption, ...]:
-    """Return the node's parameters for the options of every model family."""
+    """Parameters of the node for the options of all model families."""
     return tuple(
         FamilyOption(name, "joint" if name == "method" else "", "", described(families), live=True, families=families)
         for name, families in every_option().items()
@@ -45,10 +69,17 @@ def family_settings() -> tuple[FamilyOption, ...]:
 
 
 class Identification(EndingNode):
-    """Does what `hyst identify` does with the parameters as they stand, when `~/identify` is called, or with `once` and ends.
+    """Node that runs `hyst identify` with its parameters, whenever `~/identify` is called, or once at the start with `once`.
 
-    The service answers with the fit's summary, or with the reason why there is none. A fit takes seconds, in which the node
-    does nothing else; the loop's nodes are other nodes.
+    The service answers with the summary of the fit, or with the reason of a failure. A fit takes seconds, in which this node does
+    nothing else; the nodes of the loop are not affected.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    **options : object
+        Passed on to `rclpy.node.Node`.
     """
 
     SETTINGS = (
@@ -56,7 +87,7 @@ class Identification(EndingNode):
         Setting("family", "", "", "model family, such as hapi or hampi; empty for the best one on held-out data", live=True),
         Setting("output", "", "", "model file to write", live=True),
         Setting("json", "", "", "fit report to write", live=True),
-        Setting("once", False, "", "identify at the start and end"),
+        Setting("once", False, "", "identify at the start, then end"),
         *family_settings(),
     )
 
@@ -72,7 +103,7 @@ class Identification(EndingNode):
         given = self.settings
         for name in ("bags", "output"):
             if not any(getattr(given, name)):
-                raise InputError(f"{self.get_name()}: parameter {name}: is empty: set it first")
+                raise InputError(f"{self.get_name()}: parameter {name}: must not be empty: set it first")
         options = {name: getattr(given, name) for name in every_option() if getattr(given, name) != ""}
         result = identify_bags(given.bags, given.family or None, given.output, json_path=given.json or None, **options)
         return result.text()
@@ -87,7 +118,7 @@ class Identification(EndingNode):
 
 
 def main() -> int:
-    """The executable."""
+    """Run the executable; its exit status."""
     return run_main(Identification)
 
 

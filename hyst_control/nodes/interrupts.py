@@ -1,6 +1,6 @@
-"""Ctrl-C in a process of nodes: one handler from beginning to end, which lets it wait or pass where that is asked for.
+"""Ctrl-C in a process of nodes: one handler for the whole run, which can delay or ignore an interrupt.
 
-It is set before `rclpy.init`, whose own handler then calls it. One that was set later would take rclpy's out of the chain.
+It is set before `rclpy.init`, whose own handler then calls it. A handler set later would replace rclpy's.
 """
 
 from __future__ import annotations
@@ -12,59 +12,59 @@ from contextlib import contextmanager
 from types import FrameType
 
 _count = 0
-"""Interrupts heard since `listen`."""
-_held = False
-"""True while an interrupt is only counted."""
+"""Number of interrupts since `listen`."""
+_only_counting = False
+"""True while interrupts are only counted."""
 
 
 def listen() -> None:
-    """Answer the interrupts of this process from now on: each raises KeyboardInterrupt in the main thread."""
-    global _count, _held
-    _count, _held = 0, False
+    """Start handling the interrupts of this process: each raises KeyboardInterrupt in the main thread."""
+    global _count, _only_counting
+    _count, _only_counting = 0, False
     signal.signal(signal.SIGINT, _on_interrupt)
 
 
-def heard() -> bool:
-    """True once an interrupt has come, also one that a library has swallowed."""
+def received() -> bool:
+    """True after an interrupt, also one that a library has suppressed."""
     return _count > 0
 
 
 def ignore() -> None:
-    """Let interrupts pass without effect from now on: the process ends."""
-    global _held
-    _held = True
+    """Ignore interrupts from now on, because the process is ending."""
+    global _only_counting
+    _only_counting = True
 
 
 @contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Let interrupts pass without effect meanwhile.
+def ignored() -> Iterator[None]:
+    """Ignore interrupts within the context.
 
-    rclpy hears a Ctrl-C first, in a thread of its own: Python's own interrupt of the same signal, or a second one, would come while the
-    nodes are being closed and a bag is finished.
+    rclpy receives a Ctrl-C first, in a thread of its own. Python's interrupt of the same signal, or a second one, would arrive while
+    nodes are being closed and a bag is being finished.
     """
-    global _held
-    if threading.current_thread() is not threading.main_thread():  # where Python interrupts nobody
+    global _only_counting
+    if threading.current_thread() is not threading.main_thread():  # Python interrupts the main thread only
         yield
         return
-    before, _held = _held, True
+    before, _only_counting = _only_counting, True
     try:
         yield
     finally:
-        _held = before
+        _only_counting = before
 
 
 @contextmanager
-def undivided() -> Iterator[None]:
-    """Let an interrupt wait until the block has ended: what is half done would be lost."""
+def delayed() -> Iterator[None]:
+    """Delay an interrupt until the context ends, so that nothing is lost half done."""
     before = _count
-    with uninterrupted():
+    with ignored():
         yield
-    if _count > before and not _held and threading.current_thread() is threading.main_thread():
+    if _count > before and not _only_counting and threading.current_thread() is threading.main_thread():
         raise KeyboardInterrupt
 
 
 def _on_interrupt(number: int, frame: FrameType | None) -> None:
     global _count
     _count += 1
-    if not _held:
+    if not _only_counting:
         raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""Sending and receiving signal blocks: serialized bytes where the middleware takes them, message objects otherwise."""
+"""Sending and receiving of signal blocks: serialized bytes if the middleware takes them, else message objects."""
 
 from __future__ import annotations
 
@@ -18,26 +18,40 @@ from hyst_control.records.signal_message import ROW_LABEL, Decoder, Encoder
 
 Array = NDArray[np.float64]
 
-# Every sample counts: reliable, and a queue that holds what a recorder may lag behind.
+# Every sample counts: reliable delivery, and a queue as long as the lag that a recorder may have.
 QUEUE = QoSProfile(history=QoSHistoryPolicy.KEEP_LAST, depth=5000, reliability=QoSReliabilityPolicy.RELIABLE)
 
 
 class LocalReceiver(Protocol):
-    """LocalReceiver within the process: messages are handed to it instead of being sent to its subscription."""
+    """Receiver within the process, to which messages are handed directly instead of through its subscription.
+
+    Attributes
+    ----------
+    topic : str
+        Its topic.
+    raw : bool
+        True when it takes serialized messages.
+    """
 
     topic: str
     raw: bool
 
     def hand(self, raw: bytes) -> None:
-        """Take over a serialized message; what it means is looked at later."""
+        """Queue a serialized message, to be decoded later.
+
+        Parameters
+        ----------
+        raw : bytes
+            The message.
+        """
 
 
 class Sender:
-    """Publishes blocks (N, C) of one topic.
+    """Publisher of the blocks (N, C) of one topic.
 
-    Once it is `linked`, its messages are handed to the receivers within the process for as long as these are the only ones. When
-    somebody else has been seen to listen all go through the middleware, for good: its messages and those handed over would overtake
-    each other.
+    After `link`, messages are handed directly to the receivers within the process as long as these are the only subscribers. Once
+    another subscriber has been seen, all messages go through the middleware from then on: otherwise messages of the two ways could
+    overtake each other.
 
     Parameters
     ----------
@@ -46,24 +60,36 @@ class Sender:
     topic, label : str
         Topic, and the column label of its messages.
     objects : bool
-        Send message objects in place of serialized bytes.
+        Send message objects instead of serialized bytes.
     """
 
     def __init__(self, node: Node, topic: str, label: str, objects: bool = False) -> None:
         self.publisher = node.create_publisher(Float64MultiArray, topic, QUEUE)
         self.topic = self.publisher.topic_name
         self.within = False
-        """True while messages are handed over."""
+        """True while messages are handed over within the process."""
         self._encoder = Encoder(label)
         self._objects = objects
         self._receivers: Sequence[LocalReceiver] = ()
 
     def link(self, receivers: Sequence[LocalReceiver]) -> None:
-        """Hand messages over to these, which are all subscribers of this topic within the process."""
+        """Hand messages directly to receivers within the process.
+
+        Parameters
+        ----------
+        receivers : sequence of LocalReceiver
+            All subscribers of this topic within the process.
+        """
         self._receivers, self.within = receivers, not self._objects and all(receiver.raw for receiver in receivers)
 
     def send(self, block: Array) -> None:
-        """Publish a block (N, C), column 0 the sample time in s."""
+        """Publish a block.
+
+        Parameters
+        ----------
+        block : ndarray, shape (N, C)
+            Rows of the signal; column 0 is the sample time in s.
+        """
         if not self._objects:
             message = self._encoder.encode(block)
             if self.within:
@@ -81,7 +107,7 @@ class Sender:
 
 
 class CallbackSubscription:
-    """A subscription that calls back for every message.
+    """Subscription with a callback for every message.
 
     Parameters
     ----------
@@ -94,7 +120,7 @@ class CallbackSubscription:
     refused : callable
         Called with the reason why a message cannot be read.
     objects : bool
-        Take message objects in place of serialized bytes.
+        Take message objects instead of serialized bytes.
     """
 
     def __init__(
@@ -103,7 +129,7 @@ class CallbackSubscription:
         self._callback, self._refused, self._decoder = callback, refused, Decoder()
         self.raw = not objects
         self.post: Callable[[CallbackSubscription], None] | None = None
-        """Told of every message that was handed over: `take` is due."""
+        """Called for every message that was handed over, to arrange a call of `take`."""
         self._handed: deque[bytes] = deque()
         if self.raw:
             try:
@@ -115,13 +141,19 @@ class CallbackSubscription:
         self.topic = self.subscription.topic_name
 
     def hand(self, raw: bytes) -> None:
-        """Take over a message of a sender in this process."""
+        """Queue a message of a sender in this process.
+
+        Parameters
+        ----------
+        raw : bytes
+            The serialized message.
+        """
         self._handed.append(raw)
         if self.post is not None:
             self.post(self)
 
     def take(self) -> None:
-        """Call back for the oldest message that was handed over, if there is one."""
+        """Deliver the oldest message that was handed over, if there is one."""
         if self._handed:
             self._decode(self._handed.popleft())
 
@@ -148,7 +180,7 @@ class CallbackSubscription:
 
 
 class PolledSubscription:
-    """A subscription whose messages are taken when it suits the owner, many at a time, instead of one callback for each.
+    """Subscription without callbacks: its owner takes the messages when it is ready, many at a time.
 
     Parameters
     ----------
@@ -157,7 +189,7 @@ class PolledSubscription:
     topic : str
         Topic.
     objects : bool
-        Take message objects in place of serialized bytes.
+        Take message objects instead of serialized bytes.
     """
 
     def __init__(self, node: Node, topic: str, objects: bool = False) -> None:
@@ -167,20 +199,26 @@ class PolledSubscription:
         self._handed: deque[tuple[Any, int]] = deque(maxlen=QUEUE.depth)  # as many as the middleware would keep
 
     def hand(self, raw: bytes) -> None:
-        """Take over a message of a sender in this process."""
+        """Queue a message of a sender in this process.
+
+        Parameters
+        ----------
+        raw : bytes
+            The serialized message.
+        """
         self._handed.append((raw, time.time_ns()))
 
     def take(self, refused: Callable[[str], None], merge: bool = False) -> list[tuple[str, Array, int]]:
         """Take the messages that have arrived.
 
-        At most as many as the queue holds: a source that sends faster than this takes must not keep the owner here.
+        It takes at most as many as the queue holds, so that a source that is faster than its receiver cannot block the owner.
 
         Parameters
         ----------
         refused : callable
             Called with the reason why a message cannot be read.
         merge : bool
-            Make one block of successive messages of one form, received when the last of them was.
+            Join successive messages of equal label and size into one block, with the time of reception of the last one.
 
         Returns
         -------
@@ -214,7 +252,20 @@ class PolledSubscription:
 
 
 def to_message(label: str, block: Array) -> Float64MultiArray:
-    """The message object of a block (N, C)."""
+    """Convert a block to a message object.
+
+    Parameters
+    ----------
+    label : str
+        Column label.
+    block : ndarray, shape (N, C)
+        Rows of the signal; column 0 is the sample time in s.
+
+    Returns
+    -------
+    Float64MultiArray
+        The message.
+    """
     rows, columns = block.shape
     message = Float64MultiArray(data=array.array("d", block.tobytes()))  # an ndarray would be copied item by item
     message.layout.dim = [
@@ -225,7 +276,25 @@ def to_message(label: str, block: Array) -> Float64MultiArray:
 
 
 def from_message(message: Float64MultiArray) -> tuple[str, Array]:
-    """Label and block (N, C) of a message object; the label is "" when it has no layout. Raises ValueError."""
+    """Convert a message object to a block.
+
+    Parameters
+    ----------
+    message : Float64MultiArray
+        The message.
+
+    Returns
+    -------
+    label : str
+        Column label; "" when the message has no layout.
+    block : ndarray, shape (N, C)
+        Rows of the signal.
+
+    Raises
+    ------
+    ValueError
+        When layout and data do not agree.
+    """
     data = np.frombuffer(message.data, np.float64)
     if not message.layout.dim:
         return "", data.reshape(1, -1)

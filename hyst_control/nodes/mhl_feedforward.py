@@ -1,4 +1,4 @@
-"""The MHL feedforward node."""
+"""MHL feedforward node."""
 
 from __future__ import annotations
 
@@ -9,7 +9,15 @@ from hyst_control.nodes.run import main as run_main
 
 
 class MhlFeedforward(Feedforward):
-    """A feedforward whose compensator is of the kind `mhl` unless another is asked for."""
+    """Feedforward node whose default compensator is of the kind `mhl`.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    **options : object
+        Passed on to `Feedforward`.
+    """
 
     KIND = "mhl"
 
@@ -18,7 +26,7 @@ class MhlFeedforward(Feedforward):
 
 
 def main() -> int:
-    """The executable."""
+    """Run the executable; its exit status."""
     return run_main(MhlFeedforward)
 
 

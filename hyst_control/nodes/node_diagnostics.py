@@ -1,4 +1,4 @@
-"""A node's words about itself: its entry in `/diagnostics`, and log lines that do not repeat themselves."""
+"""Status of a node: its entry in `/diagnostics`, and log lines limited in rate."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ from rclpy.node import Node
 from hyst_control.records.signal_rows import Wait
 
 DIAGNOSTICS_INTERVAL = 1.0  # s
-LOG_INTERVAL = 5.0  # s, between two log lines about one thing
+LOG_INTERVAL = 5.0  # s, between two log lines with the same key
 REPORTED_WAIT = 0.1
-"""s; shorter waits are those of a loop that runs."""
+"""s; shorter waits are those of a running loop and are not reported."""
 WAIT_WARNING = 2.0
-"""s, from which on a wait is warned of: what was lost is sent again long before that."""
+"""s; a longer wait sets the level to WARN. Lost rows are sent again long before that."""
 
 
 @dataclass(frozen=True)
 class NodeHealth:
-    """State that decides about the level and message of a node's diagnostics.
+    """State that determines the level and message of a node's diagnostics.
 
     Attributes
     ----------
     trouble : str
-        What keeps the node from its work, in its own words; "" when nothing does.
+        Fault that keeps the node from its work; "" when there is none.
     stale : sequence of str
         Inputs that are too old, under the timer.
-    rivals : sequence of str
+    contested : sequence of str
         Inputs that several nodes publish.
     waits : sequence of Wait
-        Signals that are waited for, in lockstep.
+        Signals that the node is waiting for, in lockstep.
     enabled : bool
-        Whether the node may work.
+        False after `~/stop`, and after `~/enable` with false.
     """
 
     trouble: str = ""
     stale: Sequence[str] = ()
-    rivals: Sequence[str] = ()
+    contested: Sequence[str] = ()
     waits: Sequence[Wait] = ()
     enabled: bool = True
 
@@ -55,20 +55,20 @@ class NodeHealth:
         """Entries of the diagnostics."""
         return {
             "stale": ", ".join(self.stale) or "none",
-            "several sources": ", ".join(self.rivals) or "none",
+            "several sources": ", ".join(self.contested) or "none",
             "waiting_for": self.waiting_for,
             "enabled": self.enabled,
         }
 
     @property
     def warning(self) -> str:
-        """The first of the reasons to warn, "" when there is none."""
+        """First reason for a warning; "" when there is none."""
         if self.trouble:
             return self.trouble
         if self.stale:
             return f"stale: {', '.join(self.stale)}"
-        if self.rivals:
-            return f"several sources: {', '.join(self.rivals)}"
+        if self.contested:
+            return f"several sources: {', '.join(self.contested)}"
         if any(wait.seconds >= WAIT_WARNING for wait in self.waits):
             return f"waiting for {self.waiting_for}"
         return ""
@@ -80,14 +80,28 @@ class NodeHealth:
 
 
 class DiagnosticsPublisher:
-    """Publisher of a node's status on `/diagnostics`."""
+    """Publisher of a node's status on `/diagnostics`.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    """
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
 
     def publish(self, health: NodeHealth, values: Mapping[str, Any]) -> None:
-        """Publish level and message from the health, and these entries."""
+        """Publish the status.
+
+        Parameters
+        ----------
+        health : NodeHealth
+            State that gives level and message.
+        values : mapping
+            Entries by key.
+        """
         status = DiagnosticStatus(
             name=f"{self._node.get_fully_qualified_name()}: loop",
             hardware_id="hyst_control",
@@ -101,14 +115,26 @@ class DiagnosticsPublisher:
 
 
 class ThrottledWarnings:
-    """Log lines of a node: one per key and `LOG_INTERVAL`."""
+    """Warnings of a node, at most one per key and `LOG_INTERVAL`.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    """
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._logged: dict[str, float] = {}
 
     def warn(self, key: str, text: str) -> None:
-        """Log this unless a line with this key was logged a short while ago."""
+        """Log a warning unless one with the same key was logged within `LOG_INTERVAL`.
+
+        Parameters
+        ----------
+        key, text : str
+            Key of the warning, and the line.
+        """
         now = time.monotonic()
         if now - self._logged.get(key, -math.inf) >= LOG_INTERVAL:
             self._logged[key] = now

@@ -1,4 +1,4 @@
-"""Node parameters as data: name, default, unit, meaning and range in one place; declared and checked from it."""
+"""Node parameters as data: name, default, unit, meaning and range in one place, from which they are declared and checked."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from hyst_control.errors import InputError
 
 @dataclass(frozen=True)
 class Setting:
-    """One parameter of a node, of the type of its default; an integer in place of a real number is accepted and converted.
+    """One parameter of a node. Its type is that of the default; an integer is accepted for a real number and converted.
 
     Attributes
     ----------
     name, unit, text : str
-        Name, unit ("" for texts and truth values), and meaning.
+        Name, unit ("" for texts and booleans), and meaning.
     default : bool, int, float, str or tuple of one of them
         Default value.
     lower, upper : float, optional
         Range of the value, or of each value of a list.
     choices : tuple of str
-        Values that are allowed; empty for all.
+        Allowed values; empty for all.
     live : bool
-        May be changed while the node runs; the others are read once at the start.
+        True when it may be changed while the node runs; otherwise it is read once at the start.
     """
 
     name: str
@@ -48,12 +48,17 @@ class Setting:
         Parameters
         ----------
         value : object
-            As it was given; a list where the default is a tuple.
+            The value as given; a list if the default is a tuple.
+
+        Returns
+        -------
+        bool, int, float, str or tuple
+            The converted value.
 
         Raises
         ------
         InputError
-            Names the parameter, what it must be, and the value.
+            When it has the wrong type or lies outside the range; names parameter, allowed values and the given one.
         """
         if isinstance(self.default, tuple):
             if isinstance(value, (str, bytes)) or not hasattr(value, "__iter__"):
@@ -66,7 +71,7 @@ class Setting:
         if kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
         given: type = type(value)
-        if given is not kind:  # a truth value is no integer here
+        if given is not kind:  # a boolean is not accepted for an integer
             names = {float: "a number", int: "an integer", bool: "true or false", str: "a text"}
             raise InputError(f"{self.name}: must be {names[kind]}{self._unit()}, got {value!r}")
         if isinstance(value, float) and not math.isfinite(value):
@@ -79,7 +84,7 @@ class Setting:
         return value
 
     def descriptor(self) -> ParameterDescriptor:
-        """The ROS descriptor; typed dynamically, so that an integer for a real number reaches `convert`."""
+        """ROS descriptor; dynamically typed, so that an integer given for a real number reaches `convert`."""
         choices = f", one of {', '.join(self.choices)}" if self.choices else ""
         descriptor = ParameterDescriptor(
             description=f"{self.text}{choices}{self._unit()}", dynamic_typing=True, read_only=not self.live
@@ -112,12 +117,12 @@ def declare(node: Node, settings: Iterable[Setting], changed: Callable[[str, Any
     Returns
     -------
     SimpleNamespace
-        Their values by name, kept up to date for those that may change.
+        Values by name; those of live parameters are kept up to date.
 
     Raises
     ------
     InputError
-        Names node, parameter and remedy.
+        When a value is not allowed; names node, parameter and remedy.
     """
     table = {setting.name: setting for setting in settings}
     values = SimpleNamespace()

@@ -1,4 +1,4 @@
-"""The feedback node: adds PI feedback to the feedforward and keeps the command within its limits."""
+"""Feedback node: adds PI feedback to the feedforward and keeps the command within its limits."""
 
 from __future__ import annotations
 
@@ -21,12 +21,19 @@ Array = NDArray[np.float64]
 
 
 class PiFeedback(SignalNode):
-    """`command` = limited (`feedforward` + `feedback`), in V.
+    """Node that publishes `command` = limited (`feedforward` + `feedback`), in V.
 
-    With `feedback: true` it goes tick by tick, as measurements come; without, it passes blocks of any length (open loop).
-    Stopped, disabled, with a measurement that is frozen or out of range, and under the timer with stale or conflicting
-    inputs, or ticks that take too long, the command goes to `safe_command` at `safe_rate`. It comes back by itself when the fault is
-    over, or with `recovery: manual` after `~/reset`, and in both cases without a jump.
+    With `feedback: true` it runs tick by tick, as measurements arrive; otherwise it passes on blocks of any length (open loop).
+    When it is stopped or disabled, when the measurement is frozen or out of range, and under the timer with stale or conflicting
+    inputs or with ticks that take too long, the command goes to `safe_command` at `safe_rate`. It returns by itself when the fault is
+    over, or with `recovery: manual` after `~/reset`, in both cases without a jump.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    **options : object
+        Passed on to `rclpy.node.Node`.
     """
 
     SETTINGS = (
@@ -35,46 +42,59 @@ class PiFeedback(SignalNode):
         Setting("ki", 0.0, "V per unit and s", "integral gain", 0.0, 1e12),
         Setting("roll_off", 0.0, "Hz", "corner of a low-pass of the error, 0 for none (see hyst tune --roll-off)", 0.0, 1e9),
         Setting("tracking_time", 0.0, "s", "time constant of the anti-windup, 0 for kp / ki", 0.0, 1e6),
-        Setting("lower", 0.0, "V", "least command", -1e6, 1e6),
-        Setting("upper", 100.0, "V", "greatest command", -1e6, 1e6),
+        Setting("lower", 0.0, "V", "lowest command", -1e6, 1e6),
+        Setting("upper", 100.0, "V", "highest command", -1e6, 1e6),
         Setting("slew_limit", 0.0, "V/s", "greatest slope of the command, 0 for none", 0.0, 1e12),
-        Setting("start", "rest", "", "the first command is slewed from 0 V, or is free", choices=("rest", "first_command")),
-        Setting("safe_command", (0.0,), "V", "command of a stopped loop, of all axes or of each", -1e6, 1e6),
+        Setting(
+            "start",
+            "rest",
+            "",
+            "slew the first command from 0 V (rest), or let it be any (first_command)",
+            choices=("rest", "first_command"),
+        ),
+        Setting("safe_command", (0.0,), "V", "command of a stopped loop, one value for all axes or one each", -1e6, 1e6),
         Setting(
             "safe_rate",
             1000.0,
             "V/s",
-            "slope on the way to the safe command, and back where the integral cannot take over",
+            "slope towards the safe command, and back where the integral action cannot take over",
             1e-6,
             1e12,
             live=True,
         ),
-        Setting("recovery", "automatic", "", "after a fault", choices=("automatic", "manual"), live=True),
+        Setting(
+            "recovery",
+            "automatic",
+            "",
+            "end of a fault: automatic, or manual by ~/reset",
+            choices=("automatic", "manual"),
+            live=True,
+        ),
         Setting(
             "recovery_time",
             0.1,
             "s",
-            "time without a fault after which the loop goes on, with automatic recovery",
+            "time without a fault after which the loop continues, with automatic recovery",
             0.0,
             1e6,
             live=True,
         ),
-        Setting("measurement_lower", -1e6, "um or mrad", "a measurement below is a fault", -1e12, 1e12),
-        Setting("measurement_upper", 1e6, "um or mrad", "a measurement above is a fault", -1e12, 1e12),
+        Setting("measurement_lower", -1e6, "um or mrad", "a lower measurement is a fault", -1e12, 1e12),
+        Setting("measurement_upper", 1e6, "um or mrad", "a higher measurement is a fault", -1e12, 1e12),
         Setting(
             "frozen_time",
             0.1,
             "s",
-            "a measurement that stays the same for so long while the command moves by 1 % of its range is a fault, 0 for never",
+            "time after which a constant measurement is a fault if the command moves by 1 % of its range, 0 for never",
             0.0,
             1e6,
         ),
-        Setting("saturation_time", 0.5, "s", "a command at its limits for so long is warned of", 1e-6, 1e6, live=True),
+        Setting("saturation_time", 0.5, "s", "time after which a command at its limits is a warning", 1e-6, 1e6, live=True),
         Setting(
             "overrun_ticks",
             100,
             "ticks",
-            "ticks in a row that take longer than their time are a fault, 0 for never",
+            "successive ticks longer than their interval that are a fault, 0 for never",
             0,
             1_000_000,
             live=True,
@@ -109,7 +129,7 @@ class PiFeedback(SignalNode):
             self._ticks_in(given.frozen_time),
             MOTION * (given.upper - given.lower),
         )
-        self._newest: tuple[int, Any, Any] | None = None
+        self._newest: tuple[int, Array, Array] | None = None
         self._away = False
         self.command = self.output("command", "V")
         self.feedback = self.output("feedback", "V")
@@ -128,7 +148,7 @@ class PiFeedback(SignalNode):
         if any(not each.available for each in rows):
             return
         first = max(each.start for each in rows)
-        if any(each.start != first for each in rows):  # one of them was restarted in a run under way
+        if any(each.start != first for each in rows):  # one of them was restarted during a run
             for each in rows:
                 each.skip_to(first)
         count = min(each.available for each in rows)
@@ -152,7 +172,7 @@ class PiFeedback(SignalNode):
         fault, rows = self._timing_fault(), self.feedforward.rows
         running = not np.isnan(self._controller.command).any()
         if self.measurement is None:
-            out = self._newest[0] + 1 if self._newest else tick  # rows that were streamed ahead are out already
+            out = self._newest[0] + 1 if self._newest else tick  # rows streamed ahead are already published
             first = max(tick, out)
             if self._safe_now(fault, first, max(tick + self.settings.block - first, 0) if running else 0):
                 rows.skip_to(out)
@@ -173,7 +193,7 @@ class PiFeedback(SignalNode):
             self.feedback.repeat(tick)
 
     def reset(self) -> None:
-        """A fault is over, or a run begins; a command that is out is never left with a jump."""
+        """Start a run, or continue after a fault; a published command is never left with a jump."""
         timed = self.settings.schedule == TIMER
         self._away = self._newest is not None and (timed or self._away)
         if self._away:
@@ -187,7 +207,7 @@ class PiFeedback(SignalNode):
         self.feedback.clear()
 
     def trouble(self) -> str:
-        """The fault that is there, or else whether the command was at its limits for too long since this was asked last."""
+        """Present fault, or "saturated" when the command was at its limits for too long since the last call."""
         longest, self._longest_saturation = self._longest_saturation, self._saturated_ticks
         return self._fault or ("saturated" if longest >= self._ticks_in(self.settings.saturation_time) else "")
 
@@ -198,7 +218,7 @@ class PiFeedback(SignalNode):
         return int(np.ceil(seconds / self.period - 1e-9))
 
     def _timing_fault(self) -> str:
-        """Timer: what is wrong with what arrives and when; "" when nothing is."""
+        """Fault of the inputs or of the timing, under the timer; "" when there is none."""
         stale = [signal.topic for signal in self.inputs if signal.age > self.settings.timeout]
         if stale:
             return f"no {' and no '.join(stale)} for {self.settings.timeout:g} s"
@@ -211,7 +231,7 @@ class PiFeedback(SignalNode):
         return ""
 
     def _safe_now(self, fault: str, tick: int, count: int) -> bool:
-        """True when the loop may go on; otherwise move the command towards its safe value for `count` ticks."""
+        """Return True when the loop may run; otherwise move the command towards its safe value for `count` ticks."""
         if fault and fault != self._fault:
             self.counts["faults"] += 1
             self.warn(fault, f"{fault}: the command goes to its safe value")
@@ -230,7 +250,7 @@ class PiFeedback(SignalNode):
         self._publish(tick, command, np.zeros_like(command))
 
     def _closed_loop(self, tick: int, ahead: Array, reference: Array, measurement: Array, fault: str = "") -> None:
-        """One tick with feedback; the arrays are (1, A)."""
+        """Compute one tick with feedback; the arrays are (1, A)."""
         last = self._controller.command
         wrong = self._watch.check(measurement[0], last)
         if not self._safe_now(fault or wrong, tick, 1):
@@ -240,7 +260,7 @@ class PiFeedback(SignalNode):
         saturated = self._controller.saturated
         command, feedback = self._controller.step(reference, measurement, ahead)
         self._note_saturation(1 if self._controller.saturated > saturated else 0)
-        if self._away and not self.settings.ki:  # no integral that would lead back
+        if self._away and not self.settings.ki:  # no integral action to lead back
             wanted = command
             self._controller.resume(last, reference[0], measurement[0], ahead[0])
             command = self._controller.ramp(wanted[0], self._safe_rate)
@@ -250,7 +270,7 @@ class PiFeedback(SignalNode):
         self._publish(tick, command, feedback)
 
     def _open_loop(self, first: int, ahead: Array) -> None:
-        """Rows (N, A) of the feedforward within the limits; after a fault back to them at the safe rate."""
+        """Publish feedforward rows (N, A) within the limits; after a fault, return to them at the safe rate."""
         while self._away and len(ahead):
             target = np.clip(ahead[0], self.settings.lower, self.settings.upper)
             command = self._controller.ramp(target, self._safe_rate)
@@ -273,20 +293,20 @@ class PiFeedback(SignalNode):
         return float(min(self.settings.safe_rate, self.settings.slew_limit or np.inf))
 
     def _fill(self, first: int) -> None:
-        """Timer: in ticks that were missed the command before was held: say so, for whoever reads the record."""
+        """Publish the command that was held during missed ticks, so that the record is complete, under the timer."""
         missed = self.tick_timer.missed
         if missed and self._newest is not None and self._newest[0] + 1 == first:
             _, command, feedback = self._newest
             self._publish(first, np.repeat(command, missed, axis=0), np.repeat(feedback, missed, axis=0))
 
-    def _publish(self, first: int, command: Any, feedback: Any) -> None:
-        self.feedback.send(first, feedback)  # first: once the command is out, a killed node could not make up for it
+    def _publish(self, first: int, command: Array, feedback: Array) -> None:
+        self.feedback.send(first, feedback)  # first: a node killed after the command could not send it any more
         self.command.send(first, command)
         self._newest = first + len(command) - 1, command[-1:], feedback[-1:]
 
 
 def main() -> int:
-    """The executable."""
+    """Run the executable; its exit status."""
     return run_main(PiFeedback)
 
 

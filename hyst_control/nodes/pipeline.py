@@ -1,4 +1,4 @@
-"""The pipeline: the nodes of the loop composed in one process on one executor, which hand their messages to each other."""
+"""Pipeline: the nodes of the loop composed in one process on one executor, which hand messages directly to each other."""
 
 from __future__ import annotations
 
@@ -16,22 +16,35 @@ DEFAULT = ("reference_generator", "hampi_feedforward", "pi_feedback", "plant", "
 
 
 def node_class(name: str) -> Callable[..., SignalNode]:
-    """Class of a node that can be composed, by its name; its module is imported now."""
+    """Import the class of a node that can be composed.
+
+    Parameters
+    ----------
+    name : str
+        Name in `NODES`.
+
+    Returns
+    -------
+    callable
+        The class.
+    """
     entry = NODES[name]
     found: Callable[..., SignalNode] = getattr(importlib.import_module(entry.module), entry.node_class)
     return found
 
 
 def main() -> int:
-    """Run the executable: names of nodes, then ROS arguments; parameters come per node from one `--params-file`."""
+    """Run the executable, whose arguments are names of nodes, then ROS arguments; its exit status."""
     arguments = sys.argv[1:]
     split = arguments.index("--ros-args") if "--ros-args" in arguments else len(arguments)
-    parser = argparse.ArgumentParser(prog="pipeline", description=__doc__, epilog="Behind them: --ros-args --params-file FILE.yaml")
-    parser.add_argument("nodes", nargs="*", metavar="NODE", help=f"of {', '.join(COMPOSABLE)}; default: {' '.join(DEFAULT)}")
+    parser = argparse.ArgumentParser(
+        prog="pipeline", description=__doc__, epilog="ROS arguments follow the nodes: --ros-args --params-file FILE.yaml"
+    )
+    parser.add_argument("nodes", nargs="*", metavar="NODE", help=f"any of {', '.join(COMPOSABLE)}; default: {' '.join(DEFAULT)}")
     chosen = parser.parse_args(arguments[:split]).nodes or DEFAULT
     for name in chosen:
         if name not in COMPOSABLE:
-            print(f"pipeline: {name!r} is not a node: give some of {', '.join(COMPOSABLE)}", file=sys.stderr)
+            print(f"pipeline: {name!r} is not a node that can be composed: use {', '.join(COMPOSABLE)}", file=sys.stderr)
             return 2
     return run_main(*(node_class(name) for name in chosen), args=[sys.argv[0], *arguments[split:]])
 

@@ -1,7 +1,7 @@
-"""The same loop the plain way, for `hyst bench` to compare with: SingleThreadedExecutor, message objects, one callback a message.
+"""Baseline of `hyst bench`: the same loop in plain rclpy (SingleThreadedExecutor, message objects, one callback per message).
 
-Reference, feedforward, feedback and plant as four small nodes that compute what the package's nodes compute, and nothing else: no
-check of what arrives, no repetition, no recorder. Run by name: `python -m hyst_control.nodes.plain_loop plant SETTINGS.json`.
+Reference, feedforward, feedback and plant as four small nodes with the computations of the package's nodes and nothing else: no checks
+of messages, no repetition, no recorder. Run by name: `python -m hyst_control.nodes.plain_loop plant SETTINGS.json`.
 """
 
 from __future__ import annotations
@@ -12,15 +12,18 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from numpy.typing import NDArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64MultiArray
 
@@ -30,12 +33,22 @@ from hyst_control.model_file import Simulator, load_model
 from hyst_control.nodes.duration_histogram import Durations
 from hyst_control.processes import environment
 
-LIMITS = (0.0, 100.0)
+Array = NDArray[np.float64]
+
+LIMITS = (0.0, 100.0)  # V
 MOST_WAITING = 5000  # rows of a signal
 
 
 class PlainNode(Node):
-    """Base of the four: a period, rows in, rows out."""
+    """Base of the four nodes: period, rows in, rows out.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    settings : mapping
+        `rate_hz`, `schedule`, `model` and what the nodes need besides, by name.
+    """
 
     def __init__(self, name: str, settings: Mapping[str, Any]) -> None:
         super().__init__(name)
@@ -44,15 +57,23 @@ class PlainNode(Node):
         self.model = load_model(settings["model"])
         self.axes = len(self.model.axes)
         self.settings = settings
-        self.create_timer(0.5, lambda: None)  # wakes the executor, which hears no signal while it waits
+        self.create_timer(0.5, lambda: None)  # wakes the executor, which handles no signal while it waits
         if self.timed:
             self.create_timer(self.period, self.tick)
 
     def tick(self) -> None:
-        """Timer: one sample is due."""
+        """Produce one sample, under the timer."""
 
-    def hear(self, topic: str, callback: Any) -> None:
-        """`callback(tick, values (1, A))` for every message."""
+    def subscribe(self, topic: str, callback: Callable[[int, Array], None]) -> None:
+        """Subscribe to a topic.
+
+        Parameters
+        ----------
+        topic : str
+            The topic.
+        callback : callable
+            Called with tick and values (1, A) of every message.
+        """
 
         def on_message(message: Float64MultiArray) -> None:
             row = np.array(message.data)
@@ -60,25 +81,48 @@ class PlainNode(Node):
 
         self.create_subscription(Float64MultiArray, topic, on_message, 5000)
 
-    def say(self, publisher: Any, tick: int, values: Any) -> None:
-        """Publish one row."""
+    def publish_row(self, publisher: Publisher, tick: int, values: Array) -> None:
+        """Publish one row.
+
+        Parameters
+        ----------
+        publisher : Publisher
+            Publisher of the topic.
+        tick : int
+            Tick of the row.
+        values : ndarray, shape (1, A) or (A,)
+            Values of the axes.
+        """
         publisher.publish(Float64MultiArray(data=array.array("d", [tick * self.period, *values.ravel().tolist()])))
 
 
 class PlainReference(PlainNode):
-    """Sends the row of every measurement's tick and the next one."""
+    """Node that publishes a sine as the reference, one row per measurement.
+
+    Parameters
+    ----------
+    settings : mapping
+        As of `PlainNode`; `range`, and `frequency` in Hz.
+    """
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
         super().__init__("plain_reference", settings)
         self.count = 0
         self.publisher = self.create_publisher(Float64MultiArray, "reference", 5000)
         if not self.timed:
-            self.hear("measurement", lambda tick, values: self.send(tick))
+            self.subscribe("measurement", lambda tick, values: self.send(tick))
 
     def send(self, tick: int) -> None:
+        """Publish the reference of a tick.
+
+        Parameters
+        ----------
+        tick : int
+            The tick.
+        """
         low, high = self.settings["range"]
         value = 0.5 * (low + high) - 0.5 * (high - low) * math.cos(2 * math.pi * self.settings["frequency"] * tick * self.period)
-        self.say(self.publisher, tick, np.full(self.axes, value))
+        self.publish_row(self.publisher, tick, np.full(self.axes, value))
 
     def tick(self) -> None:
         self.send(self.count)
@@ -86,32 +130,55 @@ class PlainReference(PlainNode):
 
 
 class PlainFeedforward(PlainNode):
-    """The inverse of the model."""
+    """Node with the inverse of the model.
+
+    Parameters
+    ----------
+    settings : mapping
+        As of `PlainNode`.
+    """
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
         super().__init__("plain_feedforward", settings)
         self.compensator = build_compensator(self.model, "mhl", sample_time=self.period, limits=LIMITS)
         self.compensator.settle(np.zeros(self.axes))
         self.publisher = self.create_publisher(Float64MultiArray, "feedforward", 5000)
-        self.hear("reference", lambda tick, values: self.say(self.publisher, tick, self.compensator.process(values)))
+        self.subscribe("reference", lambda tick, values: self.publish_row(self.publisher, tick, self.compensator.process(values)))
 
 
 class PlainFeedback(PlainNode):
-    """PI feedback on top of the feedforward."""
+    """Node that adds PI feedback to the feedforward.
+
+    Parameters
+    ----------
+    settings : mapping
+        As of `PlainNode`; gains `kp` and `ki`.
+    """
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
         super().__init__("plain_feedback", settings)
         self.controller = PI(settings["kp"], settings["ki"], self.period, *LIMITS).start(self.axes)
         self.controller.reset(np.zeros(self.axes))
-        self.rows: dict[str, dict[int, Any]] = {topic: {} for topic in ("reference", "feedforward", "measurement")}
-        self.newest: dict[str, Any] = {}
+        self.rows: dict[str, dict[int, Array]] = {topic: {} for topic in ("reference", "feedforward", "measurement")}
+        self.newest: dict[str, tuple[int, Array]] = {}
         self.count = 0
         self.command = self.create_publisher(Float64MultiArray, "command", 5000)
         self.feedback = self.create_publisher(Float64MultiArray, "feedback", 5000)
         for topic in self.rows:
-            self.hear(topic, lambda tick, values, topic=topic: self.heard(topic, tick, values))
+            self.subscribe(topic, partial(self.receive, topic))
 
-    def heard(self, topic: str, tick: int, values: Any) -> None:
+    def receive(self, topic: str, tick: int, values: Array) -> None:
+        """Keep a row, and compute the command once all rows of its tick are there.
+
+        Parameters
+        ----------
+        topic : str
+            Its topic.
+        tick : int
+            Its tick.
+        values : ndarray, shape (1, A)
+            Its values.
+        """
         self.newest[topic] = tick, values
         if not self.timed:
             self.rows[topic][tick] = values
@@ -120,10 +187,19 @@ class PlainFeedback(PlainNode):
             if all(tick in rows for rows in self.rows.values()):
                 self.control(tick, {name: rows.pop(tick) for name, rows in self.rows.items()})
 
-    def control(self, tick: int, rows: Mapping[str, Any]) -> None:
+    def control(self, tick: int, rows: Mapping[str, Array]) -> None:
+        """Compute and publish feedback and command of a tick.
+
+        Parameters
+        ----------
+        tick : int
+            The tick.
+        rows : mapping of str to ndarray, shape (1, A)
+            Reference, measurement and feedforward, by topic.
+        """
         command, feedback = self.controller.step(rows["reference"], rows["measurement"], rows["feedforward"])
-        self.say(self.feedback, tick, feedback)
-        self.say(self.command, tick, command)
+        self.publish_row(self.feedback, tick, feedback)
+        self.publish_row(self.command, tick, command)
 
     def tick(self) -> None:
         if len(self.newest) == len(self.rows):
@@ -131,7 +207,13 @@ class PlainFeedback(PlainNode):
 
 
 class PlainPlant(PlainNode):
-    """The model as the plant; measures the loop and tells it in the diagnostics."""
+    """Node that runs the model as the plant and publishes measured rates and latencies as diagnostics.
+
+    Parameters
+    ----------
+    settings : mapping
+        As of `PlainNode`.
+    """
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
         super().__init__("plain_plant", settings)
@@ -142,13 +224,22 @@ class PlainPlant(PlainNode):
         self.sent: dict[int, float] = {}
         self.latency, self.intervals, self.last = Durations(), Durations(), math.nan
         self.publisher = self.create_publisher(Float64MultiArray, "measurement", 5000)
-        self.hear("command", self.commanded)
+        self.subscribe("command", self.apply)
         self.diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(1.0, self.tell)
+        self.create_timer(1.0, self.publish_diagnostics)
         if not self.timed:
-            self.create_timer(0.2, lambda: self.say(self.publisher, self.count, self.measured) if not self.rounds else None)
+            self.create_timer(0.2, lambda: self.publish_row(self.publisher, self.count, self.measured) if not self.rounds else None)
 
-    def commanded(self, tick: int, values: Any) -> None:
+    def apply(self, tick: int, values: Array) -> None:
+        """Apply a command, in lockstep at once, under the timer at the next tick.
+
+        Parameters
+        ----------
+        tick : int
+            Its tick.
+        values : ndarray, shape (1, A)
+            The command in V.
+        """
         self.rounds += 1
         if self.timed:
             self.held = values
@@ -157,13 +248,20 @@ class PlainPlant(PlainNode):
         elif tick == self.count:
             self.send(values)
 
-    def send(self, command: Any) -> None:
+    def send(self, command: Array) -> None:
+        """Run the plant over one command and publish the measurement that follows.
+
+        Parameters
+        ----------
+        command : ndarray, shape (1, A)
+            The command in V.
+        """
         self.measured = self.plant.step(command)
         self.count += 1
         if self.timed:
             self.sent[self.count] = time.monotonic()
             self.sent.pop(self.count - 1000, None)
-        self.say(self.publisher, self.count, self.measured)
+        self.publish_row(self.publisher, self.count, self.measured)
 
     def tick(self) -> None:
         now = time.monotonic()
@@ -172,7 +270,8 @@ class PlainPlant(PlainNode):
         self.last = now
         self.send(self.held)
 
-    def tell(self) -> None:
+    def publish_diagnostics(self) -> None:
+        """Publish the diagnostics."""
         values = {
             "ticks": self.count if self.timed else self.rounds,
             "commands": self.rounds,
@@ -191,17 +290,19 @@ NODES = {"reference": PlainReference, "feedforward": PlainFeedforward, "feedback
 
 
 def main() -> None:
-    """Run the nodes that are named, or all, on one executor until interrupted."""
+    """Run the named nodes, or all, on one executor until interrupted."""
     *names, path = sys.argv[1:]
     settings = json.loads(Path(path).read_text(encoding="utf-8"))
     environment.prepare()
-    heard: list[int] = []
-    signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))  # an exception within a call of rclpy breaks that call
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # else a Ctrl-C takes the context from under a callback
+    interrupts: list[int] = []
+    signal.signal(
+        signal.SIGINT, lambda number, frame: interrupts.append(number)
+    )  # an exception within a call of rclpy would break that call
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # else a Ctrl-C would destroy the context during a callback
     executor = SingleThreadedExecutor()
     for name in names or NODES:
         executor.add_node(NODES[name](settings))
-    while not heard:
+    while not interrupts:
         executor.spin_once()
     rclpy.try_shutdown()
 

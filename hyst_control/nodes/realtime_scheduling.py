@@ -6,14 +6,19 @@ import os
 
 
 def set_scheduler(priority: int, cpu: int) -> str:
-    """Ask the system for a priority and a core; the reason why it refuses them, "" when it does not.
+    """Request a real-time priority and a processor core for this process.
 
     Parameters
     ----------
     priority : int
-        Of SCHED_FIFO, 1 to 99; 0 leaves the scheduler as it is.
+        Priority under SCHED_FIFO, 1 to 99; 0 keeps the scheduler.
     cpu : int
-        Number of the core that the process is pinned to; -1 leaves it free.
+        Core to which the process is pinned; -1 for any.
+
+    Returns
+    -------
+    str
+        Reason why the system refuses it; "" when it does not.
     """
     try:
         if cpu >= 0:

@@ -1,4 +1,4 @@
-"""One topic as a recorder keeps it: every row once, by tick, also where messages came twice, late, or not at all."""
+"""One topic of a recorder: every row once, by tick, although messages may be duplicated, late or lost."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Array = NDArray[np.float64]
 
 
 class RecordedTopic:
-    """One recorded topic: which ticks are stored.
+    """One recorded topic and the ticks that are stored of it.
 
-    Until it is known to be heard from its first row on, its rows are held back; and those behind a gap until it is filled.
+    Rows are held back until it is known that no earlier ones are missing; rows after a gap, until it is filled or given up.
 
     Parameters
     ----------
@@ -31,9 +31,9 @@ class RecordedTopic:
     store : callable
         Writes a serialized message: name of the topic, bytes, time of reception in ns since the epoch.
     repeated : callable
-        Told in lockstep that rows came again: somebody may lack what the recorder has told.
+        Called in lockstep when rows came again: the plant may have missed the recorder's progress.
     merge : int
-        Rows that are stored in one message at least, unless `write` is called.
+        Least number of rows stored in one message, unless `write` is called.
     ticks : int
         Number of ticks that are recorded in lockstep, 0 for all.
     """
@@ -52,7 +52,7 @@ class RecordedTopic:
         self._encoder: Encoder | None = None
         self.rows = node.signal_rows(topic, Missing.HOLD if node.lockstep else Missing.SKIP)
         self.recorded = 0
-        """Number of rows that were taken for the bag."""
+        """Number of rows taken for the bag."""
         self._pending: list[Array] = []  # blocks (N, C) of successive ticks that are merged into one message
         self._pending_rows = 0
         self._pending_end = 0  # tick after the last of them
@@ -61,7 +61,7 @@ class RecordedTopic:
         self.name = self._intake.topic
 
     def drain(self) -> None:
-        """Take everything that has arrived."""
+        """Take all messages that have arrived."""
         for label, block, stamp in self._intake.take(self._refused, self._merge > 1):
             self._stamp = stamp
             self.receive(label, block)
@@ -71,7 +71,15 @@ class RecordedTopic:
         self._collect()
 
     def receive(self, label: str, block: Array) -> None:
-        """Take in rows (N, C) of one or several messages with this column label, column 0 the time in s."""
+        """Take in the rows of one or several messages.
+
+        Parameters
+        ----------
+        label : str
+            Column label.
+        block : ndarray, shape (N, C)
+            The rows; column 0 is the time in s.
+        """
         if self._encoder is None or label != self._encoder.label:
             try:
                 encoder = Encoder(label)
@@ -93,14 +101,14 @@ class RecordedTopic:
                 self._receive_rows(tick, part)
 
     def write(self) -> None:
-        """Store the rows that wait to be merged."""
+        """Store the rows that are waiting to be merged."""
         if self._pending and self._encoder is not None:
             rows = self._pending[0] if len(self._pending) == 1 else np.concatenate(self._pending)
             self._pending, self._pending_rows = [], 0
             self._store(self.name, self._encoder.encode(rows), self._stamp)
 
     def close(self) -> None:
-        """Store all that has been heard, whatever it waits for."""
+        """Store all received rows, those held back as well."""
         missed = self.rows.missed
         self.rows.release(time.monotonic(), give_up=True)
         self._count_missed(missed)
@@ -123,7 +131,7 @@ class RecordedTopic:
                 self._repeated()
 
     def _count_missed(self, before: int) -> None:
-        """Count the ticks that were given up since `missed` had this value."""
+        """Count the ticks given up since `missed` had this value."""
         if self.rows.missed > before:
             self._node.counts[f"{self.name}: missed ticks"] += self.rows.missed - before
             if self._node.lockstep:
@@ -131,7 +139,7 @@ class RecordedTopic:
                 self._node.warn(self.name, f"{self.name}: ticks {first} to {end - 1} are lost: was their node killed?")
 
     def _collect(self) -> None:
-        """Merge the rows that can be taken into messages; the rows of one are successive."""
+        """Merge the available rows into messages of successive rows."""
         for tick, block in self.rows.take_blocks():
             if tick != self._pending_end:
                 self.write()

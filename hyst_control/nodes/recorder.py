@@ -1,4 +1,4 @@
-"""The recorder: writes the signal topics to a rosbag2 MCAP bag that is readable at any moment, also when it is killed."""
+"""Recorder node: writes the signal topics to a rosbag2 MCAP bag that stays readable at any moment, even if the node is killed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from std_msgs.msg import Int64
 
 from hyst_control.errors import InputError
 from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.interrupts import undivided
+from hyst_control.nodes.interrupts import delayed
 from hyst_control.nodes.message_io import QUEUE
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.recorded_topic import RecordedTopic
@@ -20,30 +20,37 @@ from hyst_control.records.row_repetition import REPEAT_INTERVAL, RepetitionBacko
 SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
 PROGRESS_INTERVAL = 64  # ticks
 DRAIN_INTERVAL = {"lockstep": 0.005, "timer": 0.02}
-"""s, between two looks at what has arrived: the queues hold far more, and a callback for every message would cost ten times as much."""
+"""s, between two polls of the subscriptions: their queues hold far more, and one callback per message would cost ten times as much."""
 
 
 class Recorder(SignalNode):
-    """Stores every row of `topics` once, by tick; rows repeated by the lockstep protocol are left out.
+    """Node that stores every row of `topics` once, by tick; repetitions of the lockstep protocol are left out.
 
-    In lockstep rows behind missing ones are held until these are sent again: under load the middleware may lose a message. What does
-    not come for some seconds is a gap in the bag.
+    In lockstep, rows after missing ones are held back until the missing ones are sent again, because the middleware may lose messages
+    under load. Rows that are still missing after some seconds are a gap in the bag.
 
-    Publishes on `recorded` the last tick up to which every topic is complete, for a plant that waits for it. With `ticks`
-    it stores that many rows of every topic and ends. Values are stored as they come, a NaN too: it is evidence. `merge`
-    stores several rows of a topic in one message of the same layout, which makes bags small and writing cheap.
+    It publishes on `recorded` the last tick up to which every topic is complete, for a plant that waits for it. With `ticks` it stores
+    that many rows of every topic and ends. Values are stored as received, NaN included, because they are evidence. `merge` stores
+    several rows of a topic in one message of the same layout, which makes bags smaller and writing cheaper.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    **options : object
+        Passed on to `rclpy.node.Node`.
     """
 
     SETTINGS = (
         Setting("output", "", "", "directory of the bag, which must not exist yet"),
         Setting("topics", SIGNALS, "", "topics to record"),
-        Setting("merge", 1, "rows", "rows of a topic stored in one message at least, unless 0.5 s pass", 1, 65536),
+        Setting("merge", 1, "rows", "least number of rows stored in one message, unless 0.5 s have passed", 1, 65536),
         Setting("ticks", 0, "ticks", "rows of every topic after which the recorder ends, 0 for endless", 0, 2**52),
         Setting("duration", 0.0, "s", "time after which the recorder ends, 0 for endless", 0.0, 1e9),
     )
 
     _failure = ""
-    """Reason why the bag could not be written any further."""
+    """Error that ended the writing of the bag; "" when there is none."""
 
     def __init__(self, name: str = "recorder", **options: Any) -> None:
         super().__init__(name, **options)
@@ -52,8 +59,8 @@ class Recorder(SignalNode):
         self.ends = self.settings.ticks > 0 or self.settings.duration > 0
         self._writer = BagWriter(self.settings.output)
         self._progress = self.create_publisher(Int64, "recorded", QUEUE)
-        self.told = -1
-        self._repetition = RepetitionBackoff(time.monotonic(), longest=REPEAT_INTERVAL)  # of what was told
+        self.last_complete_tick = -1
+        self._repetition = RepetitionBackoff(time.monotonic(), longest=REPEAT_INTERVAL)  # of the progress
         self._topics = [
             RecordedTopic(self, topic, self.store, self.repeat_progress, self.settings.merge, self.settings.ticks)
             for topic in self.settings.topics
@@ -66,7 +73,17 @@ class Recorder(SignalNode):
             self.every(self.settings.duration, self._time_is_up)
 
     def store(self, topic: str, message: bytes, stamp: int) -> None:
-        """Write a serialized message; a full disk ends the recorder with what is on it."""
+        """Write a serialized message; when that fails, as on a full disk, the recorder ends and keeps the bag so far.
+
+        Parameters
+        ----------
+        topic : str
+            Name of the topic.
+        message : bytes
+            The message.
+        stamp : int
+            Time of reception in ns since the epoch.
+        """
         if not self.finished.done():
             try:
                 self._writer.write(topic, message, stamp)
@@ -74,11 +91,17 @@ class Recorder(SignalNode):
                 self._failed(error)
 
     def repeat_progress(self) -> None:
-        """Tell again how far every topic is complete, unless that was told a moment ago."""
+        """Publish the progress again, unless that was done a moment ago."""
         self.progress(repeat=True)
 
     def progress(self, repeat: bool = False) -> None:
-        """Tell how far every topic is complete, unless that is little more than what was told last; `repeat`: tell it again."""
+        """Publish the last tick up to which every topic is complete, if it has advanced enough.
+
+        Parameters
+        ----------
+        repeat : bool
+            Publish it also if it has not advanced.
+        """
         if not all(topic.rows.joined for topic in self._topics):
             return
         last = min(topic.rows.awaited for topic in self._topics) - 1
@@ -86,8 +109,8 @@ class Recorder(SignalNode):
         done = wanted and (last >= wanted - 1 if self.lockstep else all(topic.recorded >= wanted for topic in self._topics))
         now = time.monotonic()
         repeat = repeat and self._repetition.due(now)
-        if repeat or done or last - self.told >= (PROGRESS_INTERVAL if self.told >= 0 else 1):
-            self.told = last
+        if repeat or done or last - self.last_complete_tick >= (PROGRESS_INTERVAL if self.last_complete_tick >= 0 else 1):
+            self.last_complete_tick = last
             self._repetition.progress(now)
             self._progress.publish(Int64(data=last))
         if done and not self.finished.done():
@@ -98,10 +121,10 @@ class Recorder(SignalNode):
         return self._failure
 
     def status(self) -> dict[str, Any]:
-        return {"last complete tick": self.told}
+        return {"last complete tick": self.last_complete_tick}
 
     def close(self) -> None:
-        if self._failure:  # nothing more goes onto the disk
+        if self._failure:  # the disk takes no more
             self._writer.abandon()
             return
         try:
@@ -114,7 +137,7 @@ class Recorder(SignalNode):
 
     def _drain(self) -> None:
         if not self.finished.done():
-            with undivided():  # what was taken from the queues would be missing in the bag
+            with delayed():  # rows taken from the queues must reach the bag
                 for topic in self._topics:
                     topic.drain()
             self.progress()
@@ -122,7 +145,7 @@ class Recorder(SignalNode):
     def _flush(self) -> None:
         if not self.finished.done():
             try:
-                with undivided():
+                with delayed():
                     for topic in self._topics:
                         topic.write()
                     self._writer.flush()
@@ -138,13 +161,13 @@ class Recorder(SignalNode):
         if not self._failure:
             self._failure = error.strerror or str(error)
             self.get_logger().error(
-                f"{self.settings.output}: {self._failure}: recording ends here; what was stored before is readable"
+                f"{self.settings.output}: {self._failure}: recording ends here; the bag holds all rows stored before and is readable"
             )
             self.finish(self._progress, 2)
 
 
 def main() -> int:
-    """The executable."""
+    """Run the executable; its exit status."""
     return run_main(Recorder)
 
 

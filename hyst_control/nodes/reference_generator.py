@@ -1,4 +1,4 @@
-"""The reference generator: streams a signal of `excitation`, or an array from a file, row by row as the plant goes on."""
+"""Reference generator node: streams a signal of `records.excitation`, or an array from a file, at the pace of the plant."""
 
 from __future__ import annotations
 
@@ -25,25 +25,40 @@ FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides")
 
 
 class ReferenceGenerator(SignalNode):
-    """Publishes `reference`: `lead` rows ahead of the newest `measurement` at least, in messages of `block` rows.
+    """Node that publishes `reference` in messages of `block` rows, at least `lead` rows ahead of the newest `measurement`.
 
-    The rows do not depend on the measurement, which only paces them; after its end the signal keeps its last value, or
-    starts again with `repeat`. Parameters that are not settings of the node describe the signal (see `excitation.build`).
+    The rows do not depend on the measurement, which only paces them. After its end the signal keeps its last value, or starts again
+    with `repeat`. Parameters that are not settings of the node describe the signal (see `excitation.build`).
     """
 
     SETTINGS = (
         Setting("signal", "rest", "", "kind of signal, a .npy file (rows by axes), or a .yaml file with its description"),
         Setting("lead", 0, "samples", "rows published ahead, for a feedforward that previews", 0, 10_000_000),
         Setting("repeat", False, "", "start the signal again at its end"),
-        Setting("model", "", "", "model file: a signal beyond the stroke that it can reach is refused"),
+        Setting("model", "", "", "model file; a signal beyond its reachable stroke is refused"),
         Setting(
-            "limits", (0.0, 0.0), "V", "rating of the drive for that, lower and upper; equal: the model's valid range", -1e6, 1e6
+            "limits",
+            (0.0, 0.0),
+            "V",
+            "rating of the drive for this check, lower and upper; if equal, the model's valid range",
+            -1e6,
+            1e6,
         ),
-        Setting("retry", 0.2, "s", "time after which the first rows are published again while nobody answers", 1e-3, 60.0),
+        Setting("retry", 0.2, "s", "time after which the first rows are published again if no measurement arrives", 1e-3, 60.0),
     )
 
     def __init__(self, name: str = "reference_generator", signal: Array | None = None, **options: Any) -> None:
-        """signal: rows (N, A) in place of the parameters' description."""
+        """Create the node.
+
+        Parameters
+        ----------
+        name : str
+            Name of the node.
+        signal : ndarray, shape (N, A), optional
+            Rows used instead of the signal that the parameters describe.
+        **options : object
+            Passed on to `rclpy.node.Node`.
+        """
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **options)
         self._signal = self._checked(self._described() if signal is None else signal)
         self._end = 0
@@ -55,7 +70,18 @@ class ReferenceGenerator(SignalNode):
         self.start_timer(0.1)
 
     def rows(self, first: int, count: int) -> Array:
-        """Rows (count, A) from tick `first` on."""
+        """Rows of the signal.
+
+        Parameters
+        ----------
+        first, count : int
+            Tick of the first row, and number of rows.
+
+        Returns
+        -------
+        ndarray, shape (count, A)
+            The rows.
+        """
         last = len(self._signal) - 1
         if self.settings.repeat:
             first %= last + 1
@@ -66,7 +92,7 @@ class ReferenceGenerator(SignalNode):
 
     def advance(self) -> None:
         arrived = self.measurement.rows
-        if arrived.awaited > self._end:  # first measurement, or restarted in a run under way: nobody lacks earlier rows
+        if arrived.awaited > self._end:  # first measurement, or restarted during a run: no node lacks earlier rows
             self._end = arrived.awaited - 1
         if arrived.available:
             arrived.take(arrived.available)
@@ -138,7 +164,7 @@ class ReferenceGenerator(SignalNode):
             raise InputError(f"{self.get_name()}: signal: must be rows by {len(self.axes)} axes, got shape {rows.shape}")
         if not np.isfinite(rows).all():
             row = np.argwhere(~np.isfinite(rows))[0, 0]
-            raise InputError(f"{self.get_name()}: signal: holds NaN or infinity in row {row}")
+            raise InputError(f"{self.get_name()}: signal: contains NaN or infinity in row {row}")
         if self.settings.model:
             limits = self.settings.limits
             try:
@@ -149,7 +175,7 @@ class ReferenceGenerator(SignalNode):
 
 
 def main() -> int:
-    """The executable."""
+    """Run the executable; its exit status."""
     return run_main(ReferenceGenerator)
 
 

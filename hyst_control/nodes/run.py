@@ -1,4 +1,4 @@
-"""Running nodes: one process, one executor, a clean end on every way out."""
+"""Running of nodes: one process, one executor, and a clean shutdown however it ends."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
-from typing import Any
 
 import rclpy
 from rclpy.context import Context
 from rclpy.exceptions import NotInitializedException
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.task import Future
 
@@ -27,31 +26,43 @@ from hyst_control.processes import environment
 FOREVER = 1e6  # s
 
 
-def spin(executor: Any, future: Future, timeout: float = FOREVER) -> None:
-    """Spin until the future is done; an EventsExecutor that spins without a timeout runs no callback, hears no signal."""
+def spin(executor: Executor, future: Future, timeout: float = FOREVER) -> None:
+    """Spin until a future is done.
+
+    Without a timeout an EventsExecutor runs no callbacks and handles no signals.
+
+    Parameters
+    ----------
+    executor : Executor
+        The executor.
+    future : Future
+        The future.
+    timeout : float
+        Longest time in s.
+    """
     executor.spin_until_future_complete(future, timeout_sec=timeout)
 
 
 def run(
     nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER, on_closed: Callable[[int], None] = lambda status: None
 ) -> int | None:
-    """Spin the nodes on one executor until all that end by themselves have ended; then close and destroy them, whatever happened.
+    """Spin nodes on one executor until all that end by themselves have ended; close and destroy them in any case.
 
     Parameters
     ----------
     nodes : sequence of EndingNode
-        The nodes; alone, one may also fail that does not end by itself.
+        The nodes. A single node is also waited for if it does not end by itself: it may fail.
     context : Context
         Their context.
     timeout : float
         Time in s after which they are ended.
     on_closed : callable
-        Told the exit status, 0 after an interrupt, when nothing is left to do but to destroy them.
+        Called with the exit status (0 after an interrupt) once the nodes are closed, before they are destroyed.
 
     Returns
     -------
     int or None
-        The greatest of their exit statuses; None when the timeout was over before.
+        Greatest of their exit statuses; None after the timeout.
     """
     executor = EventsExecutor(context=context)
     ended, waiting = Future(), [node for node in nodes if node.ends or len(nodes) == 1]  # alone, a node may also fail
@@ -72,12 +83,12 @@ def run(
             node.finished.add_done_callback(one_ended)
         hand_over(nodes, executor, failed)
         gc.collect()
-        gc.freeze()  # what is there now stays: to look through it again and again would cost ticks
+        gc.freeze()  # present objects stay: examining them again and again would cost ticks
         spin(executor, ended, timeout)
         return ended.result() if ended.done() else None
     finally:
         expected = isinstance(sys.exc_info()[1], (type(None), KeyboardInterrupt, ExternalShutdownException))
-        with interrupts.uninterrupted():
+        with interrupts.ignored():
             gc.unfreeze()
             status = ended.result() if ended.done() and ended.exception() is None else 0
             close(nodes, lambda: on_closed(status) if expected else None)
@@ -85,7 +96,13 @@ def run(
 
 
 def tick_together(nodes: Sequence[EndingNode]) -> None:
-    """Let one timer tick all nodes of one interval, in the order of their phases: every timer wakes two threads."""
+    """Tick all nodes of equal interval by one timer, in the order of their phases, because every timer wakes two threads.
+
+    Parameters
+    ----------
+    nodes : sequence of EndingNode
+        Nodes of one process.
+    """
     paced = [node for node in nodes if isinstance(node, SignalNode) and node.tick_timer.paced]
     for interval in {node.tick_timer.interval for node in paced}:
         group = sorted((node for node in paced if node.tick_timer.interval == interval), key=lambda node: node.tick_timer.phase)
@@ -102,7 +119,15 @@ def _tick(group: Sequence[SignalNode]) -> None:
 
 
 def close(nodes: Sequence[EndingNode], closed: Callable[[], None] = lambda: None) -> None:
-    """Close the nodes, call `closed`, then destroy them; each also when another one fails to."""
+    """Close nodes, call `closed`, then destroy the nodes; a failure of one does not keep the others from it.
+
+    Parameters
+    ----------
+    nodes : sequence of EndingNode
+        The nodes.
+    closed : callable
+        Called between the two.
+    """
     with ExitStack() as last_first:
         for node in nodes:
             last_first.callback(node.destroy_node)
@@ -112,7 +137,20 @@ def close(nodes: Sequence[EndingNode], closed: Callable[[], None] = lambda: None
 
 
 def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None) -> int:
-    """Body of an executable: 0 when it ended by itself or was interrupted, 2 on bad input, told in one line."""
+    """Run the body of an executable.
+
+    Parameters
+    ----------
+    *factories : callable
+        Create the nodes.
+    args : sequence of str, optional
+        ROS arguments; default: the command line.
+
+    Returns
+    -------
+    int
+        Exit status: 0 when the nodes ended by themselves or were interrupted, 2 on bad input, which is printed in one line.
+    """
     environment.prepare()
     interrupts.listen()
     try:
@@ -120,20 +158,20 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
     except KeyboardInterrupt:
         return 0
     except (RuntimeError, NotInitializedException):
-        # rclpy fails in several ways on an interrupt within a call of its own, and on a message whose context has gone meanwhile.
-        if interrupts.heard() or not rclpy.ok():
+        # rclpy fails in several ways on an interrupt during one of its calls, and on a message whose context no longer exists.
+        if interrupts.received() or not rclpy.ok():
             return 0
         raise
     finally:
         interrupts.ignore()  # a second Ctrl-C during the shutdown would leave a traceback
-        with suppress(RuntimeError):  # rclpy's own signal handler may be faster
+        with suppress(RuntimeError):  # rclpy's own signal handler may have done it
             rclpy.try_shutdown()
 
 
-def _initialise(args: Sequence[str] | None) -> None:
+def _initialize(args: Sequence[str] | None) -> None:
     try:
         rclpy.init(args=None if args is None else list(args))
-    except Exception as error:  # of the middleware's own kinds: arguments or parameter files that it cannot read
+    except Exception as error:  # rclpy's own exceptions: arguments or parameter files that it cannot read
         text = " ".join(str(error).split()).removeprefix("failed to initialize rcl: ").partition(", at ")[0]
         raise InputError(f"ROS arguments: {text}: in a parameter file quote texts such as 'y', 'on' or 'no'") from None
 
@@ -141,10 +179,10 @@ def _initialise(args: Sequence[str] | None) -> None:
 def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | None) -> int:
     nodes: list[EndingNode] = []
     try:
-        _initialise(args)
+        _initialize(args)
         for factory in factories:
             nodes.append(factory())
-        if interrupts.heard():  # and yet we are here: some library has swallowed the interrupt
+        if interrupts.received():  # a library has suppressed the interrupt
             close(nodes, lambda: exit_within(0))
             return 0
         return run(nodes, rclpy.get_default_context(), on_closed=exit_within) or 0

@@ -1,4 +1,4 @@
-"""Watching a measurement: a sensor that hangs or leaves its range is told from one that measures."""
+"""Detection of a sensor that is frozen or out of range."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 MOTION = 0.01
-"""Share of the command's range by which the command must have moved for a resting measurement to count as frozen."""
+"""Share of the command's range by which the command must move before a constant measurement counts as frozen."""
 
 
 class MeasurementWatch:
-    """Looks at one sample after the other.
+    """Watch over a measurement, sample by sample.
 
     Parameters
     ----------
     lower, upper : float
         Range of the measurement, in its unit.
     frozen_ticks : int
-        Samples of one and the same value after which the sensor counts as frozen; 0 for never.
+        Samples of equal value after which the sensor counts as frozen; 0 for never.
     motion : float
-        Way in V that the command must have moved before they are counted: a stage at rest may well measure a constant.
+        Movement of the command in V before they are counted, because a stage at rest may measure a constant.
     """
 
     def __init__(self, lower: float, upper: float, frozen_ticks: int, motion: float) -> None:
@@ -33,7 +33,20 @@ class MeasurementWatch:
         self._most: list[float] = []
 
     def check(self, measurement: Array, command: Array) -> str:
-        """Empty text for a measurement (A,) that is fine, else what is wrong with it; command (A,): the one sent last, in V."""
+        """Check one sample.
+
+        Parameters
+        ----------
+        measurement : ndarray, shape (A,)
+            The measurement, in the unit of `lower` and `upper`.
+        command : ndarray, shape (A,)
+            The command sent last, in V.
+
+        Returns
+        -------
+        str
+            The fault; "" when there is none.
+        """
         value, sent = measurement.tolist(), command.tolist()
         if value != self._value:
             self._value, self._same, self._least, self._most = value, 0, sent, sent

@@ -1,4 +1,4 @@
-"""A node's signals in and out: bad messages refused, rows by tick, the newest ones kept to be repeated."""
+"""Received and published signals of a node: bad messages are refused, rows go by tick, the newest ones are kept for repetition."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from hyst_control.records.signal_rows import Receipt, SignalRows, first_tick, ti
 Array = NDArray[np.float64]
 
 REPEATED_ROWS = 64
-"""In one message, or as many as the node streams: the middleware's queues keep room for the longest message in each of their places."""
+"""Rows per repeated message, or as many as the node streams: every slot of the middleware's queues is as large as the longest message."""
 
 
 class InputOwner(Protocol):
-    """Node as its inputs see it: they tell it what has come."""
+    """Node as seen by its inputs; `SignalNode` documents the methods."""
 
     counts: Counter[str]
     lockstep: bool
     period: float
 
     def drop(self, topic: str, kind: str, reason: str) -> None:
-        """Count a refused message, and say so once in a while."""
+        """Count a refused message, and log it at most once per interval."""
 
     def advance(self) -> None:
-        """Lockstep: use whatever rows are there."""
+        """Use the rows that are available, in lockstep."""
 
     def arrived(self, source: Input, tick: int, stamp: int) -> None:
-        """Timer: rows of `source` up to this tick came at this time (ns since the epoch)."""
+        """Take note of the time at which rows arrived, under the timer."""
 
     def repeat(self, source: Input, tick: int) -> None:
-        """Lockstep: rows of `source` from this tick on were repeated; what followed from them may have been lost."""
+        """Publish again the rows that followed from repeated ones, in lockstep."""
 
     def out_of_order(self, source: Input, tick: int) -> None:
-        """Lockstep: rows of `source` from `tick` on came while earlier ones are missing."""
+        """React to rows that arrived while earlier ones are missing, in lockstep."""
 
 
 class Input:
-    """One subscribed signal: what its messages are worth, told to the node, and the rows that they brought.
+    """One subscribed signal: checks its messages, keeps their rows and informs the node.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class Input:
     rows : SignalRows
         State of the signal.
     intake : PolledSubscription, optional
-        Timer: where messages are taken by `poll`.
+        Subscription from which `poll` takes messages, under the timer.
     """
 
     def __init__(
@@ -66,13 +66,19 @@ class Input:
         self._seen_label: str | None = None
 
     def poll(self) -> None:
-        """Timer: take what has arrived."""
+        """Take the messages that have arrived, under the timer."""
         if self._intake is not None:
             for label, block, stamp in self._intake.take(self.refused):
                 self.receive(label, block, stamp)
 
     def refused(self, reason: str) -> None:
-        """Count a message that cannot be read."""
+        """Count a message that cannot be read.
+
+        Parameters
+        ----------
+        reason : str
+            The reason.
+        """
         self._owner.drop(self.topic, "unreadable", reason)
 
     def receive(self, label: str, block: Array, stamp: int = 0) -> None:
@@ -83,7 +89,7 @@ class Input:
         label : str
             Its column label.
         block : ndarray, shape (N, 1 + A)
-            Its rows, column 0 the time in s; may be read-only.
+            Its rows, which may be read-only; column 0 is the time in s.
         stamp : int
             Time of reception in ns since the epoch.
         """
@@ -97,7 +103,7 @@ class Input:
             return
         values = block.ravel().tolist()
         if not all(map(math.isfinite, values)):
-            owner.drop(self.topic, "not finite", "it holds a NaN or an infinity")
+            owner.drop(self.topic, "not finite", "it contains NaN or infinity")
             return
         tick = tick_at(values[0], owner.period) if len(block) == 1 else first_tick(block, owner.period)
         if tick is None:
@@ -115,7 +121,7 @@ class Input:
             owner.arrived(self, tick + len(block) - 1, stamp)
 
     def forget(self) -> None:
-        """Begin anew: the next rows may have any tick."""
+        """Start again; the next rows may have any tick."""
         self.rows.forget()
 
     @property
@@ -124,7 +130,7 @@ class Input:
         return time.monotonic() - self.rows.arrived
 
     def _not_accepted(self, receipt: Receipt, tick: int) -> None:
-        """Count rows that were refused or known, and do what follows from it."""
+        """Count refused and known rows, and inform the node."""
         owner, rows = self._owner, self.rows
         if receipt is Receipt.JOINING:
             owner.counts[f"{self.topic}: joining"] += 1
@@ -135,19 +141,21 @@ class Input:
             owner.drop(
                 self.topic,
                 "too many waiting",
-                f"{rows.available} rows wait to be used: does another input stand still, or is "
-                "the time of this one ahead? A lead may be longer with a greater most_waiting",
+                f"{rows.available} rows are waiting to be used: has another input stopped, or is the time of this one ahead? "
+                "A longer lead needs a greater most_waiting",
             )
         elif receipt is Receipt.CLOCK_RESET:
             owner.drop(
-                self.topic, "time ran backwards", f"tick {tick} comes after tick {(rows.end or 0) - 1}: ~/reset takes the new time"
+                self.topic,
+                "time ran backwards",
+                f"tick {tick} comes after tick {(rows.end or 0) - 1}: call ~/reset to accept the new time",
             )
         elif receipt is Receipt.LATE and not owner.lockstep:
             owner.counts[f"{self.topic}: late"] += 1
         else:
             owner.counts[f"{self.topic}: duplicate"] += 1
             if receipt is Receipt.CONFLICT:
-                owner.drop(self.topic, "conflict", f"tick {tick} came twice, with other values: do two nodes publish it?")
+                owner.drop(self.topic, "conflict", f"tick {tick} came twice with different values: do two nodes publish it?")
             if owner.lockstep:
                 oldest = rows.repetition_due(time.monotonic())
                 if oldest is not None:
@@ -155,14 +163,14 @@ class Input:
 
 
 class Output:
-    """One published signal; the newest rows are kept to be repeated.
+    """One published signal, whose newest rows are kept for repetition.
 
     Parameters
     ----------
     sender : Sender
         Publisher of the topic.
     columns : int
-        Number of columns of a message: the time and one per axis.
+        Columns of a message: the time and one per axis.
     period : float
         Time in s between two ticks.
     block : int
@@ -175,13 +183,27 @@ class Output:
         self._columns, self._period, self._block = columns, period, block
 
     def send(self, tick: int, rows: Array) -> None:
-        """Publish rows (N, A) of the ticks from `tick` on."""
+        """Publish rows.
+
+        Parameters
+        ----------
+        tick : int
+            Tick of the first row.
+        rows : ndarray, shape (N, A)
+            Rows of successive ticks.
+        """
         block = self._with_times(tick, rows)
         self.sender.send(block)
         self.sent.add(tick, block)
 
     def repeat(self, first: int = 0) -> None:
-        """Publish the rows from this tick on again, as far back as they are kept; the newest message when there are none."""
+        """Publish kept rows again; the newest message when none of them are kept.
+
+        Parameters
+        ----------
+        first : int
+            Tick of the first row.
+        """
         rows = self.sent.since(first)
         if rows is None:
             self.repeat_newest()
@@ -189,7 +211,15 @@ class Output:
             self._send_in_parts(rows)
 
     def repeat_rows(self, tick: int, rows: Array) -> None:
-        """Publish rows (N, A) of the ticks from `tick` on, which were published before."""
+        """Publish rows again that the caller has kept.
+
+        Parameters
+        ----------
+        tick : int
+            Tick of the first row.
+        rows : ndarray, shape (N, A)
+            Rows of successive ticks.
+        """
         self._send_in_parts(self._with_times(tick, rows))
 
     def repeat_newest(self) -> None:
@@ -198,7 +228,7 @@ class Output:
             self.sender.send(self.sent.newest)
 
     def clear(self) -> None:
-        """Forget the rows that were kept."""
+        """Forget the kept rows."""
         self.sent.clear()
 
     def _send_in_parts(self, block: Array) -> None:
@@ -219,5 +249,16 @@ class Output:
 
 
 def off_the_clock(period: float) -> str:
-    """Reason why a message is refused whose times are no ticks of this period (s)."""
+    """Reason for refusing a message whose times are not ticks.
+
+    Parameters
+    ----------
+    period : float
+        Time in s between two ticks.
+
+    Returns
+    -------
+    str
+        The reason, with a remedy.
+    """
     return f"its times are not successive multiples of the period {period:g} s: is rate_hz the same everywhere?"

@@ -1,6 +1,6 @@
-"""The wall clock's schedule: ticks that all processes of a machine count alike, and a record of how well they are kept.
+"""Timer schedule: ticks of the wall clock, counted alike by all processes of a machine, and statistics of their timing.
 
-A tick is floor(clock / interval), so a missed one is a visible gap.
+The tick is floor(clock / interval), so that a missed tick is a visible gap.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from rclpy.node import Node
 
 from hyst_control.nodes.duration_histogram import Durations
 
-LONGEST_GAP = 1.0  # s, of missed ticks that are made up for
+LONGEST_GAP = 1.0  # s, of missed ticks that are caught up
 
 
 class TickOwner(Protocol):
-    """Node as its timer sees it."""
+    """Node as seen by its timer; `SignalNode` documents the methods."""
 
     counts: Counter[str]
 
     def take_tick(self, tick: int) -> None:
-        """Do what is due at this tick, the first of those that an interval covers."""
+        """Take the messages that have arrived, then tick."""
 
     def time_ran_backwards(self, seconds: float) -> None:
-        """Begin anew: the clock was set back by so much."""
+        """Start again after the clock was set back."""
 
     def warn(self, key: str, text: str) -> None:
-        """Log a line, once in a while for each key."""
+        """Log a warning, at most one per key and interval."""
 
 
 class TickTimer:
-    """Ticks a node on the steady clock, or on simulated time.
+    """Timer that ticks a node on the steady clock or in simulated time.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class TickTimer:
     period : float
         Time in s between two samples.
     block : int
-        Samples that a tick covers.
+        Samples per tick.
     """
 
     def __init__(self, owner: TickOwner, period: float, block: int) -> None:
@@ -52,11 +52,11 @@ class TickTimer:
         self.interval = period * block
         """Seconds between two ticks."""
         self.phase = 0.0
-        """Share of a tick after its beginning at which the node is called: a call a little late is the same tick."""
+        """Share of a tick after its beginning at which the node is called; a call slightly late still belongs to the same tick."""
         self.missed = 0
-        """Samples between the tick before and this one that nobody ticked for."""
+        """Samples of the ticks that were missed between the previous tick and this one."""
         self.overrun_streak = 0
-        """Number of ticks in a row that took longer than their time."""
+        """Number of successive ticks that took longer than their interval."""
         self.intervals, self.jitter = Durations(), Jitter()
         self._owner = owner
         self._timer: Any = None
@@ -71,18 +71,18 @@ class TickTimer:
         return self._timer is not None and not self._simulated
 
     def start(self, node: Node, clock: Clock, phase: float, simulated: bool) -> None:
-        """Tick from now on.
+        """Start ticking.
 
         Parameters
         ----------
         node : Node
             The node whose timer it is.
         clock : Clock
-            The clock that calls, steady or simulated.
+            Its clock, steady or simulated.
         phase : float
             Share of a tick after its beginning at which the node is called.
         simulated : bool
-            Whether the clock is simulated.
+            True when the clock is simulated.
         """
         self.phase, self._simulated = phase, simulated
         if simulated:
@@ -92,7 +92,17 @@ class TickTimer:
             self.call_instead(node, clock, self.call)
 
     def call_instead(self, node: Node, clock: Clock, callback: Callable[[], None] | None) -> None:
-        """Call this at every tick of the steady clock from now on; None: somebody else does."""
+        """Replace the function that the timer calls at every tick of the steady clock.
+
+        Parameters
+        ----------
+        node : Node
+            The node whose timer it is.
+        clock : Clock
+            The steady clock.
+        callback : callable or None
+            The function; None removes the timer.
+        """
         if self._timer is not None:
             node.destroy_timer(self._timer)
         self._timer = None
@@ -101,7 +111,13 @@ class TickTimer:
             self._timer = node.create_timer(self.interval, callback, clock=clock)
 
     def call(self, now: float | None = None) -> None:
-        """Tick the node, unless it was called for this tick before; now: s, of the clock that paces it."""
+        """Tick the node, unless it was already called for this tick.
+
+        Parameters
+        ----------
+        now : float, optional
+            Time in s of the clock that paces the node; default: read from that clock.
+        """
         now = self._now() if now is None else now
         owner = self._owner
         number = math.floor(now / self.interval)
@@ -138,13 +154,19 @@ class Jitter:
         self._count, self._sum, self._squares = 0, 0.0, 0.0
 
     def add(self, interval: float) -> None:
-        """Count an interval (s)."""
+        """Count an interval.
+
+        Parameters
+        ----------
+        interval : float
+            The interval in s.
+        """
         self._count += 1
         self._sum += interval
         self._squares += interval * interval
 
     def take(self) -> float:
-        """The standard deviation in s since this was asked last."""
+        """Standard deviation in s since the last call."""
         count = max(self._count, 1)
         variance = self._squares / count - (self._sum / count) ** 2
         self._count, self._sum, self._squares = 0, 0.0, 0.0

@@ -1,4 +1,4 @@
-"""A signal that is only listened to: rows with their ticks, from messages that are taken when it suits, in both schedules."""
+"""Signal that a node only listens to, polled in both schedules: rows with their ticks."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Ticks = NDArray[np.int64]
 
 
 class WatchedSignal:
-    """One signal: rows with their ticks, in order and each once.
+    """One signal whose rows are taken in order of their ticks, each once.
 
-    While more than `most_waiting` rows wait for the other signal, the oldest of them are dropped.
+    When more than `most_waiting` rows wait for the other signal, the oldest ones are dropped.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class WatchedSignal:
     topic, unit : str
         Topic, and the unit of its values.
     restarted : callable
-        Called when the time of the signal begins anew; forgets what was heard.
+        Called when the time of the signal was set back; must forget all rows received before.
     """
 
     def __init__(self, node: SignalNode, topic: str, unit: str, restarted: Callable[[], None]) -> None:
@@ -39,11 +39,11 @@ class WatchedSignal:
         self.rows = node.signal_rows(topic, Missing.SKIP, drop_oldest=True, clock_may_be_set_back=True)
 
     def forget(self) -> None:
-        """Begin anew: the next rows may have any tick."""
+        """Start again; the next rows may have any tick."""
         self.rows.forget()
 
     def drain(self) -> None:
-        """Take everything that has arrived."""
+        """Take all messages that have arrived."""
         for label, block, _ in self._intake.take(self._refused, merge=True):
             if label != self._label:
                 self._node.drop(self._topic, "wrong label", f"its columns must be {self._label!r}, got {label!r}")
@@ -51,7 +51,13 @@ class WatchedSignal:
                 self.receive(block)
 
     def receive(self, block: Array) -> None:
-        """Take in rows (N, 1 + A) of one or several messages, column 0 the time in s."""
+        """Take in the rows of one or several messages.
+
+        Parameters
+        ----------
+        block : ndarray, shape (N, 1 + A)
+            The rows; column 0 is the time in s.
+        """
         for tick, part in successive_parts(block, self._node.period):
             if tick is None:
                 self._node.drop(self._topic, "off the clock", off_the_clock(self._node.period))
@@ -60,7 +66,7 @@ class WatchedSignal:
             if finite.all():
                 self._receive_rows(tick, part[:, 1:].copy())  # the message is read-only
             else:
-                self._node.drop(self._topic, "not finite", "it holds a NaN or an infinity")
+                self._node.drop(self._topic, "not finite", "it contains NaN or infinity")
                 for stretch in np.split(np.arange(len(part)), np.flatnonzero(np.diff(finite)) + 1):
                     if finite[stretch[0]]:
                         self._receive_rows(tick + int(stretch[0]), part[stretch, 1:])
@@ -81,6 +87,4 @@ class WatchedSignal:
         elif state.missed > missed:
             node.counts[f"{self._topic}: missed ticks"] += state.missed - missed
         if state.dropped > dropped:
-            node.drop(
-                self._topic, "too many waiting", f"{state.available} rows wait for their pair: does the other signal stand still?"
-            )
+            node.drop(self._topic, "too many waiting", f"{state.available} rows are waiting for the other signal: has it stopped?")

@@ -1,1 +1,1 @@
-"""Starting nodes as processes on a ROS domain of their own; imports no ROS itself."""
+"""Starting of nodes as processes on a ROS domain of their own, without importing ROS."""

@@ -1,6 +1,6 @@
-"""All nodes: the one list of their executables, modules and classes.
+"""List of all nodes: executables, modules and classes.
 
-Data only, and without an import of this package, so that `setup.py` can run it before anything is installed.
+Data only and without imports of this package, so that `setup.py` can run it before anything is installed.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ class NodeEntry(NamedTuple):
     module: str
     """Module whose `main` is the executable."""
     node_class: str = ""
-    """Name of its class, where the node can be composed with others in one process; else ""."""
+    """Name of its class if the node can be composed with others in one process; otherwise ""."""
     installed: bool = True
     """True when the executable is installed."""
 

@@ -1,4 +1,4 @@
-"""Starting nodes as processes of their own and ending them, without ROS in the process that does it."""
+"""Starting and ending of nodes as processes, without ROS in the calling process."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from hyst_control.processes.ros_domain import lock_of
 
 
 class Processes:
-    """Nodes as processes on one ROS domain; all are ended on the way out.
+    """Nodes as processes on one ROS domain; all are ended when the context ends.
 
     Parameters
     ----------
     folder : Path
-        Folder of parameter files and logs; made where it is missing.
+        Folder of parameter files and logs, created if it is missing.
     domain : int
         ROS domain.
     namespace : str
@@ -41,7 +41,22 @@ class Processes:
         self.running: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self, node: str, parameters: Mapping[str, Any], name: str | None = None) -> subprocess.Popen[bytes]:
-        """Start an executable with its parameters; its output goes to `name`.log."""
+        """Start an executable with its parameters; its output goes to `name`.log.
+
+        Parameters
+        ----------
+        node : str
+            Name in `NODES`.
+        parameters : mapping
+            Parameters by name.
+        name : str, optional
+            Name of the node; default: `node`.
+
+        Returns
+        -------
+        Popen
+            The process.
+        """
         name = name or node
         file = self._write(name, {"/**": parameters})
         return self.run(
@@ -49,12 +64,40 @@ class Processes:
         )
 
     def compose(self, parameters: Mapping[str, Mapping[str, Any]], name: str = "pipeline") -> subprocess.Popen[bytes]:
-        """Start nodes as one process: parameters by the node's name."""
+        """Start several nodes as one process.
+
+        Parameters
+        ----------
+        parameters : mapping of str to mapping
+            Parameters by name, of every node by its name.
+        name : str
+            Name of the process, for its log.
+
+        Returns
+        -------
+        Popen
+            The process.
+        """
         file = self._write(name, {f"/**/{node}": own for node, own in parameters.items()})
         return self.run(name, NODES["pipeline"].module, *parameters, "--ros-args", *self._remaps(), "--params-file", str(file))
 
     def run(self, name: str, module: str, *arguments: str) -> subprocess.Popen[bytes]:
-        """Start a module as a process on the domain; its output goes to `name`.log."""
+        """Start a module as a process on the domain; its output goes to `name`.log.
+
+        Parameters
+        ----------
+        name : str
+            Name of the process.
+        module : str
+            Name of the module.
+        *arguments : str
+            Its command line.
+
+        Returns
+        -------
+        Popen
+            The process.
+        """
         with open(self.log(name), "ab") as log:
             process = subprocess.Popen(
                 [sys.executable, "-m", module, *arguments],
@@ -64,21 +107,32 @@ class Processes:
                 stderr=log,
                 pass_fds=self._lock,
                 start_new_session=True,
-            )  # a Ctrl-C is passed on by `stop`, once
+            )  # `stop` passes a Ctrl-C on, once
         self.running[name] = process
         return process
 
     def _write(self, name: str, parameters: Mapping[str, Mapping[str, Any]]) -> Path:
         file = self.folder / f"{name}.yaml"
         document = {node: {"ros__parameters": dict(own)} for node, own in parameters.items()}
-        file.write_text(json.dumps(document, indent=1), encoding="utf-8")  # quoted: to ROS a bare y is a truth value
+        file.write_text(json.dumps(document, indent=1), encoding="utf-8")  # quoted: ROS takes a bare y for a boolean
         return file
 
     def _remaps(self) -> list[str]:
         return ["-r", f"__ns:={self.namespace}"] if self.namespace else []
 
     def log(self, name: str) -> Path:
-        """The file with a node's output."""
+        """File with the output of a process.
+
+        Parameters
+        ----------
+        name : str
+            Name of the process.
+
+        Returns
+        -------
+        Path
+            The file.
+        """
         return self.folder / f"{name}.log"
 
     def wait(self, *names: str, timeout: float) -> None:
@@ -94,15 +148,15 @@ class Processes:
         Raises
         ------
         InputError
-            When any node fails, with its last line.
+            When any node fails; gives its last line of output.
         TimeoutError
-            When the time is over.
+            When a node is still running after the timeout.
         """
         end = time.monotonic() + timeout
         while any(self.running[name].poll() is None for name in names):
             self.check()
             if time.monotonic() > end:
-                raise TimeoutError(f"{', '.join(names)}: not ended after {timeout:g} s, logs are in {self.folder}")
+                raise TimeoutError(f"{', '.join(names)}: still running after {timeout:g} s; the logs are in {self.folder}")
             try:
                 next(self.running[name] for name in names if self.running[name].poll() is None).wait(0.1)
             except (subprocess.TimeoutExpired, StopIteration):
@@ -114,10 +168,21 @@ class Processes:
         for name, process in self.running.items():
             if process.poll():
                 lines = self.log(name).read_text(errors="replace").strip().splitlines()
-                raise InputError(f"{name} ended with status {process.returncode}: {lines[-1] if lines else 'it said nothing'}")
+                raise InputError(f"{name} ended with status {process.returncode}: {lines[-1] if lines else 'no output'}")
 
     def stop(self, timeout: float = 10.0) -> dict[str, int]:
-        """Interrupt the nodes that still run and wait for them; exit statuses by name (killed ones: -9)."""
+        """Interrupt the running processes and wait for them.
+
+        Parameters
+        ----------
+        timeout : float
+            Time in s after which the remaining ones are killed.
+
+        Returns
+        -------
+        dict of str to int
+            Exit statuses by name; -9 of killed processes.
+        """
         for process in self.running.values():
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)

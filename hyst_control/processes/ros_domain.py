@@ -1,4 +1,4 @@
-"""A ROS domain of one's own: runs side by side on a machine must not hear each other."""
+"""ROS domain of a run, because runs side by side on one machine must not receive each other's messages."""
 
 from __future__ import annotations
 
@@ -16,13 +16,35 @@ _held: dict[int, int] = {}
 
 
 def lock_of(domain: int) -> tuple[int, ...]:
-    """The open file that locks a domain of this process, for its children to inherit: they may outlive it; empty for others."""
+    """Open file that locks a domain, for child processes to inherit because they may outlive this process.
+
+    Parameters
+    ----------
+    domain : int
+        ROS domain.
+
+    Returns
+    -------
+    tuple of int
+        File descriptor; empty if this process does not hold the domain.
+    """
     return (_held[domain],) if domain in _held else ()
 
 
 @contextmanager
 def own_domain() -> Iterator[int]:
-    """A domain id that no other run of this package on this machine holds, for as long as the context or a child's process lasts."""
+    """Lock a domain that no other run of this package on this machine uses, until the context and all child processes have ended.
+
+    Returns
+    -------
+    int
+        The domain.
+
+    Raises
+    ------
+    InputError
+        When all domains are in use.
+    """
     for domain in DOMAINS:
         path = os.path.join(tempfile.gettempdir(), f"hyst_control_{os.getuid()}_domain_{domain}.lock")
         handle = os.open(path, os.O_CREAT | os.O_RDWR, 0o600)
@@ -38,4 +60,4 @@ def own_domain() -> Iterator[int]:
             del _held[domain]
             os.close(handle)
         return
-    raise InputError(f"ROS domains: all of {DOMAINS.start} to {DOMAINS.stop - 1} are in use: wait for another run to end")
+    raise InputError(f"ROS domains: all of {DOMAINS.start} to {DOMAINS.stop - 1} are in use: wait until another run has ended")

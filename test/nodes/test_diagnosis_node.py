@@ -170,7 +170,7 @@ def test_held_samples_are_counted(talking):
 
 def test_nothing_to_diagnose_and_a_model_of_another_plant_are_told_in_one_line(talking):
     answer = talking.call(Trigger, "/diagnosis/diagnose", Trigger.Request())
-    assert not answer.success and "nothing was recorded" in answer.message
+    assert not answer.success and "no data yet" in answer.message
     with pytest.raises(InputError, match="set the parameters axes and unit"):
         talking.add(DiagnosisNode, **{**SETTINGS, "unit": "mrad"})
     with pytest.raises(InputError, match="model"):

@@ -183,7 +183,7 @@ def ReferenceGenerator_of(signal):
         (PlantNode, {"plant": "pea", "effects": "delay"}, r"plant: effects: must be a list .*, got 'delay'"),
         (PlantNode, {"plant": "pea", "effects": "[{name: dealy}]"}, "'dealy' is unknown"),
         (PlantNode, {"plant": "pea", "parameters": "{colour: 1}"}, "parameters.colour"),
-        (PlantNode, {"model": MODEL, "parameters": "{noise: 0.0}"}, "put them into the model file"),
+        (PlantNode, {"model": MODEL, "parameters": "{noise: 0.0}"}, "write them into the model file"),
         (PlantNode, {"model": MODEL, "axes": ["x", "y"]}, "axes"),
         (PiFeedback, {"upper": -1.0}, "upper"),
         (PiFeedback, {"kp": "fast"}, "kp"),

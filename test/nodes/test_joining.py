@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from loop_case import recorded
 
+from hyst_control.nodes import interrupts
 from hyst_control.nodes.feedforward import Feedforward
-from hyst_control.nodes.interrupts import uninterrupted
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.records.signal_rows import LONGEST_JOINING
@@ -123,7 +123,7 @@ def test_the_recorder_closed_before_it_knew_keeps_what_it_heard(bench, tmp_path)
 
 def test_an_interrupt_while_nodes_are_closed_changes_nothing(listening):
     before = signal.getsignal(signal.SIGINT)
-    with uninterrupted():
+    with interrupts.ignored():
         for _ in range(3):
             signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is before
@@ -132,7 +132,7 @@ def test_an_interrupt_while_nodes_are_closed_changes_nothing(listening):
     threads = []
 
     def elsewhere():
-        with uninterrupted():
+        with interrupts.ignored():
             threads.append(threading.current_thread())
 
     thread = threading.Thread(target=elsewhere)

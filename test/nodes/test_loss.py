@@ -10,7 +10,7 @@ import pytest
 from loop_case import assert_same_bits, offline, parameters, recorded
 from rclpy.parameter import Parameter
 
-from hyst_control.nodes.interrupts import uninterrupted
+from hyst_control.nodes import interrupts
 from hyst_control.nodes.pipeline import node_class
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.run import run
@@ -103,7 +103,7 @@ def test_rows_that_never_come_again_are_a_gap_after_a_while(bench, tmp_path, mon
     now[0] += 0.9 * GAP_PATIENCE
     command.drain()
     node.progress()
-    assert node.told == 9 and command.rows.end == 10
+    assert node.last_complete_tick == 9 and command.rows.end == 10
     now[0] += 0.2 * GAP_PATIENCE
     command.drain()
     assert command.rows.end == 33 and node.counts["/command: missed ticks"] == 12
@@ -146,7 +146,7 @@ def test_an_interrupt_while_messages_are_taken_loses_none_of_them(bench, tmp_pat
         topic._intake.take = take
     with pytest.raises(KeyboardInterrupt):
         node._drain()
-    with uninterrupted():
+    with interrupts.ignored():
         node.close()
     found = recorded(tmp_path / "bag")
     np.testing.assert_array_equal(found["command"], np.concatenate([rows(0, 10), rows(20, 30)]))

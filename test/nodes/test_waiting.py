@@ -84,7 +84,7 @@ def test_level_and_message_follow_from_the_state_of_the_node():
         (NodeHealth(waits=[reported]), f"reference@7 ({REPORTED_WAIT:.1f} s)", ""),
         (NodeHealth(waits=[short, long]), f"reference@7 ({WAIT_WARNING:.1f} s)", f"waiting for reference@7 ({WAIT_WARNING:.1f} s)"),
         (NodeHealth(stale=["reference"], waits=[long]), str(long), "stale: reference"),
-        (NodeHealth(rivals=["reference"]), "none", "several sources: reference"),
+        (NodeHealth(contested=["reference"]), "none", "several sources: reference"),
         (NodeHealth(trouble="frozen", stale=["reference"]), "none", "frozen"),
     ):
         assert (health.waiting_for, health.warning, health.warns) == (waiting, warning, bool(warning))
