@@ -1,8 +1,9 @@
 """Command line `hyst`: every module of this package is a subcommand, which only parses arguments and calls the library.
 
-A subcommand module has `NAME`, `HELP`, `JSON` (what `--json` writes), `add_arguments(parser)` and `run(arguments)`, and
-where it has such arguments `READS` and `WRITES`: names of those that are files or folders. `run` returns its result, which has `text()` for people and `document()` for programs, or an exit status when it has printed everything itself. Imports of
-the library stand within `run`, so that `hyst --help` is quick. `--json` and `--quiet` are added here for every subcommand.
+A subcommand module has `NAME`, `HELP`, `JSON` (what `--json` writes), `add_arguments(parser)` and `run(arguments)`, and where it has
+such arguments `READS` and `WRITES`: names of those that are files or folders. `run` returns its result, which has `text()` for people
+and `document()` for programs, or an exit status when it has printed everything itself. Imports of the library stand within `run`, so
+that `hyst --help` is quick. `--json` and `--quiet` are added here for every subcommand.
 """
 
 from __future__ import annotations
