@@ -42,7 +42,20 @@ def solve_bounded(gram: Array, target: Array, lower: Array, upper: Array) -> Arr
 
 
 def cost(gram: Array, solution: Array) -> float:
-    """Return the sum of squared residuals of a solution (K,); gram (K + 1, K + 1) is that of [columns, y]."""
+    """Return the sum of squared residuals of a solution.
+
+    Parameters
+    ----------
+    gram
+        Gram matrix (K + 1, K + 1) of [columns, y].
+    solution
+        Coefficients (K,) of the columns.
+
+    Returns
+    -------
+    float
+        Sum of squares, never negative.
+    """
     vector = np.append(solution, -1.0)
     return max(float(vector @ gram @ vector), 0.0)
 

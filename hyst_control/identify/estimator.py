@@ -74,11 +74,38 @@ class Estimator(Generic[O]):
         return next(each.choices for each in self.declared if each.name == "method")
 
     def has(self, values: Iterable[str]) -> bool:
-        """Tell whether the family has options of all these names."""
+        """Report whether the family has options of all these names.
+
+        Parameters
+        ----------
+        values
+            Names of options.
+
+        Returns
+        -------
+        bool
+            True if it has all of them.
+        """
         return set(values) <= {each.name for each in self.declared}
 
     def options(self, **values: object) -> O:
-        """Make the family's options of values or their texts. Raises `InputError` for an option that it does not have."""
+        """Construct the family's options from values or their texts.
+
+        Parameters
+        ----------
+        **values
+            Values or texts by the options' names.
+
+        Returns
+        -------
+        O
+            The options, checked.
+
+        Raises
+        ------
+        InputError
+            The family has no such option, or a value is of another type or out of range.
+        """
         known = [each.name for each in self.declared]
         for name in values:
             if name not in known:
@@ -150,7 +177,18 @@ def every_option() -> dict[str, dict[str, Option]]:
 
 
 def described(options: Mapping[str, Option]) -> str:
-    """Return one option of several families in a line: meaning, what it may be, who has it, and its defaults."""
+    """Describe one option of several families in a line: meaning, range, families and defaults.
+
+    Parameters
+    ----------
+    options
+        The option by family.
+
+    Returns
+    -------
+    str
+        The line.
+    """
     option = max(options.values(), key=lambda each: len(each.choices))
     defaults: dict[str, list[str]] = {}
     for family, each in options.items():
@@ -166,7 +204,23 @@ def described(options: Mapping[str, Option]) -> str:
 
 
 def estimator_of(family: str) -> Estimator[Any]:
-    """Return a family's estimator. Raises `InputError` with the names there are."""
+    """Return a family's estimator.
+
+    Parameters
+    ----------
+    family
+        Name of the family.
+
+    Returns
+    -------
+    Estimator[Any]
+        The estimator.
+
+    Raises
+    ------
+    InputError
+        There is no such family; the message lists those there are.
+    """
     known = estimators()
     if family not in known:
         raise InputError(f"model: {family!r} is not a model family: use one of {', '.join(known)}")

@@ -24,9 +24,21 @@ EXCITED = 1e-3
 class FrequencyResponse:
     """A measured frequency response matrix, sample to sample: measurement = response · command, line by line.
 
-    frequency (F,) Hz; response (F, p, m), measurement unit per V; noise_variance (F, p, m): variance of the response
-    because of disturbing noise; total_variance (F, p, m): noise and stochastic nonlinear distortion together, None
-    where the experiment cannot tell them apart. Both are variances of the *averaged* response, E|G - E G|².
+    Both variances are those of the *averaged* response, E|G - E G|².
+
+    Parameters
+    ----------
+    frequency
+        Frequencies (F,), Hz.
+    response
+        Response (F, p, m), measurement unit per V.
+    noise_variance
+        Variance (F, p, m) of the response because of disturbing noise.
+    total_variance
+        Variance (F, p, m) because of noise and stochastic nonlinear distortion together; None where the experiment cannot separate
+        them.
+    realisations
+        Number of realizations averaged.
     """
 
     frequency: Array
@@ -41,10 +53,19 @@ class FrequencyResponse:
         return None if self.total_variance is None else np.maximum(self.total_variance - self.noise_variance, 0.0)
 
     def radius(self, confidence: float = 0.95) -> Array:
-        """Radius (F, p, m) of the circle in the complex plane that holds the true value with this probability.
+        """Radius of the circle in the complex plane that holds the true value with a given probability.
 
-        The estimate is circular complex normal, so |G - E G|² / variance · 2 is chi-square with two degrees of freedom
-        (P&S 2.4).
+        The estimate is circular complex normal, so |G - E G|² / variance · 2 is chi-square with two degrees of freedom (P&S 2.4).
+
+        Parameters
+        ----------
+        confidence
+            The probability.
+
+        Returns
+        -------
+        Array
+            Radius (F, p, m).
         """
         variance = self.noise_variance if self.total_variance is None else self.total_variance
         radius: Array = np.sqrt(variance * chi2.ppf(confidence, 2) / 2.0)
@@ -199,6 +220,17 @@ def local_polynomial(
 
 
 def excited_lines(power: Array) -> NDArray[np.intp]:
-    """Indices of the lines whose power (F,) is over `EXCITED` of the mean; never the static one."""
+    """Select the lines whose power exceeds `EXCITED` times the mean, except the static line.
+
+    Parameters
+    ----------
+    power
+        Power (F,) of every line.
+
+    Returns
+    -------
+    NDArray[np.intp]
+        Indices of the lines.
+    """
     chosen = np.flatnonzero(power > EXCITED * power[1:].mean())
     return chosen[chosen > 0]

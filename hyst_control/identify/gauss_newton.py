@@ -30,7 +30,15 @@ P = TypeVar("P")
 
 @dataclass(frozen=True)
 class Trial(Generic[P]):
-    """A point that a step leads to, and the largest change of a parameter on the way."""
+    """A point that a step leads to.
+
+    Parameters
+    ----------
+    point
+        The point.
+    moved
+        Largest change of a parameter on the way.
+    """
 
     point: P
     moved: float = math.inf
@@ -40,13 +48,48 @@ class Problem(Protocol[P]):
     """A nonlinear least-squares problem. Points are values: a step that is not kept leaves nothing behind."""
 
     def cost(self, point: P) -> float:
-        """Return what the search lowers."""
+        """Return the cost that the search lowers.
+
+        Parameters
+        ----------
+        point
+            A point.
+
+        Returns
+        -------
+        float
+            The cost.
+        """
 
     def linearize(self, point: P) -> P:
-        """Return the point with derivatives taken there; asked for only where another step begins."""
+        """Return the point with the derivatives there; called only where another step begins.
+
+        Parameters
+        ----------
+        point
+            A point.
+
+        Returns
+        -------
+        P
+            The same point with its derivatives.
+        """
 
     def step(self, point: P, damping: float) -> Trial[P] | None:
-        """Return the trial of the damped step from a linearized point; None where no step is worth a trial."""
+        """Return the trial of the damped step from a linearized point.
+
+        Parameters
+        ----------
+        point
+            A linearized point.
+        damping
+            Levenberg-Marquardt damping.
+
+        Returns
+        -------
+        Trial[P] | None
+            The trial; None where no step is worth a trial.
+        """
 
 
 class End(Enum):
@@ -95,9 +138,20 @@ class Rules:
 
 @dataclass(frozen=True)
 class Found(Generic[P]):
-    """Best point of a search, the reason for its end, and the numbers of steps kept and tried.
+    """Best point of a search.
 
-    `linearized` says whether the point's derivatives were taken there, or one step before.
+    Parameters
+    ----------
+    point
+        The best point.
+    end
+        Reason for the end of the search.
+    steps
+        Number of steps kept.
+    trials
+        Number of steps tried.
+    linearized
+        True if the point's derivatives were taken there, False if one step before.
     """
 
     point: P

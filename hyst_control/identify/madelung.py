@@ -37,8 +37,15 @@ GRID = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 65))
 class Curves:
     """A pair of curves as a parameter vector, in units of the full output: polynomials, or cubics through values at `knots`.
 
-    Polynomials: p_n … p_1, then q_n … q_2; q_1 follows from closure. Cubics: the ascending values behind the first knot, then
+    Polynomials: p_n ... p_1, then q_n ... q_2; q_1 follows from closure. Cubics: the ascending values behind the first knot, then
     the descending ones between the first and the last, where both meet.
+
+    Parameters
+    ----------
+    degree
+        Degree of the polynomials.
+    knots
+        Knots of the cubics, from 0 to 1 of the input scale; None: polynomials.
     """
 
     degree: int = 5
@@ -64,11 +71,35 @@ class Curves:
         return 2 * self.count - 1
 
     def full(self, vector: Array) -> float:
-        """The output at the upper end."""
+        """Output at the upper end.
+
+        Parameters
+        ----------
+        vector
+            Parameters (P,).
+
+        Returns
+        -------
+        float
+            The output.
+        """
         return float(np.sum(vector[: self.count]) if self.knots is None else vector[self.count - 1])
 
     def pair(self, vector: Array) -> tuple[Array, Array]:
-        """Ascending and descending curve as the stage has them, scaled to end at 1."""
+        """Ascending and descending curve in the stage's form, scaled to end at 1.
+
+        Parameters
+        ----------
+        vector
+            Parameters (P,).
+
+        Returns
+        -------
+        ascending : Array
+            Coefficients, or values at the knots.
+        descending : Array
+            The same of the descending curve.
+        """
         up, down = vector[: self.count], vector[self.count : self.size]
         full = self.full(vector)
         if self.knots is None:
@@ -78,12 +109,42 @@ class Curves:
         return np.concatenate([[0.0], up / full]), np.concatenate([[0.0], down / full, [1.0]])
 
     def stage(self, vector: Array, input_scale: float, output_scale: float, inverse: bool = False) -> Madelung:
-        """The stage of a vector; output_scale is the measurement at which the vector's full output is 1."""
+        """Construct the stage of a parameter vector.
+
+        Parameters
+        ----------
+        vector
+            Parameters (P,).
+        input_scale
+            Command at the upper end, V.
+        output_scale
+            Measurement at which the vector's output is 1.
+        inverse
+            Mark the curves as those of an inverse.
+
+        Returns
+        -------
+        Madelung
+            The stage.
+        """
         up, down = self.pair(vector)
         return Madelung(up, down, input_scale, output_scale * self.full(vector), self.knots, inverse)
 
     def like(self, other: Curves, vector: Array) -> Array:
-        """The vector in this form of curves that another form has, a polynomial of no higher degree or evaluated at the knots."""
+        """Convert the parameters of curves of another form: polynomials of no higher degree, or evaluated at the knots.
+
+        Parameters
+        ----------
+        other
+            The other form.
+        vector
+            Its parameters.
+
+        Returns
+        -------
+        Array
+            Parameters (P,) of this form.
+        """
         up, down = other.pair(vector)
         full = other.full(vector)
         if self.knots is not None:
@@ -93,7 +154,18 @@ class Curves:
         return full * np.concatenate([pad, up, pad, down[:-1]])
 
     def start(self, bulge: float = 0.15) -> Array:
-        """A pair to begin with: parabolas x (1 ± bulge (1 - x)), the ascending one below."""
+        """Initial parameters: parabolas x (1 ± bulge (1 - x)), the ascending one below.
+
+        Parameters
+        ----------
+        bulge
+            Bulge of the parabolas.
+
+        Returns
+        -------
+        Array
+            Parameters (P,).
+        """
         if self.knots is not None:
             x = np.asarray(self.knots, dtype=float)
             return np.concatenate([(x - bulge * x * (1 - x))[1:], (x + bulge * x * (1 - x))[1:-1]])
@@ -124,7 +196,17 @@ class Curves:
 
 @dataclass(frozen=True)
 class CurveOptions(Options):
-    """Form of the curves."""
+    """Options of the curves' form.
+
+    Parameters
+    ----------
+    degree
+        Degree of the polynomials.
+    knots
+        Knots of piecewise cubics in place of polynomials, from 0 to 1 of the input scale.
+    input_scale
+        Command at the upper end, V; None: the largest of the records.
+    """
 
     degree: int = option(
         5, INTEGER, "degree of the curves' polynomials, where `knots` does not make them piecewise", lower=1, upper=12
@@ -153,7 +235,13 @@ class CurveOptions(Options):
 
 @dataclass(frozen=True)
 class MadelungOptions(CurveOptions):
-    """Choices of a fit of Madelung curves."""
+    """Options of a fit of Madelung curves.
+
+    Parameters
+    ----------
+    nuisance
+        Offset or drift that each record may add.
+    """
 
     nuisance: str = nuisance_option("offset")
 
@@ -175,7 +263,23 @@ class MadelungCurves(Estimator[MadelungOptions]):
 
 @dataclass(frozen=True)
 class AxisFit:
-    """Curves of one axis in units of output_scale, the sign of the response, and the zero of the measurement."""
+    """Curves of one axis.
+
+    Parameters
+    ----------
+    curves
+        Form of the curves.
+    solution
+        Their parameters, in units of output_scale.
+    input_scale
+        Command at the upper end, V.
+    output_scale
+        Scale of the output (measurement unit).
+    sign
+        Sign of the response, 1 or -1.
+    offset
+        Zero of the measurement (measurement unit).
+    """
 
     curves: Curves
     solution: Solution
@@ -240,9 +344,21 @@ def fit_axis(
 
 
 def fit_inverse(stage: Madelung, curves: Curves | None = None) -> Madelung:
-    """Curves of their own for the inverse, fitted to the major loop of a model of one axis (MHL paper Table 1, right).
+    """Fit separate curves for the inverse to the major loop of a model of one axis (MHL paper Table 1, right).
 
     The result runs from output to command; it is not the closed-form inverse but near it, as the paper's is.
+
+    Parameters
+    ----------
+    stage
+        Hysteresis of one axis.
+    curves
+        Form of the inverse's curves; None: the default polynomials.
+
+    Returns
+    -------
+    Madelung
+        The stage of the inverse.
     """
     curves = curves or Curves()
     full = float(stage.output_scale) * float(stage.curves(1)[0][0](np.ones(1))[0])
@@ -256,7 +372,18 @@ def fit_inverse(stage: Madelung, curves: Curves | None = None) -> Madelung:
 
 
 def check(datasets: Sequence[Dataset]) -> None:
-    """Raise `InputError` unless the records share their axes and unit, something moves, and no command is negative."""
+    """Check that records suit Madelung curves.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+
+    Raises
+    ------
+    InputError
+        They differ in axes or unit, nothing moves, or a command is negative.
+    """
     check_records(datasets)
     for data in datasets:
         lowest = float(data.command.min())
@@ -267,7 +394,20 @@ def check(datasets: Sequence[Dataset]) -> None:
 
 
 def full_scale(windows: Sequence[Window], given: float | None) -> float:
-    """The command (V) at the upper end of the major loop: the largest one of the records unless given."""
+    """Command at the upper end of the major loop.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records.
+    given
+        The command, V; None: the largest of the records.
+
+    Returns
+    -------
+    float
+        Command, V.
+    """
     largest = max(float(window.command.max()) for window in windows)
     if given is None:
         return largest
@@ -275,13 +415,39 @@ def full_scale(windows: Sequence[Window], given: float | None) -> float:
 
 
 def response_sign(windows: Sequence[Window]) -> float:
-    """1 where the measurement rises with the command, else -1."""
+    """Sign of the response: 1 where the measurement rises with the command, else -1.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records.
+
+    Returns
+    -------
+    float
+        1 or -1.
+    """
     covariance = sum(float((w.command - w.command.mean()) @ (w.measurement - w.measurement.mean())) for w in windows)
     return -1.0 if covariance < 0 else 1.0
 
 
 def mean_offset(solution: Solution, windows: Sequence[Window], nuisance: str) -> float:
-    """Mean of the records' offsets, each with the weight of its rows."""
+    """Mean of the records' offsets, weighted by their numbers of rows.
+
+    Parameters
+    ----------
+    solution
+        Solution of the fit.
+    windows
+        Stretches of the records.
+    nuisance
+        Nuisance of each record, one of `NUISANCES`.
+
+    Returns
+    -------
+    float
+        Offset (measurement unit); 0 without nuisances.
+    """
     extra = NUISANCES[nuisance]
     if not extra:
         return 0.0
@@ -292,7 +458,18 @@ def mean_offset(solution: Solution, windows: Sequence[Window], nuisance: str) ->
 
 
 def merged(stages: Sequence[Madelung]) -> Madelung:
-    """The hysteresis of several axes as one stage."""
+    """Merge the hysteresis of several axes into one stage.
+
+    Parameters
+    ----------
+    stages
+        A stage an axis.
+
+    Returns
+    -------
+    Madelung
+        The stage with per-axis parameters.
+    """
     if len(stages) == 1:
         return stages[0]
     return Madelung(
@@ -305,10 +482,26 @@ def merged(stages: Sequence[Madelung]) -> Madelung:
 
 
 def curve_errors(curves: Curves, vector: Array, covariance: Array) -> tuple[list[ParameterRow], float]:
-    """Rows {"name", "value", "standard_error"} of the curves' coefficients, and the tolerance of the curves as a whole.
+    """Parameter rows of the curves' coefficients, and the tolerance of the curves as a whole.
 
-    Coefficients of a polynomial are known together far better than one by one. The tolerance is the relative error which,
-    drawn independently per coefficient, scatters the curves as much as the data leave them uncertain.
+    Coefficients of a polynomial are known together far better than one by one. The tolerance is the relative error which, drawn
+    independently per coefficient, scatters the curves as much as the data leave them uncertain.
+
+    Parameters
+    ----------
+    curves
+        Form of the curves.
+    vector
+        Their parameters (P,).
+    covariance
+        Covariance (P, P) of the parameters.
+
+    Returns
+    -------
+    rows : list[ParameterRow]
+        A row a coefficient.
+    tolerance : float
+        Relative standard deviation.
     """
 
     def coefficients(at: Array) -> Array:
@@ -334,7 +527,22 @@ def curve_errors(curves: Curves, vector: Array, covariance: Array) -> tuple[list
 
 
 def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) -> Fit:
-    """Model and report of a static fit."""
+    """Assemble model and report of a static fit.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+    axes
+        A fit an axis.
+    method
+        Method of the fit.
+
+    Returns
+    -------
+    Fit
+        Model and report.
+    """
     first = datasets[0]
     stages: list[Stage] = [merged([axis.stage for axis in axes])]
     if any(axis.sign < 0 for axis in axes):
@@ -387,7 +595,20 @@ class Scaled(Protocol):
 
 
 def range_notes(datasets: Sequence[Dataset], axes: Sequence[Scaled]) -> list[str]:
-    """Name the part of the curves that the records do not reach, with the excitation that would show it."""
+    """Name the part of the curves that the records do not reach, with the excitation that would show it.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+    axes
+        Scales of every axis.
+
+    Returns
+    -------
+    list[str]
+        A sentence an axis that is not covered.
+    """
     notes = []
     for index, (axis, name) in enumerate(zip(axes, datasets[0].axes, strict=True)):
         low = min(float(data.command[:, index].min()) for data in datasets) / axis.input_scale

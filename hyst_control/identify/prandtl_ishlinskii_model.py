@@ -22,19 +22,46 @@ from hyst_control.model_file import Model
 
 @dataclass(frozen=True)
 class AxisFit:
-    """One axis: the solution on everything, its operators, and the mean square error on the stretches held out."""
+    """Fit of one axis.
+
+    Parameters
+    ----------
+    solution
+        Solution on all rows.
+    operators
+        The play operators.
+    held_out
+        Mean square error on the stretches held out.
+    rate_dependent
+        Thresholds that widen with the command's rate.
+    dynamics
+        Dynamics behind the operators were looked for.
+    """
 
     solution: Solution
     operators: Operators
     held_out: float
     rate_dependent: bool = False
-    """Thresholds that widen with the command's rate."""
     dynamics: bool = True
-    """Dynamics behind the operators were looked for."""
 
 
 def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequence[AxisFit]) -> Fit:
-    """The model of all axes, with standard errors as tolerances, and its report."""
+    """Assemble the model of all axes, with standard errors as tolerances, and its report.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+    family, method
+        Model family, and "joint" or "paper".
+    axes
+        A fit an axis.
+
+    Returns
+    -------
+    Fit
+        Model and report.
+    """
     first = datasets[0]
     chains = [axis_stages(axis) for axis in axes]
     lower = min(float(data.command.min()) for data in datasets)
@@ -78,7 +105,18 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
 
 
 def axis_stages(axis: AxisFit) -> list[Stage]:
-    """The chain of one axis: hysteresis, then its delay and dynamics."""
+    """Construct the chain of one axis: hysteresis, then its delay and dynamics.
+
+    Parameters
+    ----------
+    axis
+        Fit of the axis.
+
+    Returns
+    -------
+    list[Stage]
+        The stages.
+    """
     operators, theta = axis.operators, axis.solution.theta
     thresholds, weights = operators.thresholds, theta[: len(operators.thresholds)]
     if axis.operators.dynamic:
@@ -103,7 +141,18 @@ def axis_stages(axis: AxisFit) -> list[Stage]:
 
 
 def merge_axes(chains: Sequence[Sequence[Stage]]) -> tuple[Stage, ...]:
-    """Chains of single axes as one chain with per-axis parameters; missing delays are 0, missing dynamics 1."""
+    """Merge chains of single axes into one with per-axis parameters; missing delays are 0, missing dynamics 1.
+
+    Parameters
+    ----------
+    chains
+        A chain an axis.
+
+    Returns
+    -------
+    tuple[Stage, ...]
+        The stages of all axes.
+    """
     if len(chains) == 1:
         return tuple(chains[0])
     merged: list[Stage] = []
@@ -126,7 +175,20 @@ def merge_axes(chains: Sequence[Sequence[Stage]]) -> tuple[Stage, ...]:
 
 
 def parameter_rows(axis: AxisFit, data: Dataset) -> list[ParameterRow]:
-    """Every parameter with its value, unit and standard error (None where the data cannot give one)."""
+    """List every parameter with its value, unit and standard error (None where the data cannot give one).
+
+    Parameters
+    ----------
+    axis
+        Fit of the axis.
+    data
+        A record, for the unit.
+
+    Returns
+    -------
+    list[ParameterRow]
+        A row a parameter.
+    """
     solution, operators = axis.solution, axis.operators
     size = solution.structure.size
     spread = covariance(solution.grams.blocks, np.concatenate([solution.theta, np.zeros(size), solution.nuisances]))
@@ -169,7 +231,20 @@ def parameter_rows(axis: AxisFit, data: Dataset) -> list[ParameterRow]:
 
 
 def dynamics_rows(solution: Solution, spread: Array) -> list[ParameterRow]:
-    """Coefficients of G and the delay with errors carried over from the parameters of the search."""
+    """List the coefficients of G and the delay, with errors propagated from the parameters of the search.
+
+    Parameters
+    ----------
+    solution
+        Solution of the fit.
+    spread
+        Covariance (P, P) of the parameters of the search.
+
+    Returns
+    -------
+    list[ParameterRow]
+        A row a coefficient.
+    """
     structure, parameters = solution.structure, solution.parameters
 
     def coefficients(vector: Array) -> Array:
@@ -193,7 +268,22 @@ def dynamics_rows(solution: Solution, spread: Array) -> list[ParameterRow]:
 
 
 def told_apart(axis: AxisFit, name: str, parameters: Sequence[ParameterRow]) -> list[str]:
-    """Name the parameters that the data cannot tell, with the excitation that would."""
+    """Name the parameters that the data cannot determine, with the excitation that would.
+
+    Parameters
+    ----------
+    axis
+        Fit of the axis.
+    name
+        Name of the axis.
+    parameters
+        Rows of the parameters of all axes.
+
+    Returns
+    -------
+    list[str]
+        A sentence a group of such parameters.
+    """
     notes = []
     own = [row for row in parameters if row["axis"] == name]
     unsure = [

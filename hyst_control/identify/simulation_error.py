@@ -36,7 +36,16 @@ PRIOR = 1e-10
 class Parametrisation:
     """Chain of a parameter vector (P,) of order one, and the constraints lhs · parameters >= rhs.
 
-    `limit` moves a vector to the nearest one that makes sense, for bounds that are not linear.
+    Parameters
+    ----------
+    stages
+        Chain of a parameter vector.
+    lhs
+        Left sides (C, P) of the constraints.
+    rhs
+        Right sides (C,).
+    limit
+        Nearest admissible vector to a vector, for bounds that are not linear.
     """
 
     stages: Callable[[Array], Sequence[Stage]]
@@ -47,7 +56,23 @@ class Parametrisation:
 
 @dataclass(frozen=True)
 class Solution:
-    """Parameters (P,), nuisances, mean square errors fitted and held out, Gram matrices of [derivatives, nuisances, error]."""
+    """Solution of a simulation-error fit.
+
+    Parameters
+    ----------
+    parameters
+        Parameters (P,).
+    nuisances
+        Nuisances of the records.
+    fitted, held_out
+        Mean square errors on the rows fitted and held out.
+    grams
+        Gram matrices of [derivatives, nuisances, error].
+    passes
+        Number of passes over the records.
+    linearised
+        The parameters (P,) at which the derivatives in `grams` were taken: these, or those one step before.
+    """
 
     parameters: Array
     nuisances: Array
@@ -56,7 +81,6 @@ class Solution:
     grams: Grams
     passes: int
     linearised: Array
-    """The parameters (P,) at which the derivatives in `grams` were taken: these, or those one step before."""
 
     @property
     def covariance(self) -> Array:
@@ -156,7 +180,28 @@ class _Search:
 def gram_matrices(
     windows: Sequence[Window], parametrisation: Parametrisation, parameters: Array, nuisance: str, groups: int, *, derivatives: bool
 ) -> Grams:
-    """Gram matrices of [derivatives (P), nuisances per record, error], fitted and held out; every third block is held out."""
+    """Form the Gram matrices of [derivatives (P), nuisances per record, error]; every third block is held out.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records.
+    parametrisation
+        Chain of a parameter vector.
+    parameters
+        Parameters (P,).
+    nuisance
+        Nuisance of each record, one of `NUISANCES`.
+    groups
+        Number of records.
+    derivatives
+        Include the derivatives.
+
+    Returns
+    -------
+    Grams
+        Gram matrices of the rows fitted and held out.
+    """
     size, extra = len(parameters) * derivatives, NUISANCES[nuisance]
     total = size + extra * groups + 1
     grams, rows, blocks = np.zeros((2, total, total)), [0, 0], []
@@ -197,9 +242,21 @@ def gram_matrices(
 
 
 def driving_signal(window: Window) -> tuple[Array, int]:
-    """Return the input of a chain (M, 1), memory first, whose output row for row is the measurement, and the window's first row.
+    """Construct the input of a chain whose output is the measurement, row for row.
 
     Under zoh the measurement at a tick answers the command of the interval before, under foh that of the same instant.
+
+    Parameters
+    ----------
+    window
+        A stretch of a record.
+
+    Returns
+    -------
+    signal : Array
+        Input (M, 1), the memory first.
+    first : int
+        Row at which the window begins.
     """
     before = np.zeros(0) if window.memory is None else window.memory
     signal = np.concatenate([before, window.command])
@@ -242,10 +299,26 @@ def _step(gram: Array, parametrisation: Parametrisation, present: Array, origin:
 
 
 def constrained_minimum(normal: Array, gradient: Array, lhs: Array, rhs: Array) -> Array:
-    """The x (K,) that minimises x' normal x / 2 - gradient' x with lhs x >= rhs; normal (K, K) positive definite.
+    """Minimize x' normal x / 2 - gradient' x with lhs x >= rhs.
 
-    Turned into a least distance problem and solved by nonnegative least squares (Lawson & Hanson, Solving Least Squares
-    Problems, 1974, chapter 23).
+    Converted to a least distance problem and solved by nonnegative least squares (Lawson & Hanson, Solving Least Squares Problems,
+    1974, chapter 23).
+
+    Parameters
+    ----------
+    normal
+        Positive definite matrix (K, K).
+    gradient
+        Vector (K,).
+    lhs
+        Left sides (C, K) of the constraints.
+    rhs
+        Right sides (C,).
+
+    Returns
+    -------
+    Array
+        The minimum x (K,).
     """
     scale = 1.0 / np.sqrt(np.diag(normal))
     normal, gradient, lhs = normal * scale[:, None] * scale, gradient * scale, lhs * scale
@@ -269,7 +342,18 @@ def constrained_minimum(normal: Array, gradient: Array, lhs: Array, rhs: Array) 
 
 @njit(cache=True)
 def surviving_turns(values: Array) -> NDArray[np.int64]:
-    """Return the indices of the turning points of a signal (N,) that no later excursion has passed: Madelung's rules remember no other."""
+    """Find the turning points that no later excursion has passed: Madelung's rules remember no others.
+
+    Parameters
+    ----------
+    values
+        Signal (N,).
+
+    Returns
+    -------
+    NDArray[np.int64]
+        Indices of the turning points.
+    """
     kept = np.empty(values.size, dtype=np.int64)
     count = 0
     for k in range(values.size):
@@ -285,9 +369,19 @@ def surviving_turns(values: Array) -> NDArray[np.int64]:
 
 
 def coarse(window: Window) -> Window:
-    """The window itself, or every n-th row of one whose command creeps: its motion there is straight between such rows.
+    """Thin a window whose command creeps to every n-th row, between which its motion is straight.
 
-    A held command is, seen from afar, the mean of the values before and after the tick.
+    A held command is, at the coarse sample time, the mean of the values before and after the tick.
+
+    Parameters
+    ----------
+    window
+        A stretch of a record.
+
+    Returns
+    -------
+    Window
+        The thinned window, or the window itself.
     """
     steps = np.abs(np.diff(window.command))
     largest = float(steps.max()) if len(steps) else 0.0
@@ -308,10 +402,25 @@ def coarse(window: Window) -> Window:
 
 
 def short_stretches(windows: Sequence[Window], rows: int, length: float, settle: float) -> list[Window]:
-    """About `rows` rows in stretches of `length` s spread evenly over the windows; the windows themselves if they have no more.
+    """Choose short stretches that are spread evenly over the windows.
 
-    Creeping records stay whole, but coarser (`coarse`). A stretch knows the turning points before it that still matter; its first
-    `settle` s, the transients, do not count.
+    Creeping records stay whole, but coarser (`coarse`). A stretch includes the turning points before it that still matter.
+
+    Parameters
+    ----------
+    windows
+        The records.
+    rows
+        Approximate number of rows to choose.
+    length
+        Length of a stretch, s.
+    settle
+        Time at the begin of a stretch, the transients, that does not count, s.
+
+    Returns
+    -------
+    list[Window]
+        The stretches; the windows themselves if they have no more rows than that.
     """
     if sum(len(window.command) for window in windows) <= rows:
         return list(windows)

@@ -44,7 +44,18 @@ class Scheduled:
     change: Array
 
     def at(self, g: float) -> ModalModel:
-        """The linear model at this g."""
+        """Return the linear model at a value of the schedule.
+
+        Parameters
+        ----------
+        g
+            Value of the schedule.
+
+        Returns
+        -------
+        ModalModel
+            The model.
+        """
         problem = Problem([_empty(self.centre)], self.centre)
         problem.apply(g * self.change)
         return problem.model
@@ -52,10 +63,20 @@ class Scheduled:
 
 @dataclass(frozen=True)
 class SofteningFit:
-    """The stage and how it was found.
+    """A softening stage and its fit.
 
-    The parameters it was made of, how many of them are free, the seconds it took, and the standard deviations (M, 2) of the poles' decay
-    and frequency, as far as the fit's residual tells.
+    Parameters
+    ----------
+    stage
+        The stage.
+    scheduled
+        The parameters of the stage.
+    parameters
+        Number of free parameters.
+    seconds
+        Time that the fit took, s.
+    sigma
+        Standard deviations (M, 2) of the poles' decay and frequency, as far as the residual shows them.
     """
 
     stage: SofteningModal
@@ -73,7 +94,20 @@ class SofteningFit:
 
 
 def schedule(amplitude: float, reference: float) -> float:
-    """g of `SofteningModal`: 0 at the reference amplitude, -1 at half of it."""
+    """Schedule g of `SofteningModal`: 0 at the reference amplitude, -1 at half of it.
+
+    Parameters
+    ----------
+    amplitude
+        The amplitude.
+    reference
+        The reference amplitude.
+
+    Returns
+    -------
+    float
+        g.
+    """
     return float((np.sqrt(amplitude / reference) - 1.0) / (1.0 - np.sqrt(0.5)))
 
 
@@ -297,7 +331,24 @@ def _per_second(sigma: Array, sample_time: float) -> Array:
 
 
 def spectra(command: Array, measurement: Array, weight: float, every_line: bool = False) -> Spectra:
-    """Excited lines of periodic records, scaled so that sums of squares are those of the samples times weight²."""
+    """Transform periodic records at their excited lines; sums of squares are those of the samples times weight².
+
+    Parameters
+    ----------
+    command
+        Commands (N, m, records).
+    measurement
+        Measurements (N, p, records).
+    weight
+        Weight of the records.
+    every_line
+        Take all lines.
+
+    Returns
+    -------
+    Spectra
+        The spectra.
+    """
     u, y = np.fft.rfft(command, axis=0), np.fft.rfft(measurement, axis=0)
     lines = np.arange(1, (len(command) + 1) // 2) if every_line else excited_lines(np.sum(np.abs(u) ** 2, axis=(1, 2)))
     scale = weight * np.sqrt(2.0 / len(command))
@@ -314,7 +365,30 @@ def stage_of(
     elongation: Array | None = None,
     mean: Array | None = None,
 ) -> SofteningModal:
-    """The stage; inputs beyond the number of outputs are the softening force's."""
+    """Construct the stage; inputs beyond the number of outputs are those of the softening force.
+
+    Parameters
+    ----------
+    scheduled
+        Linear models along the schedule.
+    reference
+        Reference amplitude.
+    sample_time
+        Sample time, s.
+    memory
+        Time constant of the amplitude, s.
+    exponent
+        Exponent of the schedule, one or one an axis.
+    elongation
+        Map from the states to the elongation.
+    mean
+        Mean amplitude.
+
+    Returns
+    -------
+    SofteningModal
+        The stage.
+    """
     model = scheduled.centre
     n, m = model.inputs.shape
     outputs = model.feedthrough.shape[0]

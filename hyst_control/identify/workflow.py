@@ -20,7 +20,15 @@ NEED = ("command", "measurement")
 
 @dataclass(frozen=True)
 class Result:
-    """Identified model and the file it was written to."""
+    """An identified model and its file.
+
+    Parameters
+    ----------
+    fit
+        Model and report.
+    output
+        The file it was written to.
+    """
 
     fit: Fit
     output: Path
@@ -109,9 +117,26 @@ def identify_bags(
 
 
 def chosen_families(family: str | None, method: str, options: Mapping[str, object]) -> list[str]:
-    """Return the families to identify: the one named, or all that are compared and have the options given.
+    """Choose the families to identify: the one named, or all that are compared and have the options given.
 
-    Raises `InputError` for a family, a method or an option that does not exist or has no such value.
+    Parameters
+    ----------
+    family
+        Model family; None: those that are compared.
+    method
+        Method of the fit.
+    options
+        Options by name.
+
+    Returns
+    -------
+    list[str]
+        Names of families.
+
+    Raises
+    ------
+    InputError
+        A family, a method or an option does not exist, or an option has no such value.
     """
     if family is not None:
         estimator_of(family).options(method=method, **options)
