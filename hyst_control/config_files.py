@@ -20,7 +20,23 @@ def config_folders() -> list[Path]:
 
 
 def config_path(name: str | Path) -> Path:
-    """The path of a shipped configuration file such as ``plants/pea.yaml``. Raises `InputError` when there is none."""
+    """Find a shipped configuration file.
+
+    Parameters
+    ----------
+    name
+        Path within `config/`, such as ``plants/pea.yaml``.
+
+    Returns
+    -------
+    Path
+        Path of the file.
+
+    Raises
+    ------
+    InputError
+        There is no such file.
+    """
     for folder in config_folders():
         if (folder / name).is_file():
             return folder / name

@@ -46,14 +46,19 @@ def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bo
     workers
         Number of processes.
     start
-        "spawn" for fresh interpreters, or "fork" for copies of this process, which begin at once and know all that it knows.
+        "spawn" for fresh interpreters, or "fork" for copies of this process, which begin at once and share its memory.
     serial
-        Whether `forked` and `mapped` compute serially within a worker.
+        Compute serially in `forked` and `mapped` within a worker.
+
+    Yields
+    ------
+    Executor
+        Executor, which is shut down at the end of the context.
 
     Raises
     ------
     WorkerLost
-        When a worker is killed before its work is done.
+        A worker was killed before its work was done.
     """
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context(start), _begin_worker, (serial,))
@@ -73,21 +78,26 @@ def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bo
 
 
 def forked(work: Callable[[int], Result], count: int) -> Iterator[Result]:
-    """Results of work(0), work(1), … in order, on all cores by forking: nothing is copied or pickled on the way in.
+    """Compute work(0), work(1), ... in order, on all cores by forking: no arguments are copied or pickled.
 
-    In this process where there is one core, in a worker, or beside threads that a fork would leave behind.
+    Computed in this process where there is one core, in a worker, or beside threads that a fork would leave behind.
 
     Parameters
     ----------
     work
-        Any function, a closure over large arrays too; its results are pickled.
+        Any function, also a closure over large arrays; its results are pickled.
     count
         Number of pieces.
+
+    Yields
+    ------
+    Result
+        Results in order.
 
     Raises
     ------
     WorkerLost
-        When a worker is killed before its work is done.
+        A worker was killed before its work was done.
     """
     global _work
     workers = min(cores(), count)
@@ -103,7 +113,7 @@ def forked(work: Callable[[int], Result], count: int) -> Iterator[Result]:
 
 
 def mapped(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
-    """Results of work(job) in order, on all cores, in fresh processes: for jobs of seconds to minutes.
+    """Compute work(job) in order, on all cores, in fresh processes: for jobs of seconds to minutes.
 
     Parameters
     ----------
@@ -112,10 +122,15 @@ def mapped(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Resul
     jobs
         Its arguments, pickled one by one.
 
+    Yields
+    ------
+    Result
+        Results in order.
+
     Raises
     ------
     WorkerLost
-        When a worker is killed before its work is done; the results up to there have been given.
+        A worker was killed before its work was done; the results before have been returned.
     """
     workers = min(cores(), len(jobs))
     if _serial or workers < 2:

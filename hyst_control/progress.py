@@ -12,7 +12,15 @@ class Bar(Protocol):
     """The part of a tqdm bar that is used here."""
 
     def set_description_str(self, desc: str | None = None, refresh: bool | None = True) -> None:
-        """Set the text behind the elapsed time."""
+        """Set the text behind the elapsed time.
+
+        Parameters
+        ----------
+        desc
+            The text.
+        refresh
+            Draw the line at once.
+        """
 
     def update(self) -> bool | None:
         """Count one step."""
@@ -30,12 +38,17 @@ _within = ""
 
 @contextmanager
 def shown(wanted: bool = True) -> Iterator[None]:
-    """Show the steps on the standard error while the context lasts, when that is a terminal.
+    """Show the steps on the standard error while the context lasts, if that is a terminal.
 
     Parameters
     ----------
     wanted
         False to show nothing.
+
+    Yields
+    ------
+    None
+        Nothing.
     """
     global _bar
     if not wanted or not sys.stderr.isatty():
@@ -76,6 +89,11 @@ def steps(total: int) -> Iterator[Callable[[str], None]]:
     ----------
     total
         Number of parts.
+
+    Yields
+    ------
+    Callable[[str], None]
+        Function that shows the next part.
     """
     global _within
     count = 0

@@ -39,10 +39,18 @@ MIB = 2.0**20
 
 @dataclass(frozen=True)
 class Run:
-    """What a run showed between two diagnostics of its plant.
+    """Figures of one run, between two diagnostics of its plant.
 
-    rate: rounds (ticks) per second; cpu: % of one core, all its processes; memory: MiB resident at every sample; values: the last
-    diagnostics by node.
+    Parameters
+    ----------
+    rate
+        Rounds (ticks) per second.
+    cpu
+        Processor load of all its processes, % of one core.
+    memory
+        Resident memory at every sample, MiB.
+    values
+        Last diagnostics by node.
     """
 
     rate: float
@@ -51,14 +59,33 @@ class Run:
     values: Mapping[str, dict[str, str]]
 
     def microseconds(self, entry: str) -> float:
-        """An entry of the plant's diagnostics, NaN when it is not there."""
+        """Return an entry of the plant's diagnostics.
+
+        Parameters
+        ----------
+        entry
+            Name of the entry.
+
+        Returns
+        -------
+        float
+            The value, us; NaN without such an entry.
+        """
         return float(
             next((found[entry] for name, found in self.values.items() if name.endswith("plant") and entry in found), "nan")
         )
 
 
 def run(table: Table, seconds: float = SECONDS) -> None:
-    """All cases, lockstep and wall clock, composed and as processes, plain and with the recorder."""
+    """Measure all cases: lockstep and wall clock, composed and as processes, plain and with the recorder.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    seconds
+        Length of every run, s.
+    """
     name = "lockstep, MHL loop of two axes"
     streamed = f"composed, reference streamed in {STREAMED} rows"
     table.add(
@@ -95,7 +122,15 @@ def _add_timing(table: Table, case: str, subject: str, measured: Run) -> None:
 
 
 def soak(table: Table, minutes: float) -> None:
-    """That long in lockstep, then a sixth of it on the wall clock, composed and recorded: rate, loss, memory from begin to end."""
+    """Run in lockstep, then a sixth of that on the wall clock, composed and recorded: rate, loss, and growth of memory.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    minutes
+        Length of the run in lockstep, min.
+    """
     for schedule, name, length in (("lockstep", "soak, lockstep", minutes), ("timer", "soak, wall clock 1 kHz", minutes / 6.0)):
         with tempfile.TemporaryDirectory() as folder:
             measured = measure("composed", "hyst", schedule, 60.0 * length, Path(folder) / "bag")
@@ -112,12 +147,34 @@ def soak(table: Table, minutes: float) -> None:
 def measure(
     case: str, subject: str, schedule: str, seconds: float, bag: Path | None = None, block: int = 1, outside: bool = False
 ) -> Run:
-    """One run of the loop; `case`: "composed" or "processes"; `subject`: "hyst" or "plain rclpy"; `bag`: recorded to it.
+    """Run the loop once.
 
-    block: rows of the reference, which is known ahead, in one message, and so of the feedforward; all else goes tick by tick.
-    outside: the recorder is a process of its own beside the composed nodes, so that the middleware carries all messages.
+    Parameters
+    ----------
+    case
+        "composed" or "processes".
+    subject
+        "hyst" or "plain rclpy".
+    schedule
+        "lockstep" or "timer".
+    seconds
+        Length of the run, s.
+    bag
+        Bag to record to; None: no recorder.
+    block
+        Rows of the reference, which is known ahead, in one message, and so of the feedforward; all else goes tick by tick.
+    outside
+        Run the recorder as a process beside the composed nodes, so that the middleware carries all messages.
 
-    Raises `InputError` when a node fails or the loop does not start.
+    Returns
+    -------
+    Run
+        The figures.
+
+    Raises
+    ------
+    InputError
+        A node fails or the loop does not start.
     """
     progress.step(f"{schedule}, {case}, {subject}{', recorded' if bag else ''}{' from outside' if outside else ''}: {seconds:g} s")
     with _running(case, subject, schedule, bag, block, outside) as (processes, plant):
@@ -141,7 +198,20 @@ def measure(
 
 
 def lost(bag: Path) -> tuple[float, int]:
-    """Rows that are missing within the topics of a bag, in % of those that are due, and how many are due."""
+    """Count the rows that are missing within the topics of a bag.
+
+    Parameters
+    ----------
+    bag
+        The bag.
+
+    Returns
+    -------
+    loss : float
+        Missing rows in % of those expected.
+    expected : int
+        Number of rows expected.
+    """
     missing = due = 0
     for signal in read_bag(bag).signals.values():
         step = float(np.median(np.diff(signal.time)))
@@ -152,7 +222,22 @@ def lost(bag: Path) -> tuple[float, int]:
 
 
 def settings(schedule: str, bag: Path | None, block: int = 1) -> dict[str, dict[str, Any]]:
-    """Parameters of the nodes of the MHL loop by name."""
+    """Parameters of the nodes of the MHL loop.
+
+    Parameters
+    ----------
+    schedule
+        "lockstep" or "timer".
+    bag
+        Bag to record to; None: no recorder.
+    block
+        Rows of the reference in one message.
+
+    Returns
+    -------
+    dict[str, dict[str, Any]]
+        Parameters by the node's name.
+    """
     rate = LOCKSTEP_RATE if schedule == "lockstep" else TIMER_RATE
     common = {"schedule": schedule, "rate_hz": rate, "axes": ["x", "y"], "unit": "mrad", "timeout": 1.0}
     model = str(config_path("models/fsm_mhl.yaml"))

@@ -16,7 +16,29 @@ NOISES = (5e-4, 3e-3)
 
 @dataclass(frozen=True)
 class Case:
-    """One case: what is done, and (label) what is in it. effects: mappings that `load_plant` takes."""
+    """One case of the blind test.
+
+    Parameters
+    ----------
+    name
+        Name of the case.
+    plant
+        Truth plant.
+    kind
+        One of `KINDS`.
+    excitation
+        One of `EXCITATIONS`.
+    noise
+        Noise of the sensor, rms / stroke.
+    seed
+        Seed of the plant's scatter, noise and excitation.
+    effects
+        Effects of the plant, mappings that `load_plant` takes.
+    off
+        Scatter of the plant's coefficients, times their tolerance.
+    label
+        The answer: kind, effects, true gap.
+    """
 
     name: str
     plant: str
@@ -35,5 +57,16 @@ class Case:
 
 
 def as_document(case: Case) -> dict[str, Any]:
-    """The label of a case as JSON types."""
+    """Convert a case with its label to JSON types.
+
+    Parameters
+    ----------
+    case
+        The case.
+
+    Returns
+    -------
+    dict[str, Any]
+        The document.
+    """
     return {**asdict(case), "effects": [dict(effect) for effect in case.effects], "label": dict(case.label)}

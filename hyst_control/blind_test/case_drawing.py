@@ -36,10 +36,27 @@ def draw(
     excitations: Sequence[str] = EXCITATIONS,
     switched: float = 0.0,
 ) -> list[Case]:
-    """A balanced set of cases: every effect on every plant in turn, half of it on the rich record.
+    """Draw a balanced set of cases: every effect on every plant in turn, half of it on the rich record.
 
-    kinds: which, with their usual shares among each other, or with these shares. switched: share of the cases with effects in
-    which every effect begins within the record, each at a time of its own.
+    Parameters
+    ----------
+    seed
+        Seed of the drawing.
+    count
+        Number of cases.
+    plants
+        Truth plants.
+    kinds
+        Kinds with their fractions of the cases, or kinds alone, in the usual proportion.
+    excitations
+        Excitations.
+    switched
+        Fraction of the cases with effects in which every effect begins within the record, each at its own time.
+
+    Returns
+    -------
+    list[Case]
+        The cases.
     """
     random = np.random.default_rng(seed)
     chosen = kinds or SHARES

@@ -18,10 +18,21 @@ LEAST = 10.0
 
 
 def labelled(case: Case, stated: float | None = None) -> Case:
-    """The case with its label: what to score, the true gap, from when each effect is there, and whether anybody could see it.
+    """Add the label to a case: kind and effects to score, true gap, begin of each effect, and visibility.
 
-    Of a pair also which of the two are `shown`: could be seen beside the other.
-    stated: what `stated_noise` says, where it is known already (a plant without a published model is identified first).
+    A pair's label also lists the effects that are `shown`: visible beside the other.
+
+    Parameters
+    ----------
+    case
+        The case.
+    stated
+        Noise as from `stated_noise`, where it is known already (a plant without a published model is identified first).
+
+    Returns
+    -------
+    Case
+        The case with its label.
     """
     setup = SETUPS[case.plant]
     noise = case.noise * setup.stroke
@@ -72,7 +83,22 @@ def _difference(case: Case, other: Case, scattered: bool = True) -> Array:
 
 
 def visible(case: Case, difference: Array, noise: float) -> float:
-    """Size of a difference in standard deviations (of the stated noise) once a change of gain and of offset on each axis is taken off."""
+    """Distance of a difference from any change of gain and offset on each axis.
+
+    Parameters
+    ----------
+    case
+        The case.
+    difference
+        Difference (N, A) of two measurements.
+    noise
+        Stated noise, rms in the measurement unit.
+
+    Returns
+    -------
+    float
+        Distance, in standard deviations of the noise.
+    """
     measured = run_case(case, effects=False, noisy=False)["measurement"]
     left = 0.0
     for axis in range(difference.shape[1]):

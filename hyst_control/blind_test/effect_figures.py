@@ -30,7 +30,21 @@ UPPER_FREQUENCY = 4000.0
 
 @dataclass(frozen=True)
 class Example:
-    """Parameters of an effect, length of the jumps' record (s), frequency of the loop (Hz), what a record shows of it."""
+    """Example of an effect for its figure.
+
+    Parameters
+    ----------
+    values
+        Parameters of the effect.
+    span
+        Length of the record of jumps, s.
+    frequency
+        Frequency of the loop, Hz.
+    sign
+        Sign of the effect in a record, in words.
+    plant
+        Truth plant.
+    """
 
     values: Mapping[str, float]
     span: float
@@ -187,7 +201,18 @@ TITLES = {
 
 
 def write(folder: Path) -> list[Path]:
-    """effects.md and figures/effects/*.png in a folder; the paths written."""
+    """Write effects.md and figures/effects/*.png.
+
+    Parameters
+    ----------
+    folder
+        Folder to write to.
+
+    Returns
+    -------
+    list[Path]
+        Paths of the files.
+    """
     figures = folder / "figures" / "effects"
     figures.mkdir(parents=True, exist_ok=True)
     written = []
@@ -240,7 +265,15 @@ def _unit(unit: str, plant: str) -> str:
 
 
 def draw(name: str, path: Path) -> None:
-    """One effect's figure: jumps and the gap in time, spectrum, loop."""
+    """Draw the figure of one effect: jumps and the gap in time, spectrum, loop.
+
+    Parameters
+    ----------
+    name
+        Name of the effect.
+    path
+        File to write.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from scipy.signal import welch
@@ -306,7 +339,22 @@ def _on_axes(first: Array, second: Array, plant: Plant) -> Array:
 
 
 def jumps(example: Example, plant: Plant) -> tuple[Array, Array]:
-    """A rest, a jump up, a smaller one down; the second axis jumps meanwhile."""
+    """Construct a rest, a jump up and a smaller one down; the second axis jumps meanwhile.
+
+    Parameters
+    ----------
+    example
+        Example of the effect.
+    plant
+        The plant.
+
+    Returns
+    -------
+    time : Array
+        Times (N,), s.
+    commands : Array
+        Commands (N, A), V.
+    """
     time = np.arange(int(example.span / SAMPLE_TIME), dtype=np.float64) * SAMPLE_TIME
     share, top = time / example.span, plant.rating[1]
     first = np.select([share < 0.1, share < 0.55], [0.1 * top, 0.8 * top], 0.45 * top)
@@ -314,7 +362,20 @@ def jumps(example: Example, plant: Plant) -> tuple[Array, Array]:
 
 
 def multisine(plant: Plant, duration: float = 2.0) -> Array:
-    """Lines of equal size and random phase up to `UPPER_FREQUENCY`, 1.5 Hz apart, about the middle of the rating."""
+    """Construct lines of equal size and random phase up to `UPPER_FREQUENCY`, 1.5 Hz apart, about the middle of the rating.
+
+    Parameters
+    ----------
+    plant
+        The plant.
+    duration
+        Length, s.
+
+    Returns
+    -------
+    Array
+        Commands (N, A), V.
+    """
     time = np.arange(int(duration / SAMPLE_TIME)) * SAMPLE_TIME
     lines = int(UPPER_FREQUENCY / 1.5)
     spectrum = np.zeros((2, len(time) // 2 + 1), dtype=complex)
@@ -327,9 +388,21 @@ def multisine(plant: Plant, duration: float = 2.0) -> Array:
 
 
 def loop(example: Example, plant: Plant) -> tuple[Array, Array]:
-    """The last of three cycles over most of the rating, command (N,) of the first axis; the whole command (M, A).
+    """Construct three cycles over most of the rating; the second axis moves at twice the frequency.
 
-    The other axis goes twice as fast.
+    Parameters
+    ----------
+    example
+        Example of the effect.
+    plant
+        The plant.
+
+    Returns
+    -------
+    cycle : Array
+        Last cycle (N,) of the first axis, V.
+    commands : Array
+        All commands (M, A), V.
     """
     cycle = int(round(1.0 / example.frequency / SAMPLE_TIME))
     angle = 2 * np.pi * np.arange(3 * cycle + 1) / cycle

@@ -57,6 +57,24 @@ NOISE_LIKE = ("sensor_noise", "flicker_noise", "quantization", "held_samples", "
 
 
 def draw_effect(name: str, plant: str, noise: float, random: np.random.Generator) -> dict[str, Any]:
+    """Draw the parameters of an effect from its range.
+
+    Parameters
+    ----------
+    name
+        Name of the effect.
+    plant
+        Truth plant, whose scales the range refers to.
+    noise
+        Noise of the sensor, rms / stroke.
+    random
+        Random numbers.
+
+    Returns
+    -------
+    dict[str, Any]
+        The effect, a mapping that `load_plant` takes.
+    """
     setup = SETUPS[plant]
     scale = {
         "stroke": setup.stroke,

@@ -22,7 +22,23 @@ TOLERANCE = ("weights", "m1", "m2", "k", "b", "w0", "num", "den", "ascending", "
 
 @dataclass(frozen=True)
 class Setup:
-    """Drive of a plant: model file (None: identified), sample time s, command range V, stroke (measurement unit)."""
+    """Drive of a plant.
+
+    Parameters
+    ----------
+    model
+        Model file; None: identified.
+    sample_time
+        Sample time, s.
+    command
+        Range of the command, V.
+    stroke
+        Stroke (measurement unit).
+    scattered
+        Names of the coefficients that scatter.
+    gains
+        Gains of the closed loop: proportional (V per unit) and integral (V per unit and s).
+    """
 
     model: str | None
     sample_time: float
@@ -30,7 +46,6 @@ class Setup:
     stroke: float
     scattered: tuple[str, ...]
     gains: tuple[float, float]
-    """Proportional V per unit, and integral V per unit and s."""
 
 
 SETUPS = {
@@ -90,7 +105,22 @@ IDENTIFICATION: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 def scatter(plant: str, seed: int, size: float) -> dict[str, Any]:
-    """Coefficients of a plant, each off by a normal share of `size`; both axes of a mirror about the first axis' values."""
+    """Scatter the coefficients of a plant; both axes of a mirror about the first axis' values.
+
+    Parameters
+    ----------
+    plant
+        Truth plant.
+    seed
+        Seed of the scatter.
+    size
+        Relative standard deviation.
+
+    Returns
+    -------
+    dict[str, Any]
+        Changed coefficients by name.
+    """
     parameters = _parameters(plant)
     random = np.random.default_rng([seed, 2])
     setup = SETUPS[plant]

@@ -44,9 +44,36 @@ def run_all(
     note: Callable[[str], None] = print,
     so_far: bool = False,
 ) -> Table:
-    """The whole test: draw, diagnose, leave out, hold the predictions against fresh records, score, write.
+    """Run the whole test: draw, diagnose, leave out, compare the predictions with fresh records, score, write.
 
-    so_far: score what an earlier call has diagnosed, and diagnose nothing more.
+    Parameters
+    ----------
+    out
+        Folder of the run.
+    seed
+        Seed of the cases.
+    count
+        Number of cases.
+    left_out
+        Number of cases to diagnose again without their effect in the catalogue.
+    page
+        Page to write.
+    json_path
+        Table to write.
+    note
+        Called with every line of progress.
+    so_far
+        Score the cases that an earlier call has diagnosed, and diagnose no more.
+
+    Returns
+    -------
+    Table
+        The figures.
+
+    Raises
+    ------
+    InputError
+        The folder is that of another run, or there is no diagnosed case.
     """
     from hyst_control.blind_test.scores import metrics, table
 
@@ -82,7 +109,33 @@ def make_cases(
     switched: float = 0.0,
     note: Callable[[str], None] = print,
 ) -> Path:
-    """Cases and labels only; see `make`, and `hyst_control.blind_test.case_drawing.draw` for the options."""
+    """Draw and record cases with their labels, without a diagnosis; see `make` and `case_drawing.draw`.
+
+    Parameters
+    ----------
+    out
+        Folder of the run.
+    seed
+        Seed of the cases.
+    count
+        Number of cases.
+    plants, kinds, excitations
+        Restriction to these; None: all.
+    switched
+        Fraction of the cases with effects in which every effect begins within the record.
+    note
+        Called with every line of progress.
+
+    Returns
+    -------
+    Path
+        File of the labels.
+
+    Raises
+    ------
+    InputError
+        A name or number is not admissible, or the folder is that of another run.
+    """
     from hyst_control.blind_test.case import EXCITATIONS, KINDS
     from hyst_control.blind_test.plant_setups import SETUPS
 
@@ -111,9 +164,32 @@ def _folder(out: str, count: int) -> Path:
 
 
 def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = print, **options: Any) -> Path:
-    """Draw the cases of a seed, record them, and write their labels apart; returns the labels' file.
+    """Draw the cases of a seed, record them, and write their labels to a separate file.
 
     Labels that are there already are kept: a run goes on where it stopped.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+    seed
+        Seed of the cases.
+    count
+        Number of cases.
+    note
+        Called with every line of progress.
+    **options
+        Options of `case_drawing.draw`.
+
+    Returns
+    -------
+    Path
+        File of the labels.
+
+    Raises
+    ------
+    InputError
+        The folder holds cases of another seed, count or options.
     """
     from hyst_control.blind_test.case_drawing import draw
     from hyst_control.blind_test.nominal_models import nominal, stated_noise
@@ -151,7 +227,19 @@ def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = prin
 def diagnose_all(
     folder: Path, without: dict[str, Sequence[str]] | None = None, reports: str = "reports", note: Callable[[str], None] = print
 ) -> None:
-    """Diagnose every case that has no report yet, one process per core; they get a bag and a model, nothing else."""
+    """Diagnose every case that has no report yet, one process per core, each from a bag and a model alone.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+    without
+        Effects to leave out of the catalogue, by case; only these cases are diagnosed. None: all cases.
+    reports
+        Name of the folder of reports.
+    note
+        Called with every line of progress.
+    """
     (folder / reports).mkdir(exist_ok=True)
     waiting = [
         case
@@ -167,7 +255,17 @@ def diagnose_all(
 
 
 def leave_out(folder: Path, count: int, note: Callable[[str], None] = print) -> None:
-    """Diagnose single effects on the rich record once more, each with that effect and what is nearly it out of the catalogue."""
+    """Diagnose single effects on the rich record again, without the effect and those nearly equal to it in the catalogue.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+    count
+        Largest number of cases.
+    note
+        Called with every line of progress.
+    """
     from hyst_control.effects import EFFECTS
 
     without: dict[str, Sequence[str]] = {}
@@ -184,7 +282,15 @@ def leave_out(folder: Path, count: int, note: Callable[[str], None] = print) -> 
 
 
 def realise(folder: Path, note: Callable[[str], None] = print) -> None:
-    """Beside every shrink that a report predicts, the one measured on a fresh record of another excitation."""
+    """Add to every shrink that a report predicts the one measured on a fresh record of another excitation.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+    note
+        Called with every line of progress.
+    """
     jobs = [
         (case, str(folder / "reports" / f"{case['name']}.json"), str(folder / "cases" / case["name"] / "model.yaml"))
         for case, report in load(folder)
@@ -198,7 +304,20 @@ def realise(folder: Path, note: Callable[[str], None] = print) -> None:
 
 
 def load(folder: Path, reports: str = "reports") -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
-    """(case document with its label, report) of every case that was diagnosed."""
+    """Read the cases that were diagnosed.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+    reports
+        Name of the folder of reports.
+
+    Yields
+    ------
+    tuple[dict[str, Any], dict[str, Any]]
+        Document of a case with its label, and its report.
+    """
     for case in json.loads((folder / "labels.json").read_text(encoding="utf-8"))["cases"]:
         file = folder / reports / f"{case['name']}.json"
         if file.exists():

@@ -32,7 +32,23 @@ OTHERWISE = ("vibration", "flicker_noise", "dac_hold", "sensor_nonlinearity")
 
 @dataclass(frozen=True)
 class Metric:
-    """A share k of n with its Wilson 95 % interval, or a plain value (n cases); the target, and whether more is better."""
+    """A proportion with its Wilson 95 % interval, or a plain value, beside its target.
+
+    Parameters
+    ----------
+    name
+        Name of the metric.
+    value
+        Proportion or value.
+    n
+        Number of cases.
+    ci95
+        Wilson 95 % interval of a proportion; None for a plain value.
+    target
+        The target.
+    at_least
+        True if the value should reach the target from below, False if it should not exceed it.
+    """
 
     name: str
     value: float
@@ -48,7 +64,22 @@ class Metric:
 
 
 def wilson(k: int, n: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share k of n; 0 to 1 where there are no cases."""
+    """Wilson's 95 % interval of a proportion k / n.
+
+    Parameters
+    ----------
+    k
+        Number of successes.
+    n
+        Number of cases.
+
+    Returns
+    -------
+    lower : float
+        Lower end; 0 without cases.
+    upper : float
+        Upper end; 1 without cases.
+    """
     if not n:
         return 0.0, 1.0
     interval = binomtest(k, n).proportion_ci(0.95, "wilson")
@@ -56,7 +87,20 @@ def wilson(k: int, n: int) -> tuple[float, float]:
 
 
 def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric]:
-    """Every figure of the targets' table that the cases allow; pairs of (case with label, report)."""
+    """Compute every figure of the targets' table that the cases allow.
+
+    Parameters
+    ----------
+    pairs
+        Cases with their reports.
+    left_out
+        Cases diagnosed without their effect in the catalogue, with their reports.
+
+    Returns
+    -------
+    list[Metric]
+        The metrics.
+    """
     found: list[Metric] = []
 
     def share(name: str, target: float, cases: Iterable[Pair], right: Callable[[Pair], bool], at_least: bool = True) -> None:
@@ -154,7 +198,20 @@ def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric
 
 
 def table(found: Sequence[Metric], source: str) -> Table:
-    """The metrics as a result table; the target stands where a published figure would."""
+    """Convert metrics to a result table, the target in place of a published figure.
+
+    Parameters
+    ----------
+    found
+        The metrics.
+    source
+        Command that produced them.
+
+    Returns
+    -------
+    Table
+        The table.
+    """
     result = Table(source)
     for metric in found:
         result.add(
@@ -172,7 +229,22 @@ def table(found: Sequence[Metric], source: str) -> Table:
 
 
 def confusion(pairs: Sequence[Pair]) -> tuple[list[str], list[str], np.ndarray]:
-    """True names (rows), names given (columns), and counts, over single effects and records without a gap."""
+    """Count the names given by true name, over single effects and records without a gap.
+
+    Parameters
+    ----------
+    pairs
+        Cases with their reports.
+
+    Returns
+    -------
+    rows : list[str]
+        True names.
+    columns : list[str]
+        Names given.
+    counts : np.ndarray
+        Counts (rows, columns).
+    """
     counts: Counter[tuple[str, str]] = Counter()
     for pair in pairs:
         kind = _label(pair)["kind"]
@@ -187,7 +259,20 @@ def confusion(pairs: Sequence[Pair]) -> tuple[list[str], list[str], np.ndarray]:
 
 
 def worst(pairs: Sequence[Pair], count: int = 12) -> list[Pair]:
-    """Cases that went wrong, the largest gaps first."""
+    """Select the cases that went wrong, the largest gaps first.
+
+    Parameters
+    ----------
+    pairs
+        Cases with their reports.
+    count
+        Largest number of cases.
+
+    Returns
+    -------
+    list[Pair]
+        The cases with their reports.
+    """
     wrong = [pair for pair in pairs if not _right(pair)]
     return sorted(wrong, key=lambda pair: -_label(pair)["gap_rms"] / max(_label(pair)["noise_rms"], 1e-300))[:count]
 
