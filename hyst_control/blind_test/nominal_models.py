@@ -21,10 +21,10 @@ from hyst_plant_sim.physics import load_plant
 
 @cache
 def nominal(plant: str, noise: float) -> Model:
-    """Return the model against which a case is diagnosed: the published one, or one identified from a clean record of the nominal
-    plant.
+    """Return the model against which a case is diagnosed.
 
-    Its tolerance is the scatter of the plants; its noise is that of the sensor and the residual of the identification.
+    It is the published model, or one identified from a clean record of the nominal plant. Its tolerance is the scatter of the
+    plants; its noise is that of the sensor and the residual of the identification.
 
     Parameters
     ----------
