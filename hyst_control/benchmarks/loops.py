@@ -11,7 +11,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -314,7 +314,7 @@ class _Diagnostics:
         return self._values
 
 
-def _until(condition: Any, processes: Processes, timeout: float) -> None:
+def _until(condition: Callable[[], bool], processes: Processes, timeout: float) -> None:
     end = time.monotonic() + timeout
     while not condition():
         processes.check()

@@ -6,7 +6,7 @@ import resource
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from hyst_control.records import excitation
 from hyst_control.records.record import Record
 from hyst_control.reporting.tables import Table
 from hyst_plant_sim.physics import load_plant
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 RATE = 20e3  # Hz
 SECONDS = 60.0
@@ -155,7 +158,7 @@ def diagnosis(plant: str) -> tuple[float, float, int, float]:
     return fresh, time.perf_counter() - begin, len(signal.time), float(signal.time[-1] - signal.time[0])
 
 
-def _alone(task: Callable[..., Any], *arguments: Any) -> Any:
-    """A task's result from a process of its own, whose memory is its own."""
+def _alone(task: Callable[P, T], *arguments: P.args, **named: P.kwargs) -> T:
+    """Return a task's result from a separate process, so that its memory is measured alone."""
     with executor(1, serial=False) as pool:
-        return pool.submit(task, *arguments).result()
+        return pool.submit(task, *arguments, **named).result()

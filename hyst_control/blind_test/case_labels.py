@@ -73,13 +73,11 @@ def _difference(case: Case, other: Case, scattered: bool = True) -> Array:
     if case.excitation == "closed_loop":  # the loop hides a gap: what counts is the plant on one and the same command
         command = run_case(case, noisy=False)["command"]
         truth, bare = plant_of(case, noisy=False), plant_of(other, noisy=False, scattered=scattered)
-        return np.concatenate([truth.reset(command[0])[None], truth.step(command)[:-1]]) - np.concatenate(
-            [bare.reset(command[0])[None], bare.step(command)[:-1]]
-        )
-    difference: Array = (
-        run_case(case, noisy=False)["measurement"] - run_case(other, noisy=False, scattered=scattered)["measurement"]
-    )
-    return difference
+        measured, expected = (np.concatenate([plant.reset(command[0])[None], plant.step(command)[:-1]]) for plant in (truth, bare))
+    else:
+        measured = run_case(case, noisy=False)["measurement"]
+        expected = run_case(other, noisy=False, scattered=scattered)["measurement"]
+    return np.asarray(measured - expected, dtype=np.float64)
 
 
 def visible(case: Case, difference: Array, noise: float) -> float:

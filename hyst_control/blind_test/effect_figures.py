@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from hyst_control.files import write_text
 from hyst_control.reporting.templates import render
 from hyst_plant_sim.physics import EFFECTS, Plant, load_plant
 from hyst_plant_sim.physics.signal_path import PLACES
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -316,7 +319,7 @@ def draw(name: str, path: Path) -> None:
     _save(figure, path)
 
 
-def _save(figure: Any, path: Path) -> None:
+def _save(figure: Figure, path: Path) -> None:
     """Save a picture of few colors, which is a quarter of the size."""
     from PIL import Image
 

@@ -12,7 +12,7 @@ import hashlib
 import json
 import re
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -88,7 +88,7 @@ class Withheld:
         return hashlib.sha256(head.encode() + b"".join(s.time.tobytes() + s.values.tobytes() for s in signals)).hexdigest()
 
 
-def run(out: str, page: str | None = None, modes: str = "all", note: Any = print) -> Table:
+def run(out: str, page: str | None = None, modes: str = "all", note: Callable[[str], None] = print) -> Table:
     """Diagnose every case.
 
     Parameters
@@ -233,7 +233,7 @@ def summarise(table: Table, rows: Sequence[tuple[Withheld, dict[str, Any]]]) -> 
     )
 
 
-def mirror_cases(modes: Sequence[int], note: Any = print) -> Iterator[Withheld]:
+def mirror_cases(modes: Sequence[int], note: Callable[[str], None] = print) -> Iterator[Withheld]:
     """Construct the crippled models of the mirror, and every level's model against a higher level.
 
     Parameters

@@ -14,12 +14,15 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
 from hyst_control.parallel import mapped
 from hyst_control.reporting.tables import Table
+
+if TYPE_CHECKING:
+    from hyst_control.blind_test.case import Case
 
 NEAR = {
     "amplifier_lowpass": ("sensor_lowpass", "delay"),
@@ -324,12 +327,12 @@ def load(folder: Path, reports: str = "reports") -> Iterator[tuple[dict[str, Any
             yield case, json.loads(file.read_text(encoding="utf-8"))
 
 
-def _fresh(case: Any) -> Any:
+def _fresh(case: Case) -> Case:
     """The same plant under another excitation, on which predictions are checked."""
     return replace(case, excitation="multisine" if case.excitation == "rich" else "rich")
 
 
-def _make_one(job: tuple[Any, str, float]) -> dict[str, Any]:
+def _make_one(job: tuple[Case, str, float]) -> dict[str, Any]:
     import numpy as np
 
     from hyst_control.blind_test.case import as_document

@@ -109,7 +109,9 @@ def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric
             k = sum(right(pair) for pair in chosen)
             found.append(Metric(name, k / len(chosen), len(chosen), wilson(k, len(chosen)), target, at_least))
 
-    def value(name: str, target: float, amounts: Sequence[float], at_least: bool, reduce: Callable[[Any], Any]) -> None:
+    def value(
+        name: str, target: float, amounts: Sequence[float], at_least: bool, reduce: Callable[[Sequence[float]], float]
+    ) -> None:
         if len(amounts):
             found.append(Metric(name, float(reduce(amounts)), len(amounts), None, target, at_least))
 

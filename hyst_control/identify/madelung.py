@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 
 from hyst_control.chain import Chain, Stage
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.chain.stage import Array
+from hyst_control.chain.stage import Array, per_axis_scalars
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report, check_records
 from hyst_control.identify.estimator import Estimator, register
@@ -361,14 +361,15 @@ def fit_inverse(stage: Madelung, curves: Curves | None = None) -> Madelung:
         The stage of the inverse.
     """
     curves = curves or Curves()
-    full = float(stage.output_scale) * float(stage.curves(1)[0][0](np.ones(1))[0])
+    input_scale, output_scale = (float(each[0]) for each in per_axis_scalars(stage, 1, "input_scale", "output_scale"))
+    full = output_scale * float(stage.curves(1)[0][0](np.ones(1))[0])
     x = np.linspace(0.0, 1.0, 401)
-    up, down = (float(stage.output_scale) * curve(x) for curve in stage.curves(1)[0])
-    demand, command = np.concatenate([up, down[::-1]]), float(stage.input_scale) * np.concatenate([x, x[::-1]])
+    up, down = (output_scale * curve(x) for curve in stage.curves(1)[0])
+    demand, command = np.concatenate([up, down[::-1]]), input_scale * np.concatenate([x, x[::-1]])
     window = Window(demand, command, 1.0, "foh", 0, 0)
     found = fit_axis([window], curves, full, "none", inverse=True)
     vector = found.solution.parameters / curves.full(found.solution.parameters)
-    return curves.stage(vector, full, float(stage.input_scale))
+    return curves.stage(vector, full, input_scale)
 
 
 def check(datasets: Sequence[Dataset]) -> None:
@@ -473,10 +474,10 @@ def merged(stages: Sequence[Madelung]) -> Madelung:
     if len(stages) == 1:
         return stages[0]
     return Madelung(
-        [stage.ascending for stage in stages],
-        [stage.descending for stage in stages],
-        [stage.input_scale for stage in stages],
-        [stage.output_scale for stage in stages],
+        [cast(Sequence[float], stage.ascending) for stage in stages],
+        [cast(Sequence[float], stage.descending) for stage in stages],
+        [cast(float, stage.input_scale) for stage in stages],
+        [cast(float, stage.output_scale) for stage in stages],
         knots=stages[0].knots,
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -163,14 +164,16 @@ def merge_axes(chains: Sequence[Sequence[Stage]]) -> tuple[Stage, ...]:
     }
     shared = {key: value for key, value in hysteresis[0].parameters().items() if key == "one_sided"}
     merged.append(type(hysteresis[0])(**values, **shared))
-    delays = [next((stage.tau for stage in chain if isinstance(stage, Delay)), 0.0) for chain in chains]
+    delays = [next((cast(float, stage.tau) for stage in chain if isinstance(stage, Delay)), 0.0) for chain in chains]
     if any(delays):
         merged.append(Delay(delays))
     dynamics = [
         next((stage for stage in chain if isinstance(stage, TransferFunction)), TransferFunction([1.0], [1.0])) for chain in chains
     ]
-    if any(len(stage.den) > 1 for stage in dynamics):
-        merged.append(TransferFunction([stage.num for stage in dynamics], [stage.den for stage in dynamics]))
+    num = [cast(Sequence[float], stage.num) for stage in dynamics]
+    den = [cast(Sequence[float], stage.den) for stage in dynamics]
+    if any(len(each) > 1 for each in den):
+        merged.append(TransferFunction(num, den))
     return tuple(merged)
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -403,8 +404,8 @@ def stage_of(
         {
             "force_inputs": pair(model.inputs[:, outputs:] / sample_time),
             "force_feedthrough": model.feedthrough[:, outputs:],
-            "elongation": elongation,
-            "force_mean": mean,
+            "elongation": cast(Array, elongation),  # given with the inputs of the force
+            "force_mean": cast(Array, mean),
         }
         if m > outputs
         else {}

@@ -223,7 +223,7 @@ def machine() -> str:
     return f"{platform.machine()} {platform.system()}, {os.cpu_count()} cores, Python {platform.python_version()}"
 
 
-def _number(value: Any) -> Any:
+def _number(value: object) -> object:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return [_number(item) for item in value] if isinstance(value, tuple) else value

@@ -163,7 +163,7 @@ class FsmParameters:
                     frame.step,
                 )
             ],
-            "hysteresis": [Chain(PushPull(*stacks, self.bias, rest), late)],
+            "hysteresis": [Chain(PushPull(stacks[0], stacks[1], self.bias, rest), late)],
             "mechanics": [
                 mechanics(
                     lambda mass_ratio, ratio: oscillator(self.mode_frequency[axis], self.mode_damping[axis], mass_ratio, ratio),

@@ -34,7 +34,21 @@ KEYS = ("name", "axis", "from", "at")
 
 @dataclass(frozen=True)
 class Present:
-    """An effect that is there: its name and parameters, where, on which axis (None: all), from when (s)."""
+    """An effect that is present.
+
+    Parameters
+    ----------
+    name
+        Its name.
+    values
+        Its parameters.
+    place
+        One of `PLACES`.
+    axis
+        Index of the axis; None: all axes.
+    start
+        Time from which it acts, s.
+    """
 
     name: str
     values: Mapping[str, float]
@@ -50,7 +64,25 @@ class Present:
 
 
 def read_effects(given: Any, frame: Frame) -> list[Present]:
-    """The effects of a list of mappings that are there at all. Raises `PlantError` naming effect, field and remedy."""
+    """Read a list of effects, without those that are absent by their parameters.
+
+    Parameters
+    ----------
+    given
+        Mappings of effects.
+    frame
+        Common data of the plant.
+
+    Returns
+    -------
+    list[Present]
+        The effects, in signal order.
+
+    Raises
+    ------
+    PlantError
+        An effect is unusable; the message names effect, field and remedy.
+    """
     if not isinstance(given, Sequence) or isinstance(given, str) or not all(isinstance(item, Mapping) for item in given):
         raise PlantError("effects: must be a list of {name: …, parameters}")
     found = [_read(item, frame) for item in given]
@@ -86,9 +118,20 @@ def _read(item: Mapping[str, Any], frame: Frame) -> Present | None:
 
 
 def insert_effects(line: Line, axis: int | None, parts: Any, present: Sequence[Present], frame: Frame) -> None:
-    """Bring into the line the effects of one axis, or (None) those that mix axes.
+    """Insert the effects of one axis into the line, or those that mix axes.
 
-    parts(hysteresis changes, mechanics changes) builds the axis' own parts by place.
+    Parameters
+    ----------
+    line
+        Parts by place, changed in place.
+    axis
+        Index of the axis; None: the effects that mix axes.
+    parts
+        Constructor of the axis' own parts by place, from changes of the hysteresis and of the mechanics.
+    present
+        The effects.
+    frame
+        Common data of the plant.
     """
     for item in present:
         effect = EFFECTS[item.name]
