@@ -1,7 +1,7 @@
-"""Processes to compute with: the one place that hands out an executor.
+"""Worker processes for computations, started here only.
 
-Nothing else in the package starts processes for computing. Workers compute serially inside, end with their parent, also when that
-is killed, and end at once when the work is given up (an error, Ctrl-C). A worker that is killed ends the work in a `WorkerLost`.
+Workers compute serially inside, end with their parent, also when that
+is killed, and end at once when the work is canceled (an error, Ctrl-C). A worker that is killed ends the work in a `WorkerLost`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hyst_control.errors import WorkerLost
 
 PARENT_DEATH_SIGNAL = 1  # of prctl(2)
 JOBS_PER_WORKER = 100
-"""After as many jobs a worker of `mapped` is replaced, so that what a library leaks never adds up."""
+"""Number of jobs after which a worker of `mapped` is replaced, so that memory leaks of libraries do not accumulate."""
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -39,7 +39,7 @@ def cores() -> int:
 
 @contextmanager
 def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bool = True) -> Iterator[Executor]:
-    """Hand out worker processes for independent pieces of a computation.
+    """Provide worker processes for independent pieces of a computation.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bo
             worker.kill()
         if isinstance(error, BrokenProcessPool):
             raise WorkerLost(
-                "a worker process was killed, by want of memory perhaps: free some and run the command again"
+                "a worker process was killed, possibly for lack of memory: free memory and run the command again"
             ) from None
         raise
     finally:
@@ -145,9 +145,9 @@ def mapped(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Resul
 
 
 def _begin_worker(serial: bool) -> None:
-    """A worker ends when it is told to, without the message that the command line has for the user; Ctrl-C is its parent's to answer.
+    """Set up the signals of a worker: SIGTERM ends it without a message, Ctrl-C is handled by its parent.
 
-    It ends with its parent, also when that is killed: nobody else would tell it that there is nothing more to do.
+    It ends with its parent, also when that is killed, since no other process would end it.
     """
     global _serial
     _serial = serial

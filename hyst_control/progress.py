@@ -1,4 +1,4 @@
-"""Progress of a long command, on one line of the terminal: silent unless a command asked for it, and where there is no terminal."""
+"""Progress of a long command, on one line of the terminal: shown only if a command requests it and there is a terminal."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Bar(Protocol):
         """Count one step."""
 
     def refresh(self) -> object:
-        """Draw the line anew."""
+        """Draw the line again."""
 
     def close(self) -> None:
-        """Take the line away."""
+        """Remove the line."""
 
 
 _bar: Bar | None = None
@@ -56,7 +56,7 @@ def shown(wanted: bool = True) -> Iterator[None]:
         return
     from tqdm import tqdm
 
-    tqdm.monitor_interval = 0  # no thread of its own: what is shown may be forked
+    tqdm.monitor_interval = 0  # no monitor thread: the process may fork meanwhile
     _bar = bar = tqdm(bar_format="{elapsed} {desc}", leave=False, file=sys.stderr)
     try:
         yield
@@ -81,7 +81,7 @@ def step(text: str) -> None:
 
 @contextmanager
 def steps(total: int) -> Iterator[Callable[[str], None]]:
-    """Hand out a `step` for work of several parts, which are counted.
+    """Provide a `step` for work of several parts, which are counted.
 
     The steps within a part are shown behind it: "3/8 identify HAMPI: read".
 

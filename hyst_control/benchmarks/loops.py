@@ -1,7 +1,7 @@
-"""Speed, latency, loss and load of the loop through the real nodes, beside the same loop written the plain way.
+"""Speed, latency, loss and load of the loop through the real nodes, beside the same loop in plain rclpy.
 
-The loop is the MHL paper's: two axes, inverse hysteresis and PI feedback on the published model, 5 kHz. Every case is a run of
-processes of its own on a ROS domain of its own; what is measured comes from the nodes' diagnostics, from the operating system
+The loop is the MHL paper's: two axes, inverse hysteresis and PI feedback on the published model, 5 kHz. Every case runs in
+separate processes on a separate ROS domain; the figures come from the nodes' diagnostics, from the operating system
 (processor time, memory) and from the bag.
 """
 
@@ -298,7 +298,7 @@ def _running(
 
 
 class _Diagnostics:
-    """The newest entries by node out of the monitor's growing log, each read once."""
+    """Newest entries by node of the monitor's growing log; every line is read once."""
 
     def __init__(self, path: Path) -> None:
         self._file = open(path, encoding="utf-8")
@@ -309,8 +309,8 @@ class _Diagnostics:
         *lines, self._part = (self._part + self._file.read()).split("\n")
         for line in lines:
             if line.startswith("{"):
-                told = json.loads(line)
-                self._values[told["node"]] = {**told["values"], "stamp": repr(told["stamp"])}
+                entry = json.loads(line)
+                self._values[entry["node"]] = {**entry["values"], "stamp": repr(entry["stamp"])}
         return self._values
 
 
@@ -319,9 +319,7 @@ def _until(condition: Callable[[], bool], processes: Processes, timeout: float) 
     while not condition():
         processes.check()
         if time.monotonic() > end:
-            raise InputError(
-                f"bench: the loop gave no sign of life within {timeout:g} s: see whether DDS may use the loopback network"
-            )
+            raise InputError(f"bench: no diagnostics of the loop within {timeout:g} s: check that DDS may use the loopback network")
         time.sleep(0.1)
 
 

@@ -49,7 +49,7 @@ def run(only: str | None = None, seconds: float = loops.SECONDS, soak: float | N
     table = Table("bench")
     for name, value in (("seconds", seconds), ("soak", soak)):
         if value is not None and not 0 < value < 1e6:
-            raise InputError(f"{name}: {value!r}, a positive time is due")
+            raise InputError(f"{name}: must be > 0 and < 1e6, got {value!r}")
     if soak is not None:
         loops.soak(table, soak)
         return table

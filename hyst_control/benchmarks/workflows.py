@@ -1,4 +1,4 @@
-"""Time and memory of an identification and of a diagnosis, each in a process of its own, and the speed of the truth plants."""
+"""Time and memory of an identification and of a diagnosis, each in a separate process, and the speed of the truth plants."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ IDENTIFIED: dict[str, tuple[str, tuple[str, ...], str, float, Callable[[float], 
     "hampi": ("pea", ("x",), "um", 1e-4, excitation.hampi_identification),
     "mhl": ("fsm", ("x", "y"), "mrad", 1e-6, partial(excitation.mhl_identification, axes=2)),
 }
-"""Family: truth plant, axes, unit, noise, and the records of the family's paper."""
+"""By family: truth plant, axes, unit, noise, and the excitation of the family's paper."""
 PLANTS = ("pea_published", "fsm_published", "third")
 TRUTH = ("pea", "pea_published", "fsm", "fsm_published", "third")
 REPEATS = 5

@@ -1,4 +1,4 @@
-"""One case of the blind test: what is done, and what is in it."""
+"""One case of the blind test: its excitation, and the label with its effects."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ EXCITATIONS = ("rich", "multisine", "sine", "closed_loop")
 KINDS = ("single", "pair", "parameters", "none", "open_set")
 
 NOISES = (5e-4, 3e-3)
-"""Share of the stroke, rms."""
+"""Noise of the sensor, rms / stroke."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Case:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Effects that are in it."""
+        """Names of its effects."""
         return tuple(effect["name"] for effect in self.effects)
 
 

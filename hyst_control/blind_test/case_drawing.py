@@ -1,8 +1,8 @@
 """Cases of the blind test, drawn by a seed and balanced: kinds, plants, excitations, noise, and effects of drawn size.
 
 A case is a truth plant whose coefficients scatter, one of four excitations, one of two noise levels, and effects of drawn size:
-one, two, none, coefficients off by more than their tolerance, or an effect that is in nobody's catalogue; they are there from the
-start or, where asked for, from a time within the record on. Seeds 0 to 999 are for tuning, scoring seeds begin at 100000.
+one, two, none, coefficients off by more than their tolerance, or an effect outside the catalogue; they act from the start or, where
+asked for, from a time within the record. Seeds 0 to 999 are for tuning, scoring seeds begin at 100000.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from hyst_control.blind_test.effect_sizes import NOISE_LIKE, OPEN_SET, SEVERITIE
 from hyst_control.blind_test.plant_setups import PLANTS, SETUPS
 
 SHARES = {"single": 0.45, "none": 0.25, "pair": 0.12, "open_set": 0.1, "parameters": 0.08}
-"""Of the kinds."""
+"""Fraction of the cases that are of a kind."""
 
 OFF = (4.0, 8.0)
 """`parameters`: the coefficients are off by this many times their tolerance."""
 
 BEGIN = (0.3, 0.7)
-"""Share of the record's length after which an effect that is switched on begins."""
+"""Fraction of the record's length after which an effect that is switched on begins."""
 
 
 def draw(
@@ -76,12 +76,12 @@ def draw(
         case = Case("", plant, kind, excitation, noise, int(random.integers(1 << 31)), off=off)
         cases.append(replace(case, effects=tuple(draw_effect(name, plant, noise, random) for name in names)))
     random.shuffle(cases)
-    times = np.random.default_rng([seed, 3])  # apart, so that the cases are the same with and without
+    times = np.random.default_rng([seed, 3])  # separate, so that the cases are the same with and without switching
     return [replace(case, name=f"case_{index:04d}", effects=_begun(case, switched, times)) for index, case in enumerate(cases)]
 
 
 def _begun(case: Case, switched: float, random: np.random.Generator) -> tuple[Mapping[str, Any], ...]:
-    """Its effects, switched on within the record in a share `switched` of the cases."""
+    """Effects of a case, switched on within the record in a fraction `switched` of the cases."""
     if not case.effects or random.random() >= switched:
         return case.effects
     sample_time = SETUPS[case.plant].sample_time

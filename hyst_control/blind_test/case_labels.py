@@ -1,4 +1,4 @@
-"""Labels of the blind test's cases: the true gap of each, and whether anybody could see it."""
+"""Labels of the blind test's cases: the true gap of each, and its visibility."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hyst_control.blind_test.plant_setups import SETUPS
 from hyst_control.chain.stage import Array
 
 LEAST = 10.0
-"""Distance (standard deviations, coefficients marginalised) below which nobody could see a gap: such a case counts as none."""
+"""Distance (standard deviations, coefficients marginalized) below which a gap is invisible: such a case counts as none."""
 
 
 def labelled(case: Case, stated: float | None = None) -> Case:
@@ -46,8 +46,8 @@ def labelled(case: Case, stated: float | None = None) -> Case:
         "noise": case.noise,
     }
     gap, distance = 0.0, 0.0
-    least = 0.2 * noise if setup.model is not None else 1.5 * stated  # under a model's own error nothing can be told
-    within = case.kind != "parameters"  # those off by more than their tolerance are themselves the gap
+    least = 0.2 * noise if setup.model is not None else 1.5 * stated  # a gap below the model's own error cannot be detected
+    within = case.kind != "parameters"  # coefficients outside their tolerance are themselves the gap
     wrong = bool(case.effects) or not within
     if wrong:
         difference = _difference(case, replace(case, effects=()), within)
@@ -69,8 +69,8 @@ def labelled(case: Case, stated: float | None = None) -> Case:
 
 
 def _difference(case: Case, other: Case, scattered: bool = True) -> Array:
-    """Measurement (N, A) of a case's plant less that of another, without noise; scattered: whether the other's coefficients are."""
-    if case.excitation == "closed_loop":  # the loop hides a gap: what counts is the plant on one and the same command
+    """Difference (N, A) of the noiseless measurements of two cases' plants; `scattered`: the other's coefficients scatter."""
+    if case.excitation == "closed_loop":  # a loop hides a gap: both plants are driven by the same command
         command = run_case(case, noisy=False)["command"]
         truth, bare = plant_of(case, noisy=False), plant_of(other, noisy=False, scattered=scattered)
         measured, expected = (np.concatenate([plant.reset(command[0])[None], plant.step(command)[:-1]]) for plant in (truth, bare))

@@ -68,7 +68,7 @@ def commands(case: Case) -> Array:
     rows = build(spec, setup.sample_time, axes)
     if case.excitation != "closed_loop":
         return np.clip(rows, low, high)
-    # A record starts at rest: the loop closes at a reference of 0 and goes from there.
+    # A record starts at rest: the loop is closed at a reference of 0.
     ramp = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, int(0.1 / setup.sample_time)))
     return np.concatenate([np.zeros((20, axes)), ramp[:, None] * rows[0], rows])
 

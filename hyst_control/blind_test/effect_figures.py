@@ -1,7 +1,7 @@
-"""The catalogue of effects as a page: what each is, where it sits, and how a record looks with it and without it.
+"""The catalogue of effects as a page: meaning and place of each, and a record with it and without it.
 
-`hyst cases figures --output docs` writes docs/effects.md and one figure per effect. The records are of the truth PEA (for what needs
-two axes, of the truth mirror) without its own noise, and the effects are stronger than in a blind case, so that one sees them.
+`hyst cases figures --output docs` writes docs/effects.md and one figure per effect. The records are of the truth PEA (effects that
+need two axes: of the truth mirror) without its own noise, and the effects are stronger than in a blind case, so that they are visible.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 COMMAND = "hyst cases figures --output docs"
 SAMPLE_TIME = 5e-5
 UPPER_FREQUENCY = 4000.0
-"""Hz, of the multisine whose answer is shown."""
+"""Hz, of the multisine whose response is drawn."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The diagnosis on measurements, an effect withheld: models of measured plants that lost one element.
 
-The mirror (`fsm_cubespec`): a linear model per level, fitted on realisations 1-4, its input delay chosen on the fifth, loses its
-delay, the coupling of its axes, 5 % of its gain, and each mode in turn; the sixth realisation is diagnosed. The error of the
+The mirror (`fsm_cubespec`): a linear model per level, fitted on realizations 1-4, its input delay chosen on the fifth, loses its
+delay, the coupling of its axes, 5 % of its gain, and each mode in turn; the sixth realization is diagnosed. The error of the
 whole model on the fifth is what it states of itself. Then the true unknown: a level's model against the records of a higher
 one. The stack (`pea_p885`): a model without hysteresis, and one with too few operators, against the nested loops of another file.
 """
@@ -40,14 +40,14 @@ from hyst_control.reproduction import pea_p885 as stack
 ORDER = 46
 """States of the mirror's linear models."""
 DELAYS = (0.0, 0.25, 0.5, 0.75)
-"""Candidates in samples; the fifth realisation chooses among them."""
+"""Candidates in samples; the fifth realization chooses among them."""
 MODES = {"none": (), "middle": mirror.LEVELS[1:2], "all": mirror.LEVELS}
 """Levels (mV) whose model loses each of its modes."""
 LOST_GAIN = 0.05
 LEAST_SHARE = 1.0
-"""Energy of a deleted mode, in units of what the whole model leaves, from which its loss is diagnosed."""
+"""Energy of a deleted mode, relative to the residual of the whole model, above which its loss is diagnosed."""
 FEW = 3
-"""Operators of the stack's crippled model: the fewest that are identified."""
+"""Operators of the stack's crippled model: the smallest number that can be identified."""
 TITLE = "Measured, an effect withheld"
 
 
@@ -255,7 +255,7 @@ def mirror_cases(modes: Sequence[int], note: Callable[[str], None] = print) -> I
     delay = DELAYS[int(np.argmin([found.held_out for found in fits]))]
     whole = dict(zip(levels, forked(lambda i: fit(measured[levels[i]], delay), len(levels)), strict=True))
     note(
-        f"mirror: input delay of {delay:g} samples, errors on the fifth realisation "
+        f"mirror: input delay of {delay:g} samples, errors on the fifth realization "
         + ", ".join(f"{100 * found.held_out:.2f} % ({late:g})" for late, found in zip(DELAYS, fits, strict=True))
     )
     for level, found in whole.items():
@@ -537,7 +537,7 @@ def write_page(path: Path, rows: Sequence[tuple[Withheld, dict[str, Any]]], mode
         *(line.strip() for line in (__doc__ or "").strip().splitlines()),
         "",
         "Shrink: share of the gap's energy above the noise that the named effects take off on blocks that neither chose nor fitted "
-        "them. The mirror's states are those of the model itself; nothing was fitted to the realisation that is diagnosed.",
+        "them. The mirror's states are those of the model itself; nothing was fitted to the realization that is diagnosed.",
         "",
         "| measured plant | withheld | gap, rms | whole model, rms | named | right | shrink | unexplained | in words |",
         "|---|---|---|---|---|---|---|---|---|",

@@ -1,4 +1,4 @@
-"""Models that the cases of the blind test are diagnosed against."""
+"""Models against which the cases of the blind test are diagnosed."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def nominal(plant: str, noise: float) -> Model:
 
 @cache
 def _identified(plant: str) -> tuple[Model, float]:
-    """A model of the nominal plant, and what (rms) its family leaves of this physics on a record that did not identify it."""
+    """Identified model of the nominal plant, and its residual (rms) on a record that was not used to identify it."""
     setup, (family, spec) = SETUPS[plant], IDENTIFICATION[plant]
     low, high = setup.command
     truth = load_plant({"plant": plant, "rating": [low, high]}, seed=1, sample_time=setup.sample_time, noise=1e-4 * setup.stroke)

@@ -1,4 +1,4 @@
-"""Setups of the blind test's plants: how each is driven, and how its coefficients scatter."""
+"""Setups of the blind test's plants: drive and scatter of the coefficients of each."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import yaml
 from hyst_plant_sim.physics.plant_files import shipped
 
 PLANTS = ("pea_published", "fsm_published", "third")
-"""The blind test's; others that can be asked for are in `SETUPS`."""
+"""Plants of the blind test; `SETUPS` has others that an option selects."""
 
 SCATTER = 0.01
 """Relative standard deviation of every coefficient of a plant about the nominal one."""
@@ -97,7 +97,7 @@ SETUPS = {
 }
 
 IDENTIFICATION: dict[str, tuple[str, dict[str, Any]]] = {
-    # by plant without a published model: the family, and what identifies it beside the diagnostic record, over the command range
+    # by plant without a published model: the family, and the excitation that identifies it beside the diagnostic record, over the command range
     "third": ("hampi", {"signal": "hampi_identification"}),
     "pea": ("hampi", {"signal": "hampi_identification"}),
     "fsm": ("mhl", {"signal": "mhl_identification", "sweep_time": 1.0}),

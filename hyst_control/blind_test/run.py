@@ -1,8 +1,8 @@
 """The blind test: cases drawn from truth plants, diagnosed by processes that never see their labels, then scored.
 
-Folder of a run: cases/NAME/{bag, model.yaml, next.npy} is all that a diagnosis gets (next.npy is the command of a fresh record, for
-which it foresees the shrink), labels.json stands apart (its SHA-256 is printed before anything is diagnosed), reports/NAME.json (and
-.yaml, the augmented model) is what the diagnosis wrote. A run that was interrupted goes on where it stopped.
+Folder of a run: cases/NAME/{bag, model.yaml, next.npy} is all the input of a diagnosis (next.npy is the command of a fresh record, for
+which it predicts the shrink), labels.json is kept separate (its SHA-256 is printed before anything is diagnosed), reports/NAME.json (and
+.yaml, the augmented model) is the output of the diagnosis. A run that was interrupted goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NEAR = {
     "offset_drift": ("creep", "gain_drift"),
     "gain_drift": ("creep", "offset_drift"),
 }
-"""Effects of nearly one signature (gap-diagnosis: confusable by nature), left out together."""
+"""Effects of nearly the same signature, which are left out together."""
 
 
 def run_all(
@@ -149,19 +149,19 @@ def make_cases(
     ):
         for name in asked or ():
             if name not in known:
-                raise InputError(f"--{option} {name}: no such {option[:-1]}, one of {', '.join(known)} is due")
+                raise InputError(f"--{option}: must be among {', '.join(known)}, got {name}")
     if not 0 <= switched <= 1:
-        raise InputError(f"--switched {switched:g}: a share from 0 to 1 is due")
+        raise InputError(f"--switched: must be from 0 to 1, got {switched:g}")
     given = {"plants": plants, "kinds": kinds, "excitations": excitations, "switched": switched}
     return make(_folder(out, count), seed, count, note, **{name: value for name, value in given.items() if value})
 
 
 def _folder(out: str, count: int) -> Path:
     if count < 1:
-        raise InputError(f"--count {count}: at least one case is due")
+        raise InputError(f"--count: must be >= 1, got {count}")
     folder = Path(out)
     if folder.exists() and not (folder / "labels.json").exists() and any(folder.iterdir()) and not (folder / "cases").is_dir():
-        raise InputError(f"{folder}: holds something else: choose another folder")
+        raise InputError(f"{folder}: holds files that are not of a blind test: choose another folder")
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
@@ -202,7 +202,9 @@ def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = prin
     if labels.exists():
         known = json.loads(labels.read_text(encoding="utf-8"))
         if (known["seed"], known["count"]) != (seed, count):
-            raise InputError(f"{labels}: is of seed {known['seed']} and {known['count']} cases: choose another folder")
+            raise InputError(
+                f"{labels}: holds seed {known['seed']} and {known['count']} cases, not seed {seed} and {count}: choose another folder"
+            )
         if options and json.loads(json.dumps(options)) != known.get("options"):
             raise InputError(f"{labels}: was drawn with other options: choose another folder")
         note(f"labels: SHA-256 {_digest(labels)}")

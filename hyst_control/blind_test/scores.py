@@ -23,11 +23,11 @@ FAMILIES = {
     "noise": ("sensor_noise", "flicker_noise", "quantization", "held_samples"),
     "line": ("mains_hum", "vibration"),
 }
-"""Effects of like signature; those not named are a family of their own."""
+"""Effects of similar signature; each effect not listed is a family by itself."""
 
 
 OTHERWISE = ("vibration", "flicker_noise", "dac_hold", "sensor_nonlinearity")
-"""Effects whose parameters are stated otherwise in the plants (a nonlinearity over their stroke instead of the record's range)."""
+"""Effects whose parameters have another definition in the plants (a nonlinearity over their stroke instead of the record's range)."""
 
 
 @dataclass(frozen=True)
@@ -286,7 +286,7 @@ def _right(pair: Pair) -> bool:
     if kind == "pair":
         return set(_named(pair)) == set(_truth(pair))
     if kind == "none" and set(_named(pair)) & set(_label(pair).get("hidden", ())):
-        return True  # seen all the same
+        return True  # visible nevertheless
     due = {"none": ("no_gap", "parameters"), "parameters": ("parameters",), "open_set": ("unknown",)}
     return verdict in due[kind]
 
@@ -318,7 +318,7 @@ def _first(pair: Pair) -> bool:
 
 
 def _wrong(pair: Pair) -> bool:
-    """Named with certainty what is not there."""
+    """Report whether an absent effect was named with certainty."""
     return pair[1]["verdict"] == "effect" and not set(_named(pair)) & set(_truth(pair))
 
 
@@ -346,7 +346,7 @@ def _macro_f1(pairs: Sequence[Pair]) -> float:
 
 
 def _auroc(positive: Sequence[float], negative: Sequence[float]) -> float:
-    """Share of pairs in which the positive one is the greater, ties counting half: the statistic U of Mann and Whitney, of 1."""
+    """Fraction of pairs in which the positive one is the greater, ties counting half: the statistic U of Mann and Whitney, of 1."""
     return float(mannwhitneyu(positive, negative, method="asymptotic").statistic / (len(positive) * len(negative)))
 
 

@@ -1,4 +1,4 @@
-"""Chains that differ in few parameters, run side by side: what they have in common is computed once.
+"""Chains that differ in few parameters, run side by side; equal parts are computed once.
 
 A derivative by differences needs a chain per parameter, but a parameter changes one stage. Chains whose first stages are equal
 share their output, and so do equal branches of parallel stages.
@@ -19,7 +19,7 @@ from hyst_control.chain.linear import Delay
 from hyst_control.chain.stage import Array
 
 SOURCE = -1
-"""The number of the signal that enters all chains."""
+"""Number of the signal that enters all chains."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class Bundle:
         return [(block if number == SOURCE else signals[number])[:, 0] for number in self.outputs]
 
     def _series(self, stages: Sequence[Stage], before: int) -> int:
-        """The number of the node that ends stages in a row; linear neighbours are one filter, as in a chain."""
+        """Number of the node that ends stages in series; adjacent linear stages are one filter, as in a chain."""
         for linear, group in groupby(stages, key=lambda stage: stage.linear or isinstance(stage, Delay)):
             for run in [tuple(group)] if linear else [(stage,) for stage in group]:
                 if isinstance(run[0], Parallel):

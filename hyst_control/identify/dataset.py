@@ -1,4 +1,4 @@
-"""Records cut into gapless pieces of command and measurement, and the model and report that come of them."""
+"""Records cut into gapless pieces of command and measurement, and the model and report of a fit."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Dataset:
 
 
 def check_records(datasets: Sequence[Dataset], least: int = 50) -> None:
-    """Check that records belong to one plant and can tell something about it.
+    """Check that records belong to one plant and are usable for identification.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def check_records(datasets: Sequence[Dataset], least: int = 50) -> None:
     Raises
     ------
     InputError
-        There is no record, or one differs in axes or unit, is too short or holds values that are no finite numbers; or the command or
+        There is no record, or one differs in axes or unit, is too short or holds values that are not finite; or the command or
         the measurement of an axis moves in none of them.
     """
     if not datasets:
@@ -104,11 +104,11 @@ def check_records(datasets: Sequence[Dataset], least: int = 50) -> None:
                 f"{', '.join(first.axes)} in {first.unit}: give records of one plant"
             )
         if len(data.command) < least:
-            raise InputError(f"{data.name}: {len(data.command)} samples, at least {least} are needed")
+            raise InputError(f"{data.name}: must have at least {least} samples, got {len(data.command)}: record for longer")
         for topic, values in (("command", data.command), ("measurement", data.measurement)):
             if not np.all(np.isfinite(values)):
                 row = int(np.flatnonzero(~np.all(np.isfinite(values), axis=1))[0])
-                raise InputError(f"{data.name}: {topic}: not a finite number in sample {row}: cut it out first")
+                raise InputError(f"{data.name}: {topic}: must be finite, is not in sample {row}: remove it")
     for axis, name in enumerate(first.axes):
         if all(np.ptp(data.command[:, axis]) == 0 for data in datasets):
             raise InputError(f"{first.name}: the command of axis {name} never moves: record an excitation")

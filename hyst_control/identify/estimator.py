@@ -1,8 +1,8 @@
-"""One estimator a model family, behind one protocol, known by its name.
+"""Estimators by name, one for each model family, with one interface.
 
-A family is one class: its `Options`, which the command line, the node's parameters and the documents are made of, and
+A family is one class: its `Options`, which the command line, the node's parameters and the documents are derived from, and
 `fit(datasets, options) -> Fit`. Every module of `hyst_control.identify` is searched for them, so that a new family is one new file; another
-distribution hands its class to `register`.
+distribution registers its class with `register`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ TAKEN = frozenset(
 class Estimator(Generic[O]):
     """Identification of one model family.
 
-    Subclasses set `name` (as in `--model`), `sentence` (what the model is and how it is found) and `Options` (a dataclass derived from
+    Subclasses set `name` (as in `--model`), `sentence` (the model and its fit) and `Options` (a dataclass derived from
     `options.Options`), and implement `fit`.
     """
 
@@ -140,12 +140,14 @@ def register(estimator: E) -> E:
     name = estimator.name
     made = estimator()
     if not name or not estimator.sentence or not hasattr(made, "Options"):
-        raise InputError(f"{estimator.__module__}.{estimator.__qualname__}: an estimator needs name, sentence and Options")
+        raise InputError(f"{estimator.__module__}.{estimator.__qualname__}: must have name, sentence and Options: add them")
     if name in _ESTIMATORS:
-        raise InputError(f"{name}: {type(_ESTIMATORS[name]).__module__} has a family of this name: choose another one")
+        raise InputError(f"{name}: the family is already registered by {type(_ESTIMATORS[name]).__module__}: choose another name")
     for each in declared(made.Options):
         if each.name in TAKEN:
-            raise InputError(f"{name}: {each.name}: is an option of the command or a parameter of the node: choose another name")
+            raise InputError(
+                f"{name}: {each.name}: is already an option of the command or a parameter of the node: choose another name"
+            )
     _ESTIMATORS[name] = made
     return estimator
 
@@ -159,7 +161,7 @@ def estimators() -> Mapping[str, Estimator[Any]]:
 
 @cache
 def _search() -> frozenset[str]:
-    """Import every module of this package; their names."""
+    """Import every module of this package and return their names."""
     package = __name__.rpartition(".")[0]
     names = [f"{package}.{module.name}" for module in iter_modules(import_module(package).__path__)]
     for name in names:

@@ -1,4 +1,4 @@
-"""Figures of merit of an identified model on records, and what the residual says of noise and whiteness."""
+"""Figures of merit of an identified model on records, and noise and whiteness of the residual."""
 
 from __future__ import annotations
 

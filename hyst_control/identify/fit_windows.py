@@ -1,4 +1,4 @@
-"""Rows of the records that a fit looks at: everything, or stretches of it while the structure is being chosen."""
+"""Rows of the records that a fit uses: all of them, or stretches while the structure is being chosen."""
 
 from __future__ import annotations
 
@@ -196,7 +196,7 @@ def largest_drift(data: Dataset, axis: int) -> float:
     span, largest = float(np.ptp(command)), np.inf
     for level in {round(float(command[end - 1]) / span, 4) for _, end in rests} if span else ():
         equal = [(begin, end) for begin, end in rests if abs(command[end - 1] / span - level) < 2e-4]
-        # The later half of a rest: what the motion before it left behind has gone by then.
+        # The later half of a rest: the transient of the motion before it has decayed by then.
         values = [float(np.mean(measurement[(begin + end) // 2 : end])) for begin, end in equal]
         apart = 0.75 * (equal[-1][1] - equal[0][1]) + 0.25 * (equal[-1][0] - equal[0][0])
         if apart > 0.5 * len(command):

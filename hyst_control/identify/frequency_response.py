@@ -17,7 +17,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 
 EXCITED = 1e-3
-"""A line is excited when the command's power there is over this share of the mean power per line."""
+"""A line is excited when the command's power there exceeds this fraction of the mean power per line."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def robust_bla(command: Array, measurement: Array, sample_time: float) -> Freque
         chosen = slice(g * m, (g + 1) * m)
         inverse = np.linalg.inv(u[:, :, chosen].mean(axis=3))
         per_group[g] = y[:, :, chosen].mean(axis=3) @ inverse
-        # What the commands' own small differences between periods explain is not noise.
+        # The response to small differences of the command between periods is not noise.
         residual = y[:, :, chosen] - np.einsum("koj,kjrP->korP", per_group[g], u[:, :, chosen])
         power = np.sum(np.abs(residual) ** 2, axis=3) / (periods - 1) / periods
         noise[g] = power @ np.abs(inverse) ** 2
@@ -208,7 +208,7 @@ def local_polynomial(
         diagonal = np.abs(np.diag(r))
         if diagonal.min() < 1e-10 * diagonal.max():
             raise InputError(
-                f"local polynomial: at {frequency[k]:g} Hz the records do not tell the {m} inputs apart: "
+                f"local polynomial: at {frequency[k]:g} Hz the records do not separate the {m} inputs: "
                 "excite them differently, or take a command with a rougher spectrum"
             )
         inverse = np.linalg.inv(r) / scale[:, None]

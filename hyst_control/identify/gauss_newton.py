@@ -1,14 +1,13 @@
-"""Damped Gauss-Newton: the one iteration of every fit.
+"""Damped Gauss-Newton, the iteration of all fits.
 
-A problem says what a point is (parameters, and what the next step needs of them, such as Gram sums), what it costs, and which step its
+A problem defines a point (parameters, and data for the next step, such as Gram sums), its cost, and the step that its
 linearization suggests; this module decides which steps are kept, how the damping follows, and when the search ends (Levenberg,
-Quarterly of Applied Mathematics 2, 1944; Marquardt, SIAM Journal 11, 1963). It holds no arithmetic of a fit: the same rules give the
-same bits.
+Quarterly of Applied Mathematics 2, 1944; Marquardt, SIAM Journal 11, 1963). It holds no arithmetic of a fit.
 
 The damping is a number that only the problem interprets. A search that shortens its steps along a ladder, in place of damping them,
 counts with it: `Rules(damping=0, raised=lambda rung: rung + 1, eased=lambda rung: 0, rejections=len(ladder))`, its `step` takes
 `ladder[int(damping)]` of the undamped step, gives an infinite cost to a point that no chain accepts, and is None where the linear model
-promises nothing.
+predicts no improvement.
 """
 
 from __future__ import annotations

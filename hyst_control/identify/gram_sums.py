@@ -1,8 +1,8 @@
-"""Streaming regressors of a Prandtl-Ishlinskii model in front of a linear dynamics, and their Gram matrices.
+"""Streaming regressors of a Prandtl-Ishlinskii model in front of linear dynamics, and their Gram matrices.
 
 For given thresholds and G(s) the output is linear in all the rest: y = Σ_j θ_j G[φ_j], with φ the play operators and, for
 HAMPI, the products of the dynamic weights (HAMPI paper Eq. 2-6). The regressors of a long record do not fit in memory, but
-their Gram matrix is small, and it is all that a least-squares problem needs: so a record is passed once, block by block.
+their Gram matrix is small, and sufficient for a least-squares problem: so a record is passed once, block by block.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ BLOCK = 4096
 HELD_OUT_BLOCKS = 90
 """A record is cut into at least this many blocks."""
 TINY = 1e-80
-"""States below this are 0: a decaying state would else end in subnormal numbers, which processors handle a hundred times slower."""
+"""States below this are 0: a decaying state would otherwise end in subnormal numbers, which processors handle a hundred times slower."""
 NUISANCES = {"none": 0, "offset": 1, "linear": 2}
 
 
@@ -282,7 +282,7 @@ class Operators:
 
     @property
     def release(self) -> Array:
-        """Distance at which an operator is pulled down."""
+        """Distance (n,) at which an operator is pulled down, V."""
         return np.zeros_like(self.thresholds) if self.one_sided else self.thresholds
 
 
@@ -413,7 +413,7 @@ def gram_matrices(
             block = buffer[: end - begin - first]
             share = window.begin - 0.5 + window.share * np.arange(begin + first, end) / n
             weighed_columns(raw, theta, step, first, share, extra, window.measurement[used], weight[used], block)
-            # Every third block is held out of the choice between structures: little of every experiment in the record.
+            # Every third block is held out of the choice between structures: a part of every experiment in the record.
             part = 1 if begin // length % 3 == 2 else 0
             product = np.zeros((total, total))
             product[np.ix_(place, place)] = gram_product(block)

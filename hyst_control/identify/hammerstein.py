@@ -1,7 +1,7 @@
 """Joint identification of Prandtl-Ishlinskii models, static or in front of dynamics: all records together.
 
 For given thresholds and G(s) the output is linear in the weights and the dynamic weights (HAMPI paper Eq. 2-6), so the search
-is over G's few parameters alone (`varpro`). G's structure is chosen on held-out stretches of the records.
+is over G's few parameters alone (`variable_projection`). G's structure is chosen on held-out stretches of the records.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from hyst_control.parallel import forked
 
 SELECTION_ROWS = 60_000
 FEW = 6
-"""Operators, below which none is spent on the first loading."""
+"""Number of operators below which the first loading gets none."""
 WORTHWHILE = 0.03
-"""A factor of G is kept when it lowers the held-out mean square error by more than this share."""
+"""A factor of G is kept when it lowers the held-out mean square error by more than this fraction."""
 
 
 @dataclass(frozen=True)
@@ -220,12 +220,12 @@ def choose_structure(problem: Problem, given: Structure | None) -> Solution:
         lowest = min(trial.held_out for trial in trials)
         if not lowest < (1.0 - WORTHWHILE) * best.held_out:
             return best
-        # The first of those that do about equally well: the list runs from the plainer to the richer factor.
+        # The first of those that fit about equally well: the list runs from the plainer to the richer factor.
         best = next(trial for trial in trials if trial.held_out <= lowest * (1.0 + WORTHWHILE))
 
 
 def _grown(problem: Problem, best: Solution, frequency: float) -> list[Solution]:
-    """The solutions of every structure with one factor more, on all cores."""
+    """Solve for every structure with one factor more, on all cores."""
     structures = best.structure.extensions()
     theta = best.theta if np.any(best.theta) else None
 
@@ -237,7 +237,7 @@ def _grown(problem: Problem, best: Solution, frequency: float) -> list[Solution]
 
 
 def _start_frequency(problem: Problem) -> float:
-    """The resonance (Hz) on a coarse grid at which a plain mode does best: where Gauss-Newton begins."""
+    """The resonance (Hz) on a coarse grid at which a single mode fits best, from which Gauss-Newton starts."""
     sample_time = min(window.sample_time for window in problem.windows)
     grid = [f for f in (30.0, 100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0) if f < 0.4 / sample_time] or [0.2 / sample_time]
     structure = Structure(modes=1)

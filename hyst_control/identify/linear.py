@@ -1,6 +1,6 @@
 """The family "linear": stable linear dynamics with a sub-sample delay, from records of any excitation.
 
-Each record is taken to its discrete Fourier transform. A record is in general not periodic, so the transient at its
+Each record is transformed to the frequency domain. A record is in general not periodic, so the transient at its
 ends is estimated with the model (see `modal_fit`); the static line is left out, which frees the fit of each record's
 offset. The number of states is chosen on held-out data.
 """
@@ -26,11 +26,11 @@ from hyst_control.identify.options import INTEGER, NUMBER, TRUTH, Options, optio
 from hyst_control.model_file import Model
 
 MOST_LINES = 6000
-"""Lines of one record that a fit looks at: those where the command is strongest."""
+"""Largest number of lines of one record in a fit: those where the command is strongest."""
 BAND_POWER = 1e-5
-"""Share of the command's power per line, relative to the strongest, under which a line tells nothing."""
+"""Power of a line relative to the strongest one below which it is left out."""
 NO_BETTER = 0.01
-"""A model is preferred to a larger one that is better on held-out data by no more than this share of the error."""
+"""A model is preferred to a larger one that is better on held-out data by no more than this fraction of the error."""
 SINGLE_ORDERS = (1, 2, 3, 4, 5, 6, 8, 10)
 COUPLED_ORDERS = (2, 4, 6, 8, 12, 16, 20, 26, 32, 40)
 
@@ -212,12 +212,12 @@ def checked(datasets: Sequence[Dataset]) -> Dataset:
         first = datasets[0]
         if data.hold != first.hold:
             raise InputError(
-                f"{data.name}: hold {data.hold}, {first.name} has {first.hold}: a linear fit takes records of one hold"
+                f"{data.name}: hold {data.hold}, but {first.name} has {first.hold}: give a linear fit records of one hold"
             )
         if abs(data.sample_time - first.sample_time) > 1e-9 * first.sample_time:
             raise InputError(
-                f"{data.name}: sample time {data.sample_time:g} s, {first.name} has {first.sample_time:g} s: "
-                "a linear fit takes records of one sample time"
+                f"{data.name}: sample time {data.sample_time:g} s, but {first.name} has {first.sample_time:g} s: "
+                "give a linear fit records of one sample time"
             )
     check_records(datasets, 32)
     return datasets[0]
@@ -445,7 +445,7 @@ def _search(datasets: Sequence[Dataset], options: LinearOptions, orders: Sequenc
     lines = sum(len(spectra.angle) * inputs for spectra in train)
     orders = [order for order in orders if order * 2 * inputs + inputs * inputs < lines] or [1]
     if options.delay == "estimate":
-        # The delay is told from the modes' own lag where the model is strictly proper; the direct path would take its
+        # The delay can be separated from the modes' own lag where the model is strictly proper; the direct path would take its
         # place.
         late = dead_time(train, first.hold)
         variants = [

@@ -28,9 +28,9 @@ from hyst_control.identify.simulation_error import Parametrisation, Solution, mi
 from hyst_control.model_file import Model
 
 LEAST_SLOPE = 5e-3
-"""Smallest slope of a curve relative to its mean slope: what rises this much everywhere has an inverse."""
+"""Smallest slope of a curve relative to its mean slope: a curve that rises this much everywhere has an inverse."""
 GRID = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 65))
-"""Points at which a polynomial's slope is held above the least one: closest together at the ends, as its turns are."""
+"""Points at which the smallest slope of a polynomial is enforced: closest together at the ends, as its turns are."""
 
 
 @dataclass(frozen=True)
@@ -390,7 +390,7 @@ def check(datasets: Sequence[Dataset]) -> None:
         lowest = float(data.command.min())
         if lowest < -0.01 * float(data.command.max()):
             raise InputError(
-                f"{data.name}: the command goes down to {lowest:g} V: Madelung curves begin at 0 V; use a family of play operators"
+                f"{data.name}: command: must be >= 0 V for Madelung curves, goes down to {lowest:g} V: use a family of play operators"
             )
 
 

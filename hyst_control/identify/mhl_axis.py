@@ -1,4 +1,4 @@
-"""One axis of the modified Hammerstein-like model as a parameter vector, and the choices of its fit."""
+"""One axis of the modified Hammerstein-like model as a parameter vector, and the options of its fit."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hyst_control.identify.simulation_error import Parametrisation
 from hyst_control.identify.stable_dynamics import Structure
 
 K2_UNIT = 1e-3
-"""The unit (s) of k2 in the parameter vector, which holds its logarithm."""
+"""Unit (s) of k2 in the parameter vector, which holds its logarithm."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class Axis:
         return Parametrisation(self.stages, lhs, np.zeros(len(lhs)), self.limit)
 
 
-# A neighbouring vector differs in one parameter: most stages of its chain have been made, and checked, before.
+# A neighboring vector differs in one parameter: most stages of its chain have been constructed and checked before.
 @lru_cache(256)
 def _curve_stage(curves: Curves, vector: bytes, input_scale: float, output_scale: float) -> Stage:
     return curves.stage(np.frombuffer(vector), input_scale, output_scale)

@@ -6,13 +6,13 @@ Time is counted in samples here (sample time 1), poles accordingly: λ = p · sa
 
 with one term per real pole and two, conjugate to each other, per complex pair. Each pole carries a residue matrix c bᵀ
 of rank one, so n poles are n states. φ_j is the exact response of a mode to the held command, late by τ_j samples
-(`hyst_control.chain.linear.discretise` realises the same), and t_i, d_o are the transient of a record that is not
+(`hyst_control.chain.linear.discretise` computes the same), and t_i, d_o are the transient of a record that is not
 periodic: its discrete Fourier transform obeys the same equations with one more input of constant spectrum (Pintelon &
 Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., 2012, section 6.3).
 
 Two steps: a frequency-domain subspace estimate (McKelvey, Akçay, Ljung, IEEE Trans. Automatic Control 41 (1996)
 960-979) on a warped unit circle that gives the excited band the whole circle, then Levenberg-Marquardt on the output
-error, which for spectra of whole records is the simulation error in the time domain (Parseval). Poles are parametrised
+error, which for spectra of whole records is the simulation error in the time domain (Parseval). Poles are parametrized
 as λ = -e^a + j w, so every iterate is stable.
 """
 
@@ -34,7 +34,7 @@ SLOWEST = {True: 1.0, False: 0.05}
 """Least decay of a pole, in line spacings, for periodic records and for others.
 
 A resonance narrower than the spacing falls between the lines of a periodic record, and would fit the noise of a single
-one; other records tell time constants of a few times their length.
+one; other records show time constants of a few times their length.
 """
 
 
@@ -594,7 +594,7 @@ class Problem:
         return functions
 
     def _output_weights(self) -> np.ndarray:
-        """The matrix (K, p) that makes the model's output of W."""
+        """Matrix (K, p) that maps W to the model's output."""
         model = self.model
         p, m = model.feedthrough.shape
         weights = np.zeros((self.columns, p), dtype=complex)
@@ -610,7 +610,7 @@ class Problem:
         return weights
 
     def _jacobian_weights(self) -> np.ndarray:
-        """The matrices (p, K, P) that make each output's derivatives of W."""
+        """Matrices (p, K, P) that map W to the derivatives of each output."""
         model, layout = self.model, self.layout
         n, p, m = len(model.poles), *model.feedthrough.shape
         weights = np.zeros((p, self.columns, layout.size), dtype=complex)

@@ -1,6 +1,6 @@
-"""The families and their options as Markdown tables: what `docs/identification.md` shows, made from the estimators themselves.
+"""The families and their options as Markdown tables: the tables of `docs/identification.md`, from the estimators themselves.
 
-`python -m hyst_control.identify.option_table docs/identification.md` puts them into the document anew.
+`python -m hyst_control.identify.option_table docs/identification.md` updates them in the document.
 """
 
 from __future__ import annotations

@@ -205,11 +205,11 @@ class Options:
             object.__setattr__(self, each.name, each.checked(getattr(self, each.name)))
         for each in declared(type(self)):
             if each.methods and self.method not in each.methods and getattr(self, each.name) != each.default:
-                raise InputError(f"{each.name}: method {self.method} has no such option: leave it out")
+                raise InputError(f"{each.name}: method {self.method} does not have this option: omit it")
         self.check()
 
     def check(self) -> None:
-        """Raise `InputError` for values that do not fit together."""
+        """Raise `InputError` for inconsistent values."""
 
 
 def methods_option(*methods: str) -> str:

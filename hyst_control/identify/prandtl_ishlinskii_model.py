@@ -1,4 +1,4 @@
-"""From the numbers of a Prandtl-Ishlinskii fit to a model file and a report."""
+"""Model and report of a Prandtl-Ishlinskii fit."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def axis_stages(axis: AxisFit) -> list[Stage]:
     thresholds, weights = operators.thresholds, theta[: len(operators.thresholds)]
     if axis.operators.dynamic:
         m1, m2, k = theta[len(thresholds) :]
-        # b adds to every weight alike, so the data cannot tell it from them: it is set so that k u + b vanishes at mid-drive,
+        # b adds to every weight alike, so the data cannot separate it from them: it is set so that k u + b vanishes at mid-drive,
         # where the weights then are the static ones.
         hysteresis: Stage = ModifiedPrandtlIshlinskii(
             thresholds, weights, m1=m1, m2=m2, k=k, b=-k * operators.center, one_sided=operators.one_sided

@@ -1,4 +1,4 @@
-"""Finding the papers' experiments in records: the step, the quasi-static loops and the loops at a given rate."""
+"""Segmentation of records into the papers' experiments: the step, the quasi-static loops and the loops at a given rate."""
 
 from __future__ import annotations
 

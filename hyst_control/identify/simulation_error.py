@@ -1,7 +1,7 @@
 """Least squares on the simulation error of any chain, with linear inequality constraints on its parameters.
 
-The chain itself is run, so what is fitted is what the model file will do. Derivatives are differences between chains of
-neighbouring parameters, streamed side by side over the records block by block; what a step needs is kept as Gram matrices.
+The chain itself is run, so the fit is to the output of the model file. Derivatives are differences between chains of
+neighboring parameters, streamed side by side over the records block by block; the data for a step are kept as Gram matrices.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from hyst_control.identify.gram_sums import HELD_OUT_BLOCKS, NUISANCES, Grams, W
 from hyst_control.identify.reversal_points import turning_points
 
 BLOCK, CHUNK = 4096, 32768
-"""Rows of a Gram matrix of its own, at most, and rows simulated at a time."""
+"""Largest number of rows of one block's Gram matrix, and rows simulated at a time."""
 STEP = 1e-5
-"""Difference of neighbouring parameters, which are all of order one."""
+"""Difference of neighboring parameters, which are all of order one."""
 PRIOR = 1e-10
-"""Weight of the prior on every parameter relative to the strongest one: decides only what the data do not show at all."""
+"""Weight of the prior on every parameter relative to the strongest one: determines only directions that the data do not show at all."""
 
 
 @dataclass(frozen=True)
@@ -266,7 +266,7 @@ def driving_signal(window: Window) -> tuple[Array, int]:
 
 
 def _solution(parameters: Array, grams: Grams, everything: bool, passes: int, *, derivatives: bool) -> Solution:
-    """The nuisances that suit the error best, and the mean squares that are left."""
+    """Nuisances that reduce the error most, and the remaining mean squares."""
     first = len(parameters) if derivatives else 0
     chosen = grams.fitted + grams.held_out if everything else grams.fitted
     inner = chosen[first:-1, first:-1]

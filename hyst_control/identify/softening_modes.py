@@ -2,8 +2,8 @@
 
 Two fits, both Levenberg-Marquardt on the output error of all levels together, each level weighing the same: first the
 poles and input gains as functions of the slow amplitude, which is constant within a record; then, with the softening
-force computed from the first model's elongation, that force as further inputs of the same modes. Nothing but the
-command enters either.
+force computed from the first model's elongation, that force as further inputs of the same modes. The only input of both
+is the command.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from hyst_control.identify.modal_fit import Layout, ModalModel, Problem, Spectra
 
 @dataclass(frozen=True)
 class Level:
-    """One level: steady periods of command (N, m, R) in V and measurement (N, p, R) for R realisations."""
+    """One level: steady periods of command (N, m, R) in V and measurement (N, p, R) for R realizations."""
 
     command: Array
     measurement: Array
 
     @property
     def amplitude(self) -> float:
-        """Rms of the command over samples, axes and realisations, V."""
+        """Rms of the command over samples, axes and realizations, V."""
         return float(np.sqrt(np.mean(self.command**2)))
 
 
 @dataclass(frozen=True)
 class Scheduled:
-    """Modal parameters that move along one direction with g: θ = centre + g · change, in the layout of `modal_fit.Problem`."""
+    """Modal parameters that move along one direction with g: θ = center + g · change, in the layout of `modal_fit.Problem`."""
 
     centre: ModalModel
     change: Array
@@ -88,7 +88,7 @@ class SofteningFit:
 
     @property
     def tolerance(self) -> dict[str, float]:
-        """Median relative standard deviations of the stage's decays and frequencies: the least due in a model file."""
+        """Median relative standard deviations of the stage's decays and frequencies: the smallest tolerance of a model file."""
         pairs = np.asarray(self.stage.frequency) > 0
         relative = self.sigma[pairs] / np.abs(np.stack([self.stage.decay, self.stage.frequency], axis=1)[pairs])
         return {"decay": float(np.median(relative[:, 0])), "frequency": float(np.median(relative[:, 1]))}
@@ -166,12 +166,12 @@ def fit_softening(
     if not force:
         stage = stage_of(scheduled, reference, sample_time, memory=memory)
         return SofteningFit(stage, scheduled, parameters, time.perf_counter() - began, _per_second(sigma, sample_time))
-    # The elongation in volts of a slow command: what the low lines' gain makes of the output.
+    # The elongation in volts of a slow command: the output divided by the gain of the low lines.
     low = linear.response(2 * np.pi * np.linspace(80.0, 230.0, 50) * sample_time).mean(axis=0).real
     elongation = np.linalg.inv(low)
     exponents = np.atleast_1d(np.asarray(exponent, dtype=float))
     point = _widened(scheduled, inputs * len(exponents))
-    # The force follows the elongation that the commands alone cause in the model, so each fit moves it a little: fit
+    # The force follows the elongation that the commands alone cause in the model, so each fit changes it a little: fit
     # again.
     for _ in range(rounds):
         strains = [_strain(point.at(value), level, elongation, inputs) for level, value in zip(levels, g, strict=True)]
@@ -272,7 +272,7 @@ class _Point:
 
 @dataclass(frozen=True)
 class _Search:
-    """The least-squares problem of all levels: parameters of the centre (P,), then the changes of those that are `moving`."""
+    """The least-squares problem of all levels: parameters of the center (P,), then the changes of those that are `moving`."""
 
     problems: Sequence[Problem]
     g: Sequence[float]

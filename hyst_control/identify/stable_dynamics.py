@@ -1,9 +1,9 @@
-"""A linear dynamics G(s) of unit static gain, parametrised so that it is stable for every parameter vector.
+"""Linear dynamics G(s) of unit static gain, parametrized so that it is stable for every parameter vector.
 
     G(s) = e^(-tau s) · Π_i (1 + b_i-polynomial) / Π (s²/ω² + 2ζ s/ω + 1) · Π 1/(s/ω_f + 1) · (s/z + 1)/(s/p + 1)
 
-The factors are optional; together they are the structure. The static gain is left to the weights of the hysteresis, from which
-it could not be told apart.
+The factors are optional; together they are the structure. The static gain is part of the weights of the hysteresis, from which
+it could not be separated.
 """
 
 from __future__ import annotations

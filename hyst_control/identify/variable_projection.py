@@ -248,7 +248,7 @@ class _Search:
 
 
 def _limited_step(problem: Problem, at: Solution, everything: bool, damping: float, sample_time: float) -> Array:
-    """The damped Gauss-Newton step; parameters that it would push out of bounds at which they stand are held there."""
+    """The damped Gauss-Newton step; parameters at a bound that it would cross are held there."""
     gram = at.grams.fitted + at.grams.held_out if everything else at.grams.fitted
     free = np.ones(at.structure.size, dtype=bool)
     while True:

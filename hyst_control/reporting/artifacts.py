@@ -1,4 +1,4 @@
-"""Artifacts of a command: its files with their sizes and hashes, and what is in them, as JSON and as lines."""
+"""Artifacts of a command: its files with their sizes and hashes, and facts on their content, as JSON and as lines."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Made:
         self.facts.append(Fact(case, quantity, unit, value if isinstance(value, int) else float(value)))
 
     def document(self) -> dict[str, Any]:
-        """Content as plain JSON types; the hashes are computed now."""
+        """Convert to plain JSON types; the hashes are computed now."""
         return {
             "schema": SCHEMA,
             "version": VERSION,
@@ -77,7 +77,7 @@ class Made:
         }
 
     def text(self) -> str:
-        """The lines, and where everything is."""
+        """The lines, and the paths of the files."""
         files = list(self.files)
         where = [f"written: {path}" for path in files]
         if len(files) > MOST_NAMED:

@@ -47,7 +47,7 @@ def write_page(path: Path, template: str, title: str, summary: str, **values: ob
     Parameters
     ----------
     path
-        File to write, in a folder that exists; a reader never meets half of it.
+        File to write, in an existing folder; it is replaced as a whole.
     template
         Path of the template within the package.
     title
@@ -55,7 +55,7 @@ def write_page(path: Path, template: str, title: str, summary: str, **values: ob
     summary
         First paragraph.
     **values
-        What the template names besides.
+        Further values that the template names.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Pages and drawings from templates: data goes in, and no markup stands in Python.
+"""Pages and drawings from templates, so that Python code has no markup.
 
 A template lies in the folder `templates` of its room: `reporting/templates/page.html`. In `.html` and `.svg` every value is escaped,
 unless it is `markupsafe.Markup`; in `.md` none is.

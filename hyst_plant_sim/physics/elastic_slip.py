@@ -95,9 +95,9 @@ class PushPull:
 
 @njit(cache=True, error_model="numpy")
 def _slip(block: Array, slack: Array, weights: Array, sums: Array, law: Array, slip: Array, state: Array, output: Array) -> None:
-    """Elements of little slack move first: those that move are the first few, and their sum is known without a look at each.
+    """Move the elements. Those of little slack move first, so that the sum of the moving ones is known without a loop.
 
-    state: last voltage, its direction (0: settled), how many elements move with it, sum of the others, last output.
+    state: last voltage, its direction (0: settled), number of elements that move with it, sum of the others, last output.
     slip: places of the others.
     """
     last, direction, moving, resting, value = state[0], state[1], int(state[2]), state[3], state[4]

@@ -1,4 +1,4 @@
-"""Exact steps of linear parts: what the state is after a step whose input holds, or runs straight from one value to another."""
+"""Exact steps of linear parts whose input is held, or runs straight from one value to another."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def ramp_step(a: Array, b: Array, step: float) -> tuple[Array, Array, Array]:
     """
     phi, gamma = held_step(a, b, step)
     n = len(a)
-    # The answer to a ramp of slope 1 / step is the integral of the answer to a step: one more integrator in front.
+    # The response to a ramp of slope 1 / step is the integral of the response to a step: one more integrator in front.
     block = np.zeros((n + 2, n + 2))
     block[:n, :n], block[:n, n], block[n, n + 1] = a, b, 1.0 / step
     ramp = expm(block * step)[:n, n + 1]

@@ -5,7 +5,7 @@ The path of each axis, stepped at 500 kHz or finer:
 1. drive: an input delay; the driver's rating clips the voltage.
 2. amplifier: a notch against the mechanical mode and the poles that go with it, then a first-order low-pass.
 3. hysteresis: two stacks of elastic-slip elements with a saturating curve, one driven by v, one by the bias minus v; their
-   difference tilts the mirror. A share of the tilt comes late (relaxation), which widens loops with frequency.
+   difference tilts the mirror. A part of the tilt comes late (relaxation), which widens loops with frequency.
 4. mechanics: one lightly damped mode.
 5. motion: each axis moves a little with the other.
 6. sensor: strain gauge, first-order low-pass, white noise.

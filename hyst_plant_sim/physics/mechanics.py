@@ -1,4 +1,4 @@
-"""The mechanics of a plant: a linear system, and what can be wrong with it (mass, spring, friction, a mode that moves).
+"""The mechanics of a plant: a linear system, and its possible faults (mass, spring, friction, a moving mode).
 
 A plant gives its mechanics as a function `system(mass_ratio, frequency_ratio)`: the main mode with its mass times
 1 + mass_ratio, stiffness and damping constant kept, then its frequency times frequency_ratio at the same damping ratio.
@@ -159,7 +159,7 @@ class Irregular:
     def settle(self, value: float) -> float:
         spring = self._force[0]
         drive = value
-        for _ in range(200):  # the spring takes its share: a contraction for any share below one third
+        for _ in range(200):  # the spring takes a part of the drive: a contraction for any part below one third
             drive = value - spring * (self._gain * drive) ** 3
         self._x = exact_discretization.rest(self._a, self._b, drive)
         y = float(self._c @ self._x)

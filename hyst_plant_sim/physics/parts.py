@@ -1,4 +1,4 @@
-"""Parts that every plant is made of: exact linear dynamics, delay, clipping, white noise."""
+"""Parts of every plant: exact linear dynamics, delay, clipping, white noise."""
 
 from __future__ import annotations
 

@@ -1,14 +1,14 @@
-"""The truth PEA: amplifier, polarisation with hysteresis and drag, flexure mechanics, capacitive sensor.
+"""The truth PEA: amplifier, polarization with hysteresis and drag, flexure mechanics, capacitive sensor.
 
 The path of a command, each part in continuous time, stepped at 400 kHz or finer:
 
 1. drive: a transport delay (converter, isolation), then the amplifier, a first-order low-pass; its output is the voltage v.
-2. hysteresis: an elastic slope and an ensemble of elastic-slip elements (see `slip`), whose sum Y0 is bent by a single-valued
+2. hysteresis: an elastic slope and an ensemble of elastic-slip elements (see `elastic_slip`), whose sum Y0 is bent by a single-valued
    saturation Y = Y0 - β Y0² / stroke.
-3. drag: domain walls move against viscous drag that grows with the polarisation P already reached, more while it rises than
+3. drag: domain walls move against viscous drag that grows with the polarization P already reached, more while it rises than
    while it falls: P' = (Y - P) / T(Y), T = T_rise or T_fall times Y / (Y + drag_level). Slow loops do not show it; fast ones
    turn and widen, the more the higher the drive.
-4. mechanics: one flexure mode, and a viscoelastic share that arrives late (the slow pole-zero pair of HAMPI paper Eq. 7).
+4. mechanics: one flexure mode, and a viscoelastic part that arrives late (the slow pole-zero pair of HAMPI paper Eq. 7).
 5. sensor: first-order low-pass, white noise.
 """
 
@@ -190,15 +190,15 @@ class Drag:
 @njit(cache=True, error_model="numpy")
 def _drag(block: Array, law: Array, state: Array, output: Array) -> None:
     rise, fall, level, step = law
-    polarisation = state[0]
+    polarization = state[0]
     for k in range(block.size):
         wanted = block[k]
-        time = (rise if wanted > polarisation else fall) * abs(wanted) / (abs(wanted) + level)
+        time = (rise if wanted > polarization else fall) * abs(wanted) / (abs(wanted) + level)
         gone = 0.0
         if time > 1e-3 * step:
-            gone = (polarisation - wanted) * (1.0 - np.exp(-step / time))
-            polarisation -= gone
+            gone = (polarization - wanted) * (1.0 - np.exp(-step / time))
+            polarization -= gone
         else:
-            polarisation = wanted
+            polarization = wanted
         output[k] = wanted + gone * time / step
-    state[0] = polarisation
+    state[0] = polarization

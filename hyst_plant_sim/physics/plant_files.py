@@ -1,4 +1,4 @@
-"""From a plant file, a name in config/plants, or a case, to a running plant."""
+"""Running plants from a plant file, a name in config/plants, or a case."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The published MHL model (fast steering mirror, two axes) as a plant of its own code.
+"""The published MHL model (fast steering mirror, two axes) as a plant, independent of the simulator's code.
 
 Delay, Madelung hysteresis between the published major branches (MHL paper Eq. 2, Table 1), rate part
 Ψ = (k1 v̇ + b1) / (k2 s + b2) in parallel (Eq. 4), dynamics G(s) (Eq. 12), stepped exactly.

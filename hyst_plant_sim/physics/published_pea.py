@@ -1,4 +1,4 @@
-"""The published HAMPI model as a plant of its own code: what the simulator's chain is held against.
+"""The published HAMPI model as a plant, independent of the simulator's code, with which the simulator's chain is compared.
 
 Play operators in the form of HAMPI paper Eq. 3, dynamic weights of Eq. 4-6, the dynamics G(s) of Eq. 7 with the slow
 pole-zero pair, stepped exactly. The rate is the difference over one sample time of the voltage, as a held command has it.

@@ -1,10 +1,10 @@
-"""The line of a plant: what a command goes through on its way to the measurement, place by place, and the plant that runs it.
+"""Signal path of a plant from the command to the measurement, place by place, and the plant that runs it.
 
 A part is one axis' element at one place: `settle(value)` brings it to rest at a constant input and returns its first output,
 `process(block (M,))` returns as many outputs and carries its state on, so that cutting a signal changes no bit. A part that
 mixes axes is entered for axis None and gets (A, M).
 
-What a value between the samples stands for: from the drive up to the mechanics for the whole internal step, held there or the
+Meaning of a value between the samples: from the drive up to the mechanics for the whole internal step, held there or the
 mean over it, which the next part takes as held; from the mechanics on for the end of the step, up to which the next part takes
 it as running straight. Both are of second order in the step, also where a command jumps.
 """
@@ -30,7 +30,7 @@ BLOCK = 1024
 
 
 class PlantError(ValueError):
-    """A plant description that makes no sense: one line with field and remedy."""
+    """Unusable plant description: one line with field and remedy."""
 
 
 class Part(Protocol):

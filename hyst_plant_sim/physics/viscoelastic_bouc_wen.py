@@ -2,7 +2,7 @@
 
 The path of a command, stepped at 200 kHz or finer: amplifier (second order); free stroke Y = d u - z with
 dz/du = α - (β sgn(u̇ z) + γ) |z|^n, α growing with the voltage from one end of the rating to the other: the memory z holds the
-stroke back, on the way up as on the way down; a Zener ladder, branches each of which lets a share of the stroke arrive late; one
+stroke back, on the way up as on the way down; a Zener ladder, each of whose branches delays a part of the stroke; one
 mode; sensor (first-order low-pass, white noise).
 """
 

@@ -56,7 +56,7 @@ def test_a_registered_family_is_like_any_other(registry):
 
 @pytest.mark.parametrize("change", [{"name": ""}, {"sentence": ""}, {"name": "pi"}])
 def test_a_family_without_a_name_of_its_own_is_refused(registry, change):
-    with pytest.raises(InputError, match="needs name, sentence and Options|choose another"):
+    with pytest.raises(InputError, match="must have name, sentence and Options|choose another"):
         register(gain_family(**change))
 
 

@@ -43,15 +43,15 @@ def bag(tmp_path_factory) -> Path:
         ("--model rdpi --one-sided", "one_sided: rdpi has no such option"),
         ("--model pi --structure modes=1", "structure: pi has no such option"),
         ("--model pi --method paper", "pi: method: must be joint, got 'paper'"),
-        ("--model hampi --method paper --nuisance none", "hampi: nuisance: method paper has no such option: leave it out"),
-        ("--model mhl --method paper --no-cross-coupling", "mhl: cross_coupling: method paper has no such option"),
+        ("--model hampi --method paper --nuisance none", "hampi: nuisance: method paper does not have this option: omit it"),
+        ("--model mhl --method paper --no-cross-coupling", "mhl: cross_coupling: method paper does not have this option"),
         ("--model pi --operators two", "pi: operators: must be an integer >= 3, got 'two'"),
         ("--model pi --operators 2", "pi: operators: must be an integer >= 3, got 2"),
         ("--model pi --thresholds 0,5,2", "pi: thresholds: must be strictly increasing, got [0.0, 5.0, 2.0]"),
         ("--model hapi --structure modes=1,springs=2", "hapi: structure: must be factors of G(s) such as modes=1"),
         ("--model prandtl", "model: 'prandtl' is not a model family: use one of "),
         ("--order 3", "order: none of pi, hapi, rdpi, hampi, of which the best is chosen, has it: name a model"),
-        ("--method paper", "method: the best family is chosen by the joint method: name a model for paper"),
+        ("--method paper", "method: must be joint where no model is named, got paper: name a model"),
     ],
 )
 def test_an_option_that_the_family_does_not_have_is_refused(bag, tmp_path, capsys, words, line):

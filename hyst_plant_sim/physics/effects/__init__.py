@@ -1,9 +1,9 @@
-"""Effects: what can be wrong with a plant, each at its physical place.
+"""Effects: possible faults of a plant, each at its physical place.
 
 An effect is a mapping {name: delay, tau: 1e-4, axis: x, from: 0.5}: its name, its parameters, the axis (left out: every axis)
-and the time in s from which it acts (left out: always). One that begins later has been running unheard before: the output
-changes over at once, without a transient of its own. `gain` and `delay` may be put elsewhere with `at`. An effect whose
-parameters say that it is not there (`absent`) is left out, so that it changes no bit.
+and the time in s from which it acts (left out: always). One that begins later has been running before without influence: the
+output changes over at once, without a transient. `gain` and `delay` may be placed elsewhere with `at`. An effect whose
+parameters make it absent (`absent`) is left out, so that it changes no bit.
 
 Parameters are those of the gap report's vocabulary; `EFFECTS` holds their meaning, units and defaults. Where a plant has
 several parts at a place, effects come after them, in the order of `EFFECTS`.
@@ -27,7 +27,7 @@ EFFECTS: dict[str, Effect] = {**drive.EFFECTS, **piezo.EFFECTS, **motion.EFFECTS
 
 ELSEWHERE = {"gain": ("amplifier", "piezo", "sensor"), "delay": ("drive", "sensor")}
 ADDED = ("delay", "modes")
-"""Changes of a part of which several add up; of the others the newest counts."""
+"""Changes of a part that add up where there are several; of the others the newest is used."""
 
 KEYS = ("name", "axis", "from", "at")
 
@@ -150,9 +150,9 @@ def insert_effects(line: Line, axis: int | None, parts: Any, present: Sequence[P
 
 
 def _change(line: Line, axis: int, place: str, kinds: Sequence[str], present: Sequence[Present], frame: Frame, build: Any) -> None:
-    """Put a part built with the changes in place of the plant's own first one there.
+    """Replace the plant's own first part at a place by one with changes.
 
-    One after the other when they begin at different times.
+    Changes that begin at different times give one part after the other.
     """
     own = sorted((item for item in present if item.kind in kinds), key=lambda item: item.start)
     if not own:

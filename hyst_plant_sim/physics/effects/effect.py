@@ -14,7 +14,7 @@ from hyst_plant_sim.physics.signal_path import Frame, Part
 Array = NDArray[np.float64]
 
 SETTLED = ("motion", "sensor", "adc", "transport")
-"""Places whose settled value is the sample at t = 0; before them it is what was there until then."""
+"""Places whose settled value is the sample at t = 0; at earlier places it is the value before t = 0."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Effects in the sensor, its converter, and on the way of the samples."""
+"""Effects in the sensor, its converter, and on the path of the samples."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def _coloured(draws: Array, keep: Array, fresh: Array, state: Array, output: Arr
 
 
 def _arrived(times: Array, tau: float) -> Array:
-    """Share of a drift that has happened by each time: 1 - exp(-t / tau)."""
+    """Fraction of a drift that has occurred by each time: 1 - exp(-t / tau)."""
     return -np.expm1(-times / tau)
 
 
