@@ -99,7 +99,7 @@ def run(table: Table, seconds: float = SECONDS) -> None:
             with tempfile.TemporaryDirectory() as folder:
                 measured = measure(case, "hyst", "lockstep", seconds, Path(folder) / "bag", outside=bool(way))
                 table.add(name, f"{case}, recorded{way}", "hyst", "rounds_rate", "rounds/s", measured.rate)
-                table.add(name, f"{case}, recorded{way}", "hyst", "loss", "%", lost(Path(folder) / "bag")[0])
+                table.add(name, f"{case}, recorded{way}", "hyst", "loss", "%", message_loss(Path(folder) / "bag")[0])
     for case in ("composed", "processes"):
         for subject in ("hyst", "plain rclpy"):
             _add_timing(table, case, subject, measure(case, subject, "timer", seconds))
@@ -107,7 +107,7 @@ def run(table: Table, seconds: float = SECONDS) -> None:
             with tempfile.TemporaryDirectory() as folder:
                 measured = measure(case, "hyst", "timer", seconds, Path(folder) / "bag", outside=bool(way))
                 _add_timing(table, f"{case}, recorded{way}", "hyst", measured)
-                loss, count = lost(Path(folder) / "bag")
+                loss, count = message_loss(Path(folder) / "bag")
                 table.add("wall clock, 1 kHz", f"{case}, recorded{way}", "hyst", "loss", "%", loss, n=count)
 
 
@@ -140,7 +140,7 @@ def soak(table: Table, minutes: float) -> None:
             table.add(name, case, "hyst", "rounds_rate", "rounds/s", measured.rate)
             table.add(name, case, "hyst", "memory", "MiB", end)
             table.add(name, case, "hyst", "memory_growth", "MiB", end - begin, n=len(measured.memory))
-            loss, count = lost(Path(folder) / "bag")
+            loss, count = message_loss(Path(folder) / "bag")
             table.add(name, case, "hyst", "loss", "%", loss, n=count)
 
 
@@ -197,7 +197,7 @@ def measure(
     return Run(rate, 100.0 * cpu, memory, values)
 
 
-def lost(bag: Path) -> tuple[float, int]:
+def message_loss(bag: Path) -> tuple[float, int]:
     """Count the rows that are missing within the topics of a bag.
 
     Parameters

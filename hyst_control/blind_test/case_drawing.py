@@ -18,13 +18,13 @@ from hyst_control.blind_test.case_records import commands
 from hyst_control.blind_test.effect_sizes import NOISE_LIKE, OPEN_SET, SEVERITIES, draw_effect
 from hyst_control.blind_test.plant_setups import PLANTS, SETUPS
 
-SHARES = {"single": 0.45, "none": 0.25, "pair": 0.12, "open_set": 0.1, "parameters": 0.08}
+KIND_FRACTIONS = {"single": 0.45, "none": 0.25, "pair": 0.12, "open_set": 0.1, "parameters": 0.08}
 """Fraction of the cases that are of a kind."""
 
-OFF = (4.0, 8.0)
+COEFFICIENT_DEVIATION = (4.0, 8.0)
 """`parameters`: the coefficients are off by this many times their tolerance."""
 
-BEGIN = (0.3, 0.7)
+SWITCH_FRACTION = (0.3, 0.7)
 """Fraction of the record's length after which an effect that is switched on begins."""
 
 
@@ -59,8 +59,10 @@ def draw(
         The cases.
     """
     random = np.random.default_rng(seed)
-    chosen = kinds or SHARES
-    shares = dict(chosen) if isinstance(chosen, Mapping) else {kind: SHARES[kind] for kind in SHARES if kind in chosen}
+    chosen = kinds or KIND_FRACTIONS
+    shares = (
+        dict(chosen) if isinstance(chosen, Mapping) else {kind: KIND_FRACTIONS[kind] for kind in KIND_FRACTIONS if kind in chosen}
+    )
     if not isinstance(chosen, Mapping):
         shares = {kind: share / sum(shares.values()) for kind, share in shares.items()}
     order = [kind for kind, share in shares.items() for _ in range(int(round(share * count)))]
@@ -72,7 +74,7 @@ def draw(
         excitation = "rich" if "rich" in excitations and index % 2 == 0 else str(excitations[(index // 2) % len(excitations)])
         names = _names(kind, plant, cycles, random)
         noise = NOISES[(index // 4) % 2]
-        off = float(random.uniform(*OFF)) if kind == "parameters" else 1.0
+        off = float(random.uniform(*COEFFICIENT_DEVIATION)) if kind == "parameters" else 1.0
         case = Case("", plant, kind, excitation, noise, int(random.integers(1 << 31)), off=off)
         cases.append(replace(case, effects=tuple(draw_effect(name, plant, noise, random) for name in names)))
     random.shuffle(cases)
@@ -86,7 +88,7 @@ def _begun(case: Case, switched: float, random: np.random.Generator) -> tuple[Ma
         return case.effects
     sample_time = SETUPS[case.plant].sample_time
     length = len(commands(case))
-    return tuple({**effect, "from": round(random.uniform(*BEGIN) * length) * sample_time} for effect in case.effects)
+    return tuple({**effect, "from": round(random.uniform(*SWITCH_FRACTION) * length) * sample_time} for effect in case.effects)
 
 
 def _names(kind: str, plant: str, cycles: dict[str, list[tuple[str, ...]]], random: np.random.Generator) -> tuple[str, ...]:

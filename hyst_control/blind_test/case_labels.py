@@ -13,11 +13,11 @@ from hyst_control.blind_test.nominal_models import stated_noise
 from hyst_control.blind_test.plant_setups import SETUPS
 from hyst_control.chain.stage import Array
 
-LEAST = 10.0
+LEAST_VISIBILITY = 10.0
 """Distance (standard deviations, coefficients marginalized) below which a gap is invisible: such a case counts as none."""
 
 
-def labelled(case: Case, stated: float | None = None) -> Case:
+def with_label(case: Case, stated: float | None = None) -> Case:
     """Add the label to a case: kind and effects to score, true gap, begin of each effect, and visibility.
 
     A pair's label also lists the effects that are `shown`: visible beside the other.
@@ -52,9 +52,9 @@ def labelled(case: Case, stated: float | None = None) -> Case:
     if wrong:
         difference = _difference(case, replace(case, effects=()), within)
         gap = float(np.sqrt(np.mean(difference**2)))
-        distance = visible(case, difference, stated)
+        distance = visibility(case, difference, stated)
     label |= {"gap_rms": gap, "noise_rms": noise, "distance": distance}
-    if wrong and (distance < LEAST or gap < least):
+    if wrong and (distance < LEAST_VISIBILITY or gap < least):
         label["kind"] = "none"
         label["hidden"] = list(case.names) or [case.kind]
         label["names"] = []
@@ -62,8 +62,8 @@ def labelled(case: Case, stated: float | None = None) -> Case:
         label["shown"] = []
         for effect in case.effects:
             part = _difference(case, replace(case, effects=tuple(other for other in case.effects if other is not effect)))
-            size = visible(replace(case, effects=(effect,)), part, stated)
-            if size >= LEAST and float(np.sqrt(np.mean(part**2))) >= least:
+            size = visibility(replace(case, effects=(effect,)), part, stated)
+            if size >= LEAST_VISIBILITY and float(np.sqrt(np.mean(part**2))) >= least:
                 label["shown"].append(effect["name"])
     return replace(case, label=label)
 
@@ -80,7 +80,7 @@ def _difference(case: Case, other: Case, scattered: bool = True) -> Array:
     return np.asarray(measured - expected, dtype=np.float64)
 
 
-def visible(case: Case, difference: Array, noise: float) -> float:
+def visibility(case: Case, difference: Array, noise: float) -> float:
     """Distance of a difference from any change of gain and offset on each axis.
 
     Parameters

@@ -33,7 +33,7 @@ def commands(case: Case) -> Array:
     setup = SETUPS[case.plant]
     axes = 2 if case.plant.startswith("fsm") else 1
     low, high = setup.command
-    span, centre, random = high - low, 0.5 * (high + low), np.random.default_rng([case.seed, 1])
+    span, center, random = high - low, 0.5 * (high + low), np.random.default_rng([case.seed, 1])
     if case.excitation == "rich":
         spec: dict[str, Any] = {"signal": "diagnostic", "lowest": low, "highest": high, "seed": int(random.integers(3))}
     elif case.excitation == "multisine":
@@ -43,7 +43,7 @@ def commands(case: Case) -> Array:
             "lower_frequency": 4.0,
             "upper_frequency": 600.0,
             "rms": 0.13 * span,
-            "offset": centre,
+            "offset": center,
             "periods": 6,
             "detection": 4,
             "avoid_mains": True,
@@ -54,7 +54,7 @@ def commands(case: Case) -> Array:
             "signal": "sine",
             "frequency": float(random.choice([5.0, 12.0, 35.0, 90.0])),
             "amplitude": 0.42 * span,
-            "offset": centre,
+            "offset": center,
             "duration": 1.5,
         }
     else:

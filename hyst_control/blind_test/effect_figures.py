@@ -21,7 +21,7 @@ from hyst_plant_sim.physics import EFFECTS, Plant, load_plant
 from hyst_plant_sim.physics.signal_path import PLACES
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 Array = NDArray[np.float64]
 
@@ -286,7 +286,7 @@ def draw(name: str, path: Path) -> None:
     unit = plants[0].units["measurement"]
     grey, blue, orange = "0.55", "tab:blue", "tab:orange"
     figure = Figure(figsize=(9.6, 2.7), layout="constrained")
-    FigureCanvasAgg(figure)
+    canvas = FigureCanvasAgg(figure)
     parts = figure.subfigures(1, 3)
     assert isinstance(parts, np.ndarray)
     left, middle, right = parts
@@ -304,9 +304,9 @@ def draw(name: str, path: Path) -> None:
     rows = multisine(plants[0])
     without, found = (_answer(plant, rows) for plant in plants)
     axes = middle.subplots()
-    for values, colour, width in ((without, grey, 1.6), (found, blue, 0.8), (found - without, orange, 0.8)):
+    for values, color, width in ((without, grey, 1.6), (found, blue, 0.8), (found - without, orange, 0.8)):
         frequency, density = welch(values, 1.0 / SAMPLE_TIME, nperseg=4096, detrend=False)
-        axes.loglog(frequency[1:], np.sqrt(density[1:]) + 1e-300, color=colour, lw=width)
+        axes.loglog(frequency[1:], np.sqrt(density[1:]) + 1e-300, color=color, lw=width)
     top = np.sqrt(welch(without, 1.0 / SAMPLE_TIME, nperseg=4096)[1].max())
     axes.set(xlabel="frequency, Hz", ylabel=f"{unit} / √Hz", xlim=(5.0, 1e4), ylim=(1e-6 * top, 4.0 * top))
 
@@ -316,16 +316,17 @@ def draw(name: str, path: Path) -> None:
     axes.plot(command, without, color=grey, lw=1.2)
     axes.plot(command, found, color=blue, lw=0.8)
     axes.set(xlabel="command, V", ylabel=unit)
-    _save(figure, path)
+    _save(canvas, path)
 
 
-def _save(figure: Figure, path: Path) -> None:
+def _save(canvas: FigureCanvasAgg, path: Path) -> None:
     """Save a picture of few colors, which is a quarter of the size."""
     from PIL import Image
 
-    figure.set_dpi(80)
-    figure.canvas.draw()
-    Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()).quantize(48).save(path, optimize=True)
+    canvas.figure.set_dpi(80)
+    canvas.draw()  # type: ignore[no-untyped-call]  # matplotlib gives it no types
+    pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]  # as draw
+    Image.fromarray(pixels[..., :3].copy()).quantize(48).save(path, optimize=True)
 
 
 def _plant(example: Example, effects: list[dict[str, Any]]) -> Plant:

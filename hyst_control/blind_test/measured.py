@@ -46,7 +46,7 @@ MODES = {"none": (), "middle": mirror.LEVELS[1:2], "all": mirror.LEVELS}
 LOST_GAIN = 0.05
 LEAST_SHARE = 1.0
 """Energy of a deleted mode, relative to the residual of the whole model, above which its loss is diagnosed."""
-FEW = 3
+FEW_OPERATORS = 3
 """Operators of the stack's crippled model: the smallest number that can be identified."""
 TITLE = "Measured, an effect withheld"
 
@@ -121,7 +121,7 @@ def run(out: str, page: str | None = None, modes: str = "all", note: Callable[[s
         rows.append((case, report))
         add(table, case, report)
         note(f"{case.plant}, without {case.element}: {sentence(report)}")
-    summarise(table, rows)
+    add_summary(table, rows)
     if page is not None:
         write_page(Path(page), rows, modes)
     return table
@@ -207,7 +207,7 @@ def best_shrink(report: dict[str, Any]) -> float:
     return max((effect["shrink_reidentified"] or 0.0 for effect in report["effects"]), default=0.0)
 
 
-def summarise(table: Table, rows: Sequence[tuple[Withheld, dict[str, Any]]]) -> None:
+def add_summary(table: Table, rows: Sequence[tuple[Withheld, dict[str, Any]]]) -> None:
     """Add the fraction of cases in which the withheld element was the first name, with their number.
 
     Parameters
@@ -265,7 +265,7 @@ def mirror_cases(modes: Sequence[int], note: Callable[[str], None] = print) -> I
         record, warm_up = record_of(data, mirror.TEST[0]), mirror.PERIOD * mirror.SAMPLE_TIME
         floor = float(np.sqrt(np.mean(errors(model, data, mirror.TEST[0]) ** 2)))
         yield Withheld(f"mirror, {level} mV", "nothing", (), model, record, warm_up, floor)
-        for element, right, crippled in crippled_models(model, level in modes, data, floor):
+        for element, right, crippled in models_without_elements(model, level in modes, data, floor):
             yield Withheld(f"mirror, {level} mV", element, right, crippled, record, warm_up, floor)
         for other in (other for other in mirror.LEVELS if other > level):
             higher = record_of(measured[other], mirror.TEST[0])
@@ -297,7 +297,7 @@ def fit(level: mirror.Level, delay: float) -> Candidate:
     return replace(found, held_out=error_of(found.model, [level.spectra(mirror.SELECT)]))
 
 
-def errors(model: Model, level: mirror.Level, realisation: int) -> Array:
+def errors(model: Model, level: mirror.Level, realization: int) -> Array:
     """Rms errors of a model on a realization, both periods.
 
     Parameters
@@ -306,7 +306,7 @@ def errors(model: Model, level: mirror.Level, realisation: int) -> Array:
         The model.
     level
         Measurements at one level.
-    realisation
+    realization
         Index of the realization.
 
     Returns
@@ -314,19 +314,19 @@ def errors(model: Model, level: mirror.Level, realisation: int) -> Array:
     Array
         Errors (3,) in the measurement unit.
     """
-    simulated = mirror.steady_state(model, level.command[:, :, [realisation]].mean(axis=3))[:, :, 0]
-    error: Array = np.sqrt(np.mean((level.measurement[:, :, realisation] - simulated[..., None]) ** 2, axis=(0, 2)))
+    simulated = mirror.steady_state(model, level.command[:, :, [realization]].mean(axis=3))[:, :, 0]
+    error: Array = np.sqrt(np.mean((level.measurement[:, :, realization] - simulated[..., None]) ** 2, axis=(0, 2)))
     return error
 
 
-def record_of(level: mirror.Level, realisation: int) -> Record:
+def record_of(level: mirror.Level, realization: int) -> Record:
     """Join both periods of a realization; the first brings the simulation into its steady state.
 
     Parameters
     ----------
     level
         Measurements at one level.
-    realisation
+    realization
         Index of the realization.
 
     Returns
@@ -335,16 +335,18 @@ def record_of(level: mirror.Level, realisation: int) -> Record:
         The record.
     """
     command, measurement = (
-        part[:, :, realisation].transpose(2, 0, 1).reshape(-1, 3) for part in (level.command, level.measurement)
+        part[:, :, realization].transpose(2, 0, 1).reshape(-1, 3) for part in (level.command, level.measurement)
     )
     time = mirror.SAMPLE_TIME * np.arange(len(command), dtype=np.float64)
     return Record(
         {"command": Signal(time, command, mirror.AXES, "V"), "measurement": Signal(time, measurement, mirror.AXES, "um")},
-        f"{level.name}, realisation {realisation + 1}",
+        f"{level.name}, realisation {realization + 1}",
     )
 
 
-def crippled_models(model: Model, modes: bool, level: mirror.Level, floor: float) -> Iterator[tuple[str, tuple[str, ...], Model]]:
+def models_without_elements(
+    model: Model, modes: bool, level: mirror.Level, floor: float
+) -> Iterator[tuple[str, tuple[str, ...], Model]]:
     """Remove one element of a model after the other.
 
     Parameters
@@ -378,7 +380,7 @@ def crippled_models(model: Model, modes: bool, level: mirror.Level, floor: float
         return
     simulated = mirror.steady_state(model, level.command[:, :, [mirror.TEST[0]]].mean(axis=3))
     for block, frequency in oscillating(whole):
-        crippled = with_stages(model, *before, without(whole, block))
+        crippled = with_stages(model, *before, without_states(whole, block))
         lost = mirror.steady_state(crippled, level.command[:, :, [mirror.TEST[0]]].mean(axis=3)) - simulated
         if np.mean(lost**2) > LEAST_SHARE * floor**2:
             yield f"mode at {frequency:.0f} Hz", ("resonance",), crippled
@@ -449,7 +451,7 @@ def oscillating(whole: StateSpace) -> Iterator[tuple[slice, float]]:
         row += size
 
 
-def without(whole: StateSpace, block: slice) -> StateSpace:
+def without_states(whole: StateSpace, block: slice) -> StateSpace:
     """Remove some states of a system.
 
     Parameters
@@ -476,9 +478,12 @@ def stack_cases() -> Iterator[Withheld]:
     cycle = stack.cycles(full)[0]
     rows = stack.SCORED["rows 7950-14150"]
     whole = identify([cycle], "pi", operators=stack.OPERATORS, nuisance="offset").model
-    few = identify([cycle], "pi", operators=FEW, nuisance="offset").model
+    few = identify([cycle], "pi", operators=FEW_OPERATORS, nuisance="offset").model
     part = nested.rows(0, rows.stop)
-    for element, model in (("hysteresis", without_memory(few, cycle)), (f"all but {FEW} of {stack.OPERATORS} operators", few)):
+    for element, model in (
+        ("hysteresis", without_memory(few, cycle)),
+        (f"all but {FEW_OPERATORS} of {stack.OPERATORS} operators", few),
+    ):
         # The sensor's zero differs between the files.
         zero = float(np.mean((part.measurement - simulate(model, part.command))[rows]))
         time = stack.SAMPLE_TIME * np.arange(len(part.command), dtype=np.float64)

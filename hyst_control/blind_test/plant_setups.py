@@ -97,7 +97,7 @@ SETUPS = {
 }
 
 IDENTIFICATION: dict[str, tuple[str, dict[str, Any]]] = {
-    # by plant without a published model: the family, and the excitation that identifies it beside the diagnostic record, over the command range
+    # By plant without a published model: the family, and the excitation that identifies it beside the diagnostic record.
     "third": ("hampi", {"signal": "hampi_identification"}),
     "pea": ("hampi", {"signal": "hampi_identification"}),
     "fsm": ("mhl", {"signal": "mhl_identification", "sweep_time": 1.0}),

@@ -24,7 +24,7 @@ from hyst_control.reporting.tables import Table
 if TYPE_CHECKING:
     from hyst_control.blind_test.case import Case
 
-NEAR = {
+CONFUSABLE = {
     "amplifier_lowpass": ("sensor_lowpass", "delay"),
     "sensor_lowpass": ("amplifier_lowpass", "delay"),
     "delay": ("amplifier_lowpass", "sensor_lowpass"),
@@ -86,7 +86,7 @@ def run_all(
         diagnose_all(folder, note=note)
         if left_out:
             leave_out(folder, left_out, note)
-    realise(folder, note)
+    add_realized_shrinks(folder, note)
     pairs = list(load(folder))
     if not pairs:
         raise InputError(f"{folder}: no case has been diagnosed yet: call without --so-far")
@@ -282,11 +282,11 @@ def leave_out(folder: Path, count: int, note: Callable[[str], None] = print) -> 
             and case["label"]["excitation"] == "rich"
             and EFFECTS[name].waveform
         ):
-            without[case["name"]] = (name, *NEAR.get(name, ()))
+            without[case["name"]] = (name, *CONFUSABLE.get(name, ()))
     diagnose_all(folder, without, "reports_left_out", note)
 
 
-def realise(folder: Path, note: Callable[[str], None] = print) -> None:
+def add_realized_shrinks(folder: Path, note: Callable[[str], None] = print) -> None:
     """Add to every shrink that a report predicts the one measured on a fresh record of another excitation.
 
     Parameters
@@ -303,7 +303,7 @@ def realise(folder: Path, note: Callable[[str], None] = print) -> None:
         and report["verdict"] == "effect"
         and any(effect["shrink"] is not None for effect in report["effects"])
     ]
-    for _ in mapped(_realise_one, jobs):
+    for _ in mapped(_add_realized_shrink, jobs):
         pass
     note(f"{len(jobs)} predicted shrinks held against fresh records")
 
@@ -338,7 +338,7 @@ def _make_one(job: tuple[Case, str, float]) -> dict[str, Any]:
     import numpy as np
 
     from hyst_control.blind_test.case import as_document
-    from hyst_control.blind_test.case_labels import labelled
+    from hyst_control.blind_test.case_labels import with_label
     from hyst_control.blind_test.case_records import commands, record_of, run_case
     from hyst_control.records.importing import write_bag
 
@@ -348,7 +348,7 @@ def _make_one(job: tuple[Case, str, float]) -> dict[str, Any]:
     bag.parent.mkdir(parents=True)
     write_bag(bag, record_of(case, run_case(case)))
     np.save(bag.parent / "next.npy", commands(_fresh(case)))
-    return as_document(labelled(case, stated))
+    return as_document(with_label(case, stated))
 
 
 def _diagnose_one(job: tuple[str, str, tuple[str, ...]]) -> str:
@@ -370,7 +370,7 @@ def _diagnose_one(job: tuple[str, str, tuple[str, ...]]) -> str:
     return Path(case).name
 
 
-def _realise_one(job: tuple[dict[str, Any], str, str]) -> None:
+def _add_realized_shrink(job: tuple[dict[str, Any], str, str]) -> None:
     import numpy as np
 
     from hyst_control.blind_test.case import Case
@@ -397,9 +397,9 @@ def _realise_one(job: tuple[dict[str, Any], str, str]) -> None:
     model, better = load_model(nominal), load_model(Path(path).with_suffix(".yaml"))
     before, after = (float(np.mean((measured - simulate(m, command)) ** 2)) for m in (model, better))
     floor = (case.noise * SETUPS[case.plant].stroke) ** 2
-    realised = 1.0 - (after - floor) / max(before - floor, 1e-300)
+    realized = 1.0 - (after - floor) / max(before - floor, 1e-300)
     predicted = max(effect["shrink"] for effect in report["effects"] if effect["shrink"] is not None)
-    report["shrink_realised"] = [predicted, float(np.clip(realised, -10.0, 1.0)), case.excitation]
+    report["shrink_realised"] = [predicted, float(np.clip(realized, -10.0, 1.0)), case.excitation]
     write_json(path, report)
 
 

@@ -26,7 +26,7 @@ FAMILIES = {
 """Effects of similar signature; each effect not listed is a family by itself."""
 
 
-OTHERWISE = ("vibration", "flicker_noise", "dac_hold", "sensor_nonlinearity")
+OTHERWISE_DEFINED = ("vibration", "flicker_noise", "dac_hold", "sensor_nonlinearity")
 """Effects whose parameters have another definition in the plants (a nonlinearity over their stroke instead of the record's range)."""
 
 
@@ -365,7 +365,7 @@ def _covered(pair: Pair) -> bool | None:
     """Coverage: True when the true value of the named effect's main parameter lies in its interval; None where it was not named."""
     effect = _label(pair)["effects"][0]
     named = next((row for row in pair[1]["effects"] if row["name"] == effect["name"]), None)
-    if named is None or effect["name"] in OTHERWISE:
+    if named is None or effect["name"] in OTHERWISE_DEFINED:
         return None
     for name, row in named["parameters"].items():
         if name in effect and name != "frequency":

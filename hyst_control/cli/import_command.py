@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from hyst_control.records.record import Record
-    from hyst_control.reporting.artifacts import Made
+    from hyst_control.reporting.artifacts import Artifacts
 
 NAME = "import"
 HELP = "turn CSV, NPY, NPZ or MAT recordings into bags"
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--variable", help="array of an .npz or .mat file")
 
 
-def run(arguments: argparse.Namespace) -> Made:
+def run(arguments: argparse.Namespace) -> Artifacts:
     from pathlib import Path
 
     from hyst_control import progress
@@ -65,15 +65,15 @@ def run(arguments: argparse.Namespace) -> Made:
     return written(arguments.output, record, [])
 
 
-def written(output: str, record: Record, notes: list[str]) -> Made:
+def written(output: str, record: Record, notes: list[str]) -> Artifacts:
     """Write the record and say what is in it."""
     from hyst_control import progress
     from hyst_control.records.importing import write_bag
-    from hyst_control.reporting.artifacts import Made
+    from hyst_control.reporting.artifacts import Artifacts
 
     progress.step(f"write {output}")
     write_bag(output, record)
-    made = Made("import", [output], lines=notes)
+    made = Artifacts("import", [output], lines=notes)
     for topic, signal in record.signals.items():
         made.lines.append(f"{topic}: {len(signal.time)} samples, {', '.join(signal.axes)} in {signal.unit}")
         made.add(topic, "samples", "", len(signal.time))

@@ -22,7 +22,7 @@ O = TypeVar("O", bound=Options)  # noqa: E741
 E = TypeVar("E", bound="type[Estimator[Any]]")
 
 
-TAKEN = frozenset(
+RESERVED_NAMES = frozenset(
     {"allow_gaps", "bags", "family", "help", "hold", "json", "model", "namespace", "once", "output", "quiet", "start", "unit"}
 )
 """Names that options may not have: `hyst identify` and the node use them."""
@@ -144,7 +144,7 @@ def register(estimator: E) -> E:
     if name in _ESTIMATORS:
         raise InputError(f"{name}: the family is already registered by {type(_ESTIMATORS[name]).__module__}: choose another name")
     for each in declared(made.Options):
-        if each.name in TAKEN:
+        if each.name in RESERVED_NAMES:
             raise InputError(
                 f"{name}: {each.name}: is already an option of the command or a parameter of the node: choose another name"
             )
@@ -202,7 +202,7 @@ def described(options: Mapping[str, Option]) -> str:
         words = [f"default {value} for {', '.join(families)}" for value, families in defaults.items()]
     else:
         words = [*([f"default {value}" for value in defaults] or ["chosen unless given"]), f"of {', '.join(options)}"]
-    return f"{option.meaning}: {option.due()} ({'; '.join(words)})"
+    return f"{option.meaning}: {option.requirement()} ({'; '.join(words)})"
 
 
 def estimator_of(family: str) -> Estimator[Any]:

@@ -9,7 +9,7 @@ import numpy as np
 from hyst_control.chain.stage import Array
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.gram_sums import Window
-from hyst_control.identify.record_segmentation import REST_TIME, still, stretches_between_rests
+from hyst_control.identify.record_segmentation import REST_TIME, resting_stretches, stretches_between_rests
 from hyst_control.identify.reversal_points import turning_points
 
 SETTLE_TIME = 0.25
@@ -192,7 +192,9 @@ def largest_drift(data: Dataset, axis: int) -> float:
     """
     command, measurement = data.command[:, axis], data.measurement[:, axis]
     filled = memory_filled(command)
-    rests = [(begin, end) for begin, end in still(command, int(max(REST_TIME / data.sample_time, 2))) if begin >= filled]
+    rests = [
+        (begin, end) for begin, end in resting_stretches(command, int(max(REST_TIME / data.sample_time, 2))) if begin >= filled
+    ]
     span, largest = float(np.ptp(command)), np.inf
     for level in {round(float(command[end - 1]) / span, 4) for _, end in rests} if span else ():
         equal = [(begin, end) for begin, end in rests if abs(command[end - 1] / span - level) < 2e-4]

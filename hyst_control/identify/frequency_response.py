@@ -45,7 +45,7 @@ class FrequencyResponse:
     response: np.ndarray
     noise_variance: Array
     total_variance: Array | None = None
-    realisations: int = 1
+    realizations: int = 1
 
     @property
     def distortion_variance(self) -> Array | None:
@@ -97,9 +97,9 @@ def robust_bla(command: Array, measurement: Array, sample_time: float) -> Freque
     InputError
         The shapes do not fit, or there are fewer than two periods.
     """
-    n, m, realisations, periods = command.shape
+    n, m, realizations, periods = command.shape
     p = measurement.shape[1]
-    if measurement.shape != (n, p, realisations, periods) or realisations % m or periods < 2:
+    if measurement.shape != (n, p, realizations, periods) or realizations % m or periods < 2:
         raise InputError(
             f"multisines: command {command.shape} and measurement {measurement.shape}: (samples, channels, "
             f"realizations, periods): must have a multiple of {m} realizations and at least 2 periods"
@@ -108,7 +108,7 @@ def robust_bla(command: Array, measurement: Array, sample_time: float) -> Freque
     y = np.fft.rfft(measurement, axis=0) / n
     excited = excited_lines(np.sum(np.abs(u) ** 2, axis=(1, 2, 3)))
     u, y = u[excited], y[excited]
-    groups = realisations // m
+    groups = realizations // m
     per_group = np.empty((groups, len(excited), p, m), dtype=complex)
     noise = np.empty((groups, len(excited), p, m))
     for g in range(groups):
@@ -123,7 +123,7 @@ def robust_bla(command: Array, measurement: Array, sample_time: float) -> Freque
     total = None
     if groups > 1:
         total = np.sum(np.abs(per_group - per_group.mean(axis=0)) ** 2, axis=0) / (groups - 1) / groups
-    return FrequencyResponse(excited / (n * sample_time), per_group.mean(axis=0), noise_variance, total, realisations)
+    return FrequencyResponse(excited / (n * sample_time), per_group.mean(axis=0), noise_variance, total, realizations)
 
 
 def local_polynomial(

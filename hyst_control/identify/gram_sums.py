@@ -199,7 +199,7 @@ def gram_product(block: Array) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def weighed_columns(
+def weighted_columns(
     raw: Array,
     theta: Array,
     step: float,
@@ -393,7 +393,7 @@ def gram_matrices(
     blocks = []
     samplings = {Sampling(window.sample_time, 1, window.hold) for window in windows}
     systems = {
-        sampling: [structure.discretised(vector, sampling) for vector in (parameters, *(parameters + step * np.eye(size)))]
+        sampling: [structure.discretized(vector, sampling) for vector in (parameters, *(parameters + step * np.eye(size)))]
         for sampling in samplings
     }
     for window in windows:
@@ -412,7 +412,7 @@ def gram_matrices(
             used = slice(begin + first, end)
             block = buffer[: end - begin - first]
             share = window.begin - 0.5 + window.share * np.arange(begin + first, end) / n
-            weighed_columns(raw, theta, step, first, share, extra, window.measurement[used], weight[used], block)
+            weighted_columns(raw, theta, step, first, share, extra, window.measurement[used], weight[used], block)
             # Every third block is held out of the choice between structures: a part of every experiment in the record.
             part = 1 if begin // length % 3 == 2 else 0
             product = np.zeros((total, total))

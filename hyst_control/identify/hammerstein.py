@@ -23,9 +23,9 @@ from hyst_control.identify.variable_projection import Problem, Solution, solve
 from hyst_control.parallel import forked
 
 SELECTION_ROWS = 60_000
-FEW = 6
+LEAST_FOR_LOADING = 6
 """Number of operators below which the first loading gets none."""
-WORTHWHILE = 0.03
+LEAST_IMPROVEMENT = 0.03
 """A factor of G is kept when it lowers the held-out mean square error by more than this fraction."""
 
 
@@ -161,7 +161,7 @@ def default_operators(
     """Choose the thresholds, where the options do not list them.
 
     They begin at 0 and are closer together where most reversals engage them, up to half the drive; two more are for the first
-    loading, unless there are fewer than `FEW`.
+    loading, unless there are fewer than `LEAST_FOR_LOADING`.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def default_operators(
     else:
         reach = span if one_sided else span / 2
         loading = np.array([0.5, 0.85]) * highest if highest > 1.4 * reach else reach * np.array([0.9, 0.97])
-        inner = options.operators - len(loading) if options.operators >= FEW else options.operators
+        inner = options.operators - len(loading) if options.operators >= LEAST_FOR_LOADING else options.operators
         thresholds = np.concatenate(
             [0.98 * reach * (np.arange(inner) / (inner - 0.5)) ** 1.4, loading[: options.operators - inner]]
         )
@@ -218,10 +218,10 @@ def choose_structure(problem: Problem, given: Structure | None) -> Solution:
         if not trials:
             return best
         lowest = min(trial.held_out for trial in trials)
-        if not lowest < (1.0 - WORTHWHILE) * best.held_out:
+        if not lowest < (1.0 - LEAST_IMPROVEMENT) * best.held_out:
             return best
         # The first of those that fit about equally well: the list runs from the plainer to the richer factor.
-        best = next(trial for trial in trials if trial.held_out <= lowest * (1.0 + WORTHWHILE))
+        best = next(trial for trial in trials if trial.held_out <= lowest * (1.0 + LEAST_IMPROVEMENT))
 
 
 def _grown(problem: Problem, best: Solution, frequency: float) -> list[Solution]:

@@ -25,11 +25,11 @@ from hyst_control.identify.modal_fit import Layout, ModalModel, Problem, Spectra
 from hyst_control.identify.options import INTEGER, NUMBER, TRUTH, Options, option
 from hyst_control.model_file import Model
 
-MOST_LINES = 6000
+MAX_LINES = 6000
 """Largest number of lines of one record in a fit: those where the command is strongest."""
 BAND_POWER = 1e-5
 """Power of a line relative to the strongest one below which it is left out."""
-NO_BETTER = 0.01
+NEGLIGIBLE_IMPROVEMENT = 0.01
 """A model is preferred to a larger one that is better on held-out data by no more than this fraction of the error."""
 SINGLE_ORDERS = (1, 2, 3, 4, 5, 6, 8, 10)
 COUPLED_ORDERS = (2, 4, 6, 8, 12, 16, 20, 26, 32, 40)
@@ -252,8 +252,8 @@ def spectra_of(data: Dataset, period: int | None = None) -> Spectra:
     if n % 2 == 0:
         power[-1] = 0.0
     lines = np.flatnonzero(power > BAND_POWER * power.max())
-    if len(lines) > MOST_LINES:
-        lines = np.sort(lines[np.argsort(power[lines])[-MOST_LINES:]])
+    if len(lines) > MAX_LINES:
+        lines = np.sort(lines[np.argsort(power[lines])[-MAX_LINES:]])
     return Spectra(2 * np.pi * lines / n, u[lines][:, :, None], y[lines][:, :, None], bool(period))
 
 
@@ -378,14 +378,14 @@ def choose(
             )
             scored.append((score, candidate))
         best = min(scored, key=lambda each: each[0])
-        gain = NO_BETTER if held_out else 0.0
+        gain = NEGLIGIBLE_IMPROVEMENT if held_out else 0.0
         lowest = min((score for score, _ in tried), default=np.inf)
         stale = 0 if best[0] < lowest * (1.0 - np.sign(lowest) * gain) or not np.isfinite(lowest) else stale + 1
         tried.append(best)
         if stale >= 3:
             break
     lowest = min(score for score, _ in tried)
-    limit = lowest * (1.0 + NO_BETTER) if held_out else lowest
+    limit = lowest * (1.0 + NEGLIGIBLE_IMPROVEMENT) if held_out else lowest
     return next(candidate for score, candidate in tried if score <= limit), rows
 
 
@@ -461,7 +461,7 @@ def _search(datasets: Sequence[Dataset], options: LinearOptions, orders: Sequenc
         return candidate.held_out if test else information(candidate, train)
 
     lowest = min(score(candidate) for candidate, _ in results)
-    limit = lowest + NO_BETTER * abs(lowest) if test else lowest
+    limit = lowest + NEGLIGIBLE_IMPROVEMENT * abs(lowest) if test else lowest
     good = [(candidate.model.parameters, index) for index, (candidate, _) in enumerate(results) if score(candidate) <= limit]
     index = min(good)[1]
     delays, direct, free = variants[index]

@@ -24,7 +24,7 @@ from hyst_control.identify.fit_windows import whole_records
 from hyst_control.identify.gram_sums import NUISANCES, Window
 from hyst_control.identify.options import INTEGER, NUMBER, NUMBERS, Options, option
 from hyst_control.identify.shared_options import nuisance_option
-from hyst_control.identify.simulation_error import Parametrisation, Solution, minimise
+from hyst_control.identify.simulation_error import Parametrization, Solution, minimize_simulation_error
 from hyst_control.model_file import Model
 
 LEAST_SLOPE = 5e-3
@@ -337,9 +337,9 @@ def fit_axis(
         return [curves.stage(vector, scale, travel)]
 
     lhs = curves.constraints()
-    problem = Parametrisation(stages, lhs, np.zeros(len(lhs)))
+    problem = Parametrization(stages, lhs, np.zeros(len(lhs)))
     start = curves.start(-0.15 if inverse else 0.15)
-    solution = minimise(turned, problem, start, nuisance=nuisance, passes=passes, tolerance=1e-6, everything=True)
+    solution = minimize_simulation_error(turned, problem, start, nuisance=nuisance, passes=passes, tolerance=1e-6, everything=True)
     return AxisFit(curves, solution, scale, travel, sign, sign * mean_offset(solution, windows, nuisance))
 
 

@@ -14,7 +14,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify.madelung import CurveOptions, Curves
 from hyst_control.identify.options import TRUTH, methods_option, option
 from hyst_control.identify.shared_options import nuisance_option, structure_option
-from hyst_control.identify.simulation_error import Parametrisation
+from hyst_control.identify.simulation_error import Parametrization
 from hyst_control.identify.stable_dynamics import Structure
 
 K2_UNIT = 1e-3
@@ -154,11 +154,11 @@ class Axis:
         rate = np.clip(rate, [-5.0, np.log(0.02)], [5.0, np.log(200.0)])
         return np.concatenate([curves, rate, self.structure.limit(dynamics, self.sample_time)])
 
-    def parametrisation(self) -> Parametrisation:
+    def parametrization(self) -> Parametrization:
         """Chains, constraints and bounds of the search."""
         lhs = np.zeros((len(self.curves.constraints()), self.size))
         lhs[:, : self.curves.size] = self.curves.constraints()
-        return Parametrisation(self.stages, lhs, np.zeros(len(lhs)), self.limit)
+        return Parametrization(self.stages, lhs, np.zeros(len(lhs)), self.limit)
 
 
 # A neighboring vector differs in one parameter: most stages of its chain have been constructed and checked before.

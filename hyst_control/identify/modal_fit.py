@@ -154,7 +154,7 @@ class Transients:
     edge: list[Array] = field(default_factory=list)
 
 
-def taps(pole: complex, late: float, hold: str) -> tuple[complex, complex, complex]:
+def input_taps(pole: complex, late: float, hold: str) -> tuple[complex, complex, complex]:
     """Input taps of dx/dt = λ x + u sampled at 1: x[k] = e^λ x[k-1] + Σ taps[i] w[k-i].
 
     Parameters
@@ -221,7 +221,7 @@ def mode_response(pole: complex, delay: Array, hold: str, z: np.ndarray) -> np.n
     columns = []
     for late in delay:
         whole = int(np.floor(late + 1e-12))
-        t0, t1, t2 = taps(pole, late - whole, hold)
+        t0, t1, t2 = input_taps(pole, late - whole, hold)
         columns.append((t0 + back * (t1 + back * t2)) * back ** (whole + (hold == "zoh")))
     found: np.ndarray = np.stack(columns, axis=-1) / (1.0 - np.exp(pole) * back)[:, None]
     return found

@@ -31,7 +31,7 @@ def tables() -> str:
         for family, each in families.items():
             having.setdefault(_default(each), []).append(f"`{family}`")
         defaults = "; ".join(f"{', '.join(each)}: {default}" for default, each in having.items())
-        value = first.due().replace(f" in {first.unit}", "") if first.unit else first.due()
+        value = first.requirement().replace(f" in {first.unit}", "") if first.unit else first.requirement()
         rows.append(f"| {flag} | {_escaped(first.meaning)} | {_escaped(value)} | {first.unit} | {defaults} |")
     return "\n".join(rows)
 
@@ -46,7 +46,7 @@ def _escaped(text: str) -> str:
     return text.replace("|", "\\|")
 
 
-def renewed(document: str) -> str:
+def with_present_tables(document: str) -> str:
     """Replace the tables between a document's two marks with present ones.
 
     Parameters
@@ -72,4 +72,4 @@ def renewed(document: str) -> str:
 
 if __name__ == "__main__":
     page = Path(sys.argv[1])
-    write_text(page, renewed(page.read_text(encoding="utf-8")))
+    write_text(page, with_present_tables(page.read_text(encoding="utf-8")))

@@ -92,18 +92,18 @@ class Option:
         try:
             converted = self.kind.convert(value)
         except (TypeError, ValueError):
-            raise InputError(f"{self.name}: must be {self.due()}, got {value!r}") from None
+            raise InputError(f"{self.name}: must be {self.requirement()}, got {value!r}") from None
         if isinstance(converted, str) and self.choices:
-            raise InputError(f"{self.name}: must be {self.due()}, got {value!r}")
+            raise InputError(f"{self.name}: must be {self.requirement()}, got {value!r}")
         for number in converted if isinstance(converted, tuple) else (converted,):
             if isinstance(number, (int, float)) and not self._within(number):
-                raise InputError(f"{self.name}: must be {self.due()}, got {number!r}")
+                raise InputError(f"{self.name}: must be {self.requirement()}, got {number!r}")
         return converted
 
     def _within(self, number: float) -> bool:
         return (self.lower is None or number >= self.lower) and (self.upper is None or number <= self.upper)
 
-    def due(self) -> str:
+    def requirement(self) -> str:
         """Return in words what a value must be."""
         if self.kind is TEXT and self.choices:
             return f"one of {', '.join(self.choices)}" if len(self.choices) > 1 else self.choices[0]

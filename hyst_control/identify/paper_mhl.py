@@ -23,7 +23,13 @@ from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.madelung import fit_axis, fit_inverse, full_scale, response_sign
 from hyst_control.identify.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
 from hyst_control.identify.reversal_points import turning_points
-from hyst_control.identify.simulation_error import Parametrisation, Solution, minimise, short_stretches, surviving_turns
+from hyst_control.identify.simulation_error import (
+    Parametrization,
+    Solution,
+    minimize_simulation_error,
+    short_stretches,
+    surviving_turns,
+)
 from hyst_control.identify.stable_dynamics import TAU_UNIT, Structure
 
 REST_TIME = 0.02
@@ -197,7 +203,7 @@ def _best(
     groups = {group: number for number, group in enumerate(sorted({window.group for window in windows}))}
     own = [replace(window, group=groups[window.group]) for window in windows]
     size = len(starts[0])
-    problem = Parametrisation(stages, np.zeros((0, size)), np.zeros(0), limit)
-    trials = [minimise(own, problem, start, nuisance=nuisance, passes=5, everything=True) for start in starts]
+    problem = Parametrization(stages, np.zeros((0, size)), np.zeros(0), limit)
+    trials = [minimize_simulation_error(own, problem, start, nuisance=nuisance, passes=5, everything=True) for start in starts]
     best = min(trials, key=lambda solution: solution.fitted)
-    return minimise(own, problem, best.parameters, nuisance=nuisance, passes=30, tolerance=1e-6, everything=True)
+    return minimize_simulation_error(own, problem, best.parameters, nuisance=nuisance, passes=30, tolerance=1e-6, everything=True)

@@ -87,7 +87,7 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
             key = row["name"].split("[")[0]
             if row["standard_error"] is not None and row["value"]:
                 relative.setdefault(key, []).append(abs(row["standard_error"] / row["value"]))
-        notes += told_apart(axis, name, parameters)
+        notes += unresolved_parameters(axis, name, parameters)
     tolerance = {key: float(np.round(np.median(values), 6)) for key, values in relative.items()}
     sigma = noise_sigma(residuals)
     model = Model(**{**model.__dict__, "tolerance": tolerance, "noise": {"sigma": sigma if len(sigma) > 1 else sigma[0]}})
@@ -270,7 +270,7 @@ def dynamics_rows(solution: Solution, spread: Array) -> list[ParameterRow]:
     ]
 
 
-def told_apart(axis: AxisFit, name: str, parameters: Sequence[ParameterRow]) -> list[str]:
+def unresolved_parameters(axis: AxisFit, name: str, parameters: Sequence[ParameterRow]) -> list[str]:
     """Name the parameters that the data cannot determine, with the excitation that would.
 
     Parameters

@@ -92,7 +92,7 @@ def _runs(moving: NDArray[np.bool_], rest: int) -> list[tuple[int, int]]:
     return list(zip(begins.tolist(), ends.tolist(), strict=True))
 
 
-def still(command: Array, least: int) -> list[tuple[int, int]]:
+def resting_stretches(command: Array, least: int) -> list[tuple[int, int]]:
     """Find the stretches over which a command holds still.
 
     Parameters
@@ -137,7 +137,7 @@ def _motions(command: Array, sample_time: float) -> list[tuple[int, int, float, 
     return runs
 
 
-def pick(datasets: Sequence[Dataset], axis: int, kind: str, frequency: float | None = None) -> list[Stretch]:
+def select_stretches(datasets: Sequence[Dataset], axis: int, kind: str, frequency: float | None = None) -> list[Stretch]:
     """Select stretches for a role; of the motions those of the largest amplitude, as in the papers.
 
     Parameters

@@ -33,7 +33,7 @@ PRIOR = 1e-10
 
 
 @dataclass(frozen=True)
-class Parametrisation:
+class Parametrization:
     """Chain of a parameter vector (P,) of order one, and the constraints lhs · parameters >= rhs.
 
     Parameters
@@ -80,18 +80,18 @@ class Solution:
     held_out: float
     grams: Grams
     passes: int
-    linearised: Array
+    linearized: Array
 
     @property
     def covariance(self) -> Array:
         """Covariance (P, P) of the parameters, errors of the model included."""
         size = len(self.parameters)
-        return covariance(self.grams.blocks, np.concatenate([self.parameters - self.linearised, self.nuisances]))[:size, :size]
+        return covariance(self.grams.blocks, np.concatenate([self.parameters - self.linearized, self.nuisances]))[:size, :size]
 
 
-def minimise(
+def minimize_simulation_error(
     windows: Sequence[Window],
-    parametrisation: Parametrisation,
+    parametrization: Parametrization,
     start: Array,
     *,
     nuisance: str = "linear",
@@ -108,7 +108,7 @@ def minimise(
     ----------
     windows
         Stretches of the records of one axis.
-    parametrisation
+    parametrization
         Chain and constraints of a parameter vector.
     start
         Parameters (P,) to begin with, which satisfy the constraints.
@@ -126,8 +126,8 @@ def minimise(
     Solution
         Parameters, nuisances, errors, and the Gram matrices that the covariance comes from.
     """
-    origin = parametrisation.limit(np.asarray(start, dtype=float))
-    search = _Search(windows, parametrisation, origin, nuisance, everything)
+    origin = parametrization.limit(np.asarray(start, dtype=float))
+    search = _Search(windows, parametrization, origin, nuisance, everything)
     rules = Rules(
         damping=1e-3,
         raised=lambda damping: damping * 10.0,
@@ -145,17 +145,17 @@ def minimise(
 
 @dataclass(frozen=True)
 class _Search:
-    """The least-squares problem of `minimise`; a point is a `Solution`, whose Gram matrices hold the derivatives."""
+    """The least-squares problem of `minimize_simulation_error`; a point is a `Solution`, whose Gram matrices hold the derivatives."""
 
     windows: Sequence[Window]
-    parametrisation: Parametrisation
+    parametrization: Parametrization
     origin: Array
     nuisance: str
     everything: bool
 
     def grams(self, parameters: Array, *, derivatives: bool) -> Grams:
         groups = max(window.group for window in self.windows) + 1
-        return gram_matrices(self.windows, self.parametrisation, parameters, self.nuisance, groups, derivatives=derivatives)
+        return gram_matrices(self.windows, self.parametrization, parameters, self.nuisance, groups, derivatives=derivatives)
 
     def start(self) -> Solution:
         return _solution(self.origin, self.grams(self.origin, derivatives=True), self.everything, 1, derivatives=True)
@@ -164,21 +164,21 @@ class _Search:
         return point.fitted
 
     def linearize(self, point: Solution) -> Solution:
-        return replace(point, grams=self.grams(point.parameters, derivatives=True), linearised=point.parameters)
+        return replace(point, grams=self.grams(point.parameters, derivatives=True), linearized=point.parameters)
 
     def step(self, point: Solution, damping: float) -> Trial[Solution]:
         grams = point.grams
         gram = grams.fitted + grams.held_out if self.everything else grams.fitted
-        step = _step(gram, self.parametrisation, point.parameters, self.origin, damping)
+        step = _step(gram, self.parametrization, point.parameters, self.origin, damping)
         # Shortened as a whole, so that it stays between two vectors that satisfy the constraints.
         step /= max(1.0, float(np.max(np.abs(step))))
-        parameters = self.parametrisation.limit(point.parameters + step)
+        parameters = self.parametrization.limit(point.parameters + step)
         found = _solution(parameters, self.grams(parameters, derivatives=False), self.everything, point.passes, derivatives=False)
-        return Trial(replace(found, grams=grams, linearised=point.parameters), float(np.max(np.abs(step))))
+        return Trial(replace(found, grams=grams, linearized=point.parameters), float(np.max(np.abs(step))))
 
 
 def gram_matrices(
-    windows: Sequence[Window], parametrisation: Parametrisation, parameters: Array, nuisance: str, groups: int, *, derivatives: bool
+    windows: Sequence[Window], parametrization: Parametrization, parameters: Array, nuisance: str, groups: int, *, derivatives: bool
 ) -> Grams:
     """Form the Gram matrices of [derivatives (P), nuisances per record, error]; every third block is held out.
 
@@ -186,7 +186,7 @@ def gram_matrices(
     ----------
     windows
         Stretches of the records.
-    parametrisation
+    parametrization
         Chain of a parameter vector.
     parameters
         Parameters (P,).
@@ -206,7 +206,7 @@ def gram_matrices(
     total = size + extra * groups + 1
     grams, rows, blocks = np.zeros((2, total, total)), [0, 0], []
     vectors = [parameters, *(parameters + STEP * unit for unit in np.eye(len(parameters))[:size])]
-    chains = [tuple(parametrisation.stages(vector)) for vector in vectors]
+    chains = [tuple(parametrization.stages(vector)) for vector in vectors]
     clocks: dict[Sampling, Bundle] = {}
     length = int(np.clip(sum(len(window.command) for window in windows) // HELD_OUT_BLOCKS, 1, BLOCK))
     for window in windows:
@@ -283,7 +283,7 @@ def _solution(parameters: Array, grams: Grams, everything: bool, passes: int, *,
     return Solution(parameters, nuisances, mean_square(chosen, rows), held_out, grams, passes, parameters)
 
 
-def _step(gram: Array, parametrisation: Parametrisation, present: Array, origin: Array, damping: float) -> Array:
+def _step(gram: Array, parametrization: Parametrization, present: Array, origin: Array, damping: float) -> Array:
     size = len(present)
     normal, gradient = gram[:-1, :-1].copy(), gram[:-1, -1].copy()
     diagonal = np.diag(normal).copy()
@@ -293,9 +293,9 @@ def _step(gram: Array, parametrisation: Parametrisation, present: Array, origin:
     gradient[:size] += PRIOR * strongest * (origin - present)
     others = np.arange(size, len(normal))
     normal[others, others] += 1e-12 * diagonal[others] + 1e-300
-    lhs = np.zeros((len(parametrisation.lhs), len(normal)))
-    lhs[:, :size] = parametrisation.lhs
-    return constrained_minimum(normal, gradient, lhs, parametrisation.rhs - parametrisation.lhs @ present)[:size]
+    lhs = np.zeros((len(parametrization.lhs), len(normal)))
+    lhs[:, :size] = parametrization.lhs
+    return constrained_minimum(normal, gradient, lhs, parametrization.rhs - parametrization.lhs @ present)[:size]
 
 
 def constrained_minimum(normal: Array, gradient: Array, lhs: Array, rhs: Array) -> Array:
@@ -368,7 +368,7 @@ def surviving_turns(values: Array) -> NDArray[np.int64]:
     return kept[:count]
 
 
-def coarse(window: Window) -> Window:
+def thinned(window: Window) -> Window:
     """Thin a window whose command creeps to every n-th row, between which its motion is straight.
 
     A held command is, at the coarse sample time, the mean of the values before and after the tick.
@@ -404,7 +404,7 @@ def coarse(window: Window) -> Window:
 def short_stretches(windows: Sequence[Window], rows: int, length: float, settle: float) -> list[Window]:
     """Choose short stretches that are spread evenly over the windows.
 
-    Creeping records stay whole, but coarser (`coarse`). A stretch includes the turning points before it that still matter.
+    Creeping records stay whole, but coarser (`thinned`). A stretch includes the turning points before it that still matter.
 
     Parameters
     ----------
@@ -424,7 +424,7 @@ def short_stretches(windows: Sequence[Window], rows: int, length: float, settle:
     """
     if sum(len(window.command) for window in windows) <= rows:
         return list(windows)
-    whole = [(window, coarse(window)) for window in windows]
+    whole = [(window, thinned(window)) for window in windows]
     chosen = [thin for window, thin in whole if thin is not window]
     quick = [window for window, thin in whole if thin is window]
     rows -= sum(len(window.command) for window in chosen)

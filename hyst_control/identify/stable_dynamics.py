@@ -261,7 +261,7 @@ class Structure:
             stages.append(TransferFunction(num, den))
         return stages
 
-    def discretised(self, parameters: Array, sampling: Sampling) -> tuple[Discretised, int]:
+    def discretized(self, parameters: Array, sampling: Sampling) -> tuple[Discretised, int]:
         """Discretize the dynamics exactly.
 
         Parameters

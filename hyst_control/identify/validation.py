@@ -114,7 +114,7 @@ def add_rows(table: Table, name: str, model: Model, data: Dataset) -> None:
             ("rmse", rmse, data.unit),
         ):
             table.add("validation", where, name, quantity, symbol, value, n=len(e))
-        outside = share_outside(model, data, axis)
+        outside = fraction_outside(model, data, axis)
         if outside > 0:
             table.add("validation", where, name, "outside_valid_command", "%", 100 * outside, n=len(e))
         for stretch in stretches_between_rests(data, 0, axis):
@@ -134,7 +134,7 @@ def add_rows(table: Table, name: str, model: Model, data: Dataset) -> None:
             )
 
 
-def share_outside(model: Model, data: Dataset, axis: int) -> float:
+def fraction_outside(model: Model, data: Dataset, axis: int) -> float:
     """Fraction of a record's command outside the range over which the model was fitted.
 
     Parameters

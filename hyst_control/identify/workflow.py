@@ -15,7 +15,7 @@ from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, save_model
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.record import Record
 
-NEED = ("command", "measurement")
+TOPICS = ("command", "measurement")
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ def datasets_of(record: Record, hold: str | None = None, start: str = "settled",
     InputError
         Topics, units or samples are unusable: names the record and the remedy.
     """
-    command, measurement = (record.signal(topic) for topic in NEED)
+    command, measurement = (record.signal(topic) for topic in TOPICS)
     if command.unit not in COMMAND_UNITS:
         raise InputError(
             f"{record.source}: command: unit must be {' or '.join(COMMAND_UNITS)}, got {command.unit!r}: import it with its unit"
@@ -194,7 +194,7 @@ def datasets_of(record: Record, hold: str | None = None, start: str = "settled",
             "record both with the same axes in the same order"
         )
     datasets = []
-    for index, part in enumerate(record.aligned(NEED, allow_gaps)):
+    for index, part in enumerate(record.aligned(TOPICS, allow_gaps)):
         name = Path(record.source).name + (f"[{index}]" if index else "")
         data = Dataset(
             name,

@@ -36,7 +36,7 @@ class Fact:
 
 
 @dataclass
-class Made:
+class Artifacts:
     """Artifacts of one command.
 
     Parameters
@@ -72,7 +72,7 @@ class Made:
             "schema": SCHEMA,
             "version": VERSION,
             "source": self.source,
-            "files": [described(path) for path in self.files],
+            "files": [file_description(path) for path in self.files],
             "rows": [vars(fact).copy() for fact in self.facts],
         }
 
@@ -85,7 +85,7 @@ class Made:
         return "\n".join([*self.lines, *where])
 
 
-def described(path: str | Path) -> dict[str, Any]:
+def file_description(path: str | Path) -> dict[str, Any]:
     """Describe a file or folder: path, kind, bytes, sha256.
 
     A folder's hash is that of its files' names and hashes, in the names' order: for every file a line "SHA-256  NAME", as sha256sum

@@ -12,10 +12,10 @@ from plotly.offline import get_plotlyjs
 from hyst_control.files import write_text
 from hyst_control.reporting.templates import render
 
-COLOURS = ("#1c2430", "#c2542d", "#2a6f97", "#5b8e3e", "#8a5aa8", "#b08a1e")
+COLORS = ("#1c2430", "#c2542d", "#2a6f97", "#5b8e3e", "#8a5aa8", "#b08a1e")
 LAYOUT: Mapping[str, object] = {
     "template": "plotly_white",
-    "colorway": COLOURS,
+    "colorway": COLORS,
     "margin": {"l": 60, "r": 20, "t": 40, "b": 50},
     "font": {"family": "system-ui, sans-serif", "size": 13},
     "legend": {"orientation": "h", "y": 0.0, "yref": "container", "yanchor": "bottom"},

@@ -19,14 +19,14 @@ from hyst_plant_sim.physics.pea import PeaParameters
 from hyst_plant_sim.physics.published_fsm import PublishedFsmParameters
 from hyst_plant_sim.physics.published_pea import PublishedPeaParameters
 from hyst_plant_sim.physics.signal_path import PLACES, Frame, Line, Plant, PlantError
-from hyst_plant_sim.physics.viscoelastic_bouc_wen import ThirdParameters
+from hyst_plant_sim.physics.viscoelastic_bouc_wen import ViscoelasticBoucWenParameters
 
 PLANTS: dict[str, type] = {
     "pea": PeaParameters,
     "pea_published": PublishedPeaParameters,
     "fsm": FsmParameters,
     "fsm_published": PublishedFsmParameters,
-    "third": ThirdParameters,
+    "third": ViscoelasticBoucWenParameters,
 }
 """Parameters, and with them the physics, of every kind of plant."""
 

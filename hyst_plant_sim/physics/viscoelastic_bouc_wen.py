@@ -32,7 +32,7 @@ SHORT = 0.2
 
 
 @dataclass(frozen=True)
-class ThirdParameters:
+class ViscoelasticBoucWenParameters:
     """Physical parameters of the third plant; values in config/plants/third.yaml.
 
     Parameters
@@ -153,7 +153,7 @@ class BoucWen:
         Factor of the memory z.
     """
 
-    def __init__(self, p: ThirdParameters, rating: tuple[float, float], memory: float) -> None:
+    def __init__(self, p: ViscoelasticBoucWenParameters, rating: tuple[float, float], memory: float) -> None:
         self._law = np.array(
             [p.slope, p.alpha, p.alpha_growth / (rating[1] - rating[0]), p.beta, p.gamma, p.exponent, memory, rating[0]]
         )

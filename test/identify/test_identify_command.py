@@ -50,7 +50,7 @@ def bag(tmp_path_factory) -> Path:
         ("--model pi --thresholds 0,5,2", "pi: thresholds: must be strictly increasing, got [0.0, 5.0, 2.0]"),
         ("--model hapi --structure modes=1,springs=2", "hapi: structure: must be factors of G(s) such as modes=1"),
         ("--model prandtl", "model: 'prandtl' is not a model family: use one of "),
-        ("--order 3", "order: none of pi, hapi, rdpi, hampi, of which the best is chosen, has it: name a model"),
+        ("--order 3", "order: not an option of any of pi, hapi, rdpi, hampi, of which the best is chosen: name a model"),
         ("--method paper", "method: must be joint where no model is named, got paper: name a model"),
     ],
 )

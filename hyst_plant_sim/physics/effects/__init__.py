@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from hyst_plant_sim.physics.effects import drive, motion, piezo, sensing
-from hyst_plant_sim.physics.effects.effect import Context, Effect, Switch, Through
+from hyst_plant_sim.physics.effects.effect import Context, Effect, PassThrough, Switch
 from hyst_plant_sim.physics.signal_path import Frame, Line, PlantError
 
 EFFECTS: dict[str, Effect] = {**drive.EFFECTS, **piezo.EFFECTS, **motion.EFFECTS, **sensing.EFFECTS}
@@ -141,7 +141,7 @@ def insert_effects(line: Line, axis: int | None, parts: Any, present: Sequence[P
         if item.kind in ("insert", "mixing"):
             part = effect.make(item.values, context)
             late = context.first > 0
-            line[item.place].append((axis, Switch([(0, Through()), (context.first, part)]) if late else part))
+            line[item.place].append((axis, Switch([(0, PassThrough()), (context.first, part)]) if late else part))
     if axis is not None:
         own = [item for item in present if item.axis in (None, axis)]
         _change(line, axis, "drive", ("delay",), own, frame, lambda changes: parts({}, changes)["drive"][0])

@@ -68,7 +68,7 @@ class Slew:
         return output
 
 
-class Stretch:
+class SlowClock:
     """Slow clock of the drive: a command is late by a fraction of the time since the start.
 
     Parameters
@@ -132,10 +132,10 @@ def _slew(block: Array, most: float, last: Array, output: Array) -> None:
 
 
 def _dead_band(values: Mapping[str, float], context: Context) -> Pointwise:
-    centre, half = 0.5 * sum(context.frame.rating), values["half_width"]
+    center, half = 0.5 * sum(context.frame.rating), values["half_width"]
 
     def lost(voltage: Array) -> Array:
-        distance = voltage - centre
+        distance = voltage - center
         return voltage - np.clip(distance, -half, half)
 
     return Pointwise(lost)
@@ -162,7 +162,7 @@ def low_pass(values: Mapping[str, float], context: Context) -> Held | Straight:
     return (Straight if context.place == "sensor" else Held)(system, context.period)
 
 
-def factor(values: Mapping[str, float], context: Context) -> Pointwise:
+def gain_factor(values: Mapping[str, float], context: Context) -> Pointwise:
     """Construct the factor 1 + gain.
 
     Parameters
@@ -197,7 +197,7 @@ EFFECTS = {
         "insert",
         "drive",
         {"share": 0.0},
-        lambda v, c: Stretch(v["share"], c),
+        lambda v, c: SlowClock(v["share"], c),
         "The drive's clock runs slow: commands come later and later.",
         {"share": ""},
     ),

@@ -113,7 +113,7 @@ class Effect:
     others: Mapping[str, float] = field(default_factory=dict)
 
 
-class Through:
+class PassThrough:
     """Part that passes the signal through unchanged."""
 
     def settle(self, value: Any) -> Any:

@@ -37,7 +37,7 @@ class Backlash:
         return output
 
 
-class FromOther:
+class AxisCoupling:
     """Coupling from the next axis through a first-order low-pass; (A, M) in and out.
 
     Parameters
@@ -187,7 +187,7 @@ EFFECTS = {
         "mixing",
         "motion",
         {"coupling": 0.0},
-        lambda v, c: FromOther(v["coupling"], v["corner"], c.axis, len(c.frame.axes), c.period),
+        lambda v, c: AxisCoupling(v["coupling"], v["corner"], c.axis, len(c.frame.axes), c.period),
         "`coupling` of the other axis' motion, through a first-order low-pass at `corner`.",
         {"coupling": "", "corner": "Hz"},
         {"corner": 2000.0},

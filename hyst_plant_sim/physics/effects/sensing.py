@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hyst_plant_sim.physics.effects.drive import factor, low_pass
+from hyst_plant_sim.physics.effects.drive import gain_factor, low_pass
 from hyst_plant_sim.physics.effects.effect import Context, Effect, Pointwise, Timed
 
 Array = NDArray[np.float64]
@@ -178,7 +178,7 @@ EFFECTS = {
         "insert",
         "sensor",
         {"gain": 0.0},
-        factor,
+        gain_factor,
         "The sensor's gain is 1 + gain; `at: amplifier` or `at: piezo` puts it there.",
         {"gain": ""},
     ),
