@@ -212,13 +212,13 @@ def message_loss(bag: Path) -> tuple[float, int]:
     expected : int
         Number of rows expected.
     """
-    missing = due = 0
+    missing = expected = 0
     for signal in read_bag(bag).signals.values():
         step = float(np.median(np.diff(signal.time)))
         rows = round((signal.time[-1] - signal.time[0]) / step) + 1
         missing += rows - len(signal.time)
-        due += rows
-    return 100.0 * missing / due, due
+        expected += rows
+    return 100.0 * missing / expected, expected
 
 
 def settings(schedule: str, bag: Path | None, block: int = 1) -> dict[str, dict[str, Any]]:

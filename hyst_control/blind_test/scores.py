@@ -287,8 +287,8 @@ def _right(pair: Pair) -> bool:
         return set(_named(pair)) == set(_truth(pair))
     if kind == "none" and set(_named(pair)) & set(_label(pair).get("hidden", ())):
         return True  # visible nevertheless
-    due = {"none": ("no_gap", "parameters"), "parameters": ("parameters",), "open_set": ("unknown",)}
-    return verdict in due[kind]
+    right = {"none": ("no_gap", "parameters"), "parameters": ("parameters",), "open_set": ("unknown",)}
+    return verdict in right[kind]
 
 
 def _label(pair: Pair) -> dict[str, Any]:

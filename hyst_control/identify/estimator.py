@@ -59,7 +59,7 @@ class Estimator(Generic[O]):
         Raises
         ------
         InputError
-            The records cannot tell a model: one line says what is missing.
+            The records do not determine a model; the message names the remedy.
         """
         raise NotImplementedError
 
@@ -138,17 +138,17 @@ def register(estimator: E) -> E:
         It has no name or sentence, its name is another's, or its options are not declared by `option`.
     """
     name = estimator.name
-    made = estimator()
-    if not name or not estimator.sentence or not hasattr(made, "Options"):
+    instance = estimator()
+    if not name or not estimator.sentence or not hasattr(instance, "Options"):
         raise InputError(f"{estimator.__module__}.{estimator.__qualname__}: must have name, sentence and Options: add them")
     if name in _ESTIMATORS:
         raise InputError(f"{name}: the family is already registered by {type(_ESTIMATORS[name]).__module__}: choose another name")
-    for each in declared(made.Options):
+    for each in declared(instance.Options):
         if each.name in RESERVED_NAMES:
             raise InputError(
                 f"{name}: {each.name}: is already an option of the command or a parameter of the node: choose another name"
             )
-    _ESTIMATORS[name] = made
+    _ESTIMATORS[name] = instance
     return estimator
 
 

@@ -166,7 +166,7 @@ def local_polynomial(
     Raises
     ------
     InputError
-        The window holds fewer equations than unknowns, or the records do not tell the inputs apart.
+        The window holds fewer equations than unknowns, or the records do not separate the inputs.
     """
     if kind not in ("arbitrary", "periodic", "settled"):
         raise InputError(f"kind: must be one of arbitrary, periodic, settled, got {kind!r}")

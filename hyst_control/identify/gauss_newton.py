@@ -94,7 +94,7 @@ class Problem(Protocol[P]):
 class End(Enum):
     """Reason for which a search ended."""
 
-    BUDGET = "as many steps or trials as are allowed were made"
+    BUDGET = "largest number of steps or trials reached"
     SMALL_GAIN = "the last step gained little"
     NO_STEP = "no step lowers the cost"
 
@@ -112,7 +112,7 @@ class Rules:
     small
         Whether the gain from a cost (first) to the next (second) is a sign of the minimum.
     confident
-        Damping from which on a small gain is no such sign: under strong damping it tells nothing.
+        Damping from which on a small gain is no such sign: under strong damping it is not significant.
     steps, trials
         Most steps kept, and most steps tried.
     rejections

@@ -432,5 +432,5 @@ def unresolved_parameters(parameters: Sequence[ParameterRow]) -> list[str]:
     for row in parameters:
         error = row["standard_error"]
         if row["name"] in remedies and error is not None and error > 0.5 * abs(row["value"]):
-            notes.append(f"axis {row['axis']}: {row['name']} cannot be told from these data: {remedies[row['name']]}")
+            notes.append(f"axis {row['axis']}: {row['name']} cannot be determined from these data: {remedies[row['name']]}")
     return notes

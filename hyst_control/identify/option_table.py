@@ -64,10 +64,10 @@ def with_present_tables(document: str) -> str:
     InputError
         It does not have exactly one pair of marks.
     """
-    made, count = re.subn(f"{BEGIN}.*?{END}", lambda _: f"{BEGIN}\n{tables()}\n{END}", document, flags=re.DOTALL)
+    updated, count = re.subn(f"{BEGIN}.*?{END}", lambda _: f"{BEGIN}\n{tables()}\n{END}", document, flags=re.DOTALL)
     if count != 1:
         raise InputError(f"document: must have one pair of the marks {BEGIN} and {END}, has {count}")
-    return made
+    return updated
 
 
 if __name__ == "__main__":

@@ -298,13 +298,13 @@ def unresolved_parameters(axis: AxisFit, name: str, parameters: Sequence[Paramet
     ]
     if unsure:
         notes.append(
-            f"axis {name}: {', '.join(unsure)} cannot be told from these data: record slow loops of several amplitudes "
+            f"axis {name}: {', '.join(unsure)} cannot be determined from these data: record slow loops of several amplitudes "
             "that begin at 0 V"
         )
     structure = axis.solution.structure
     if axis.dynamics and not structure.modes:
         notes.append(
-            f"axis {name}: the dynamics G(s) cannot be told from these data ({structure.describe()}): record a step or a "
+            f"axis {name}: the dynamics G(s) cannot be determined from these data ({structure.describe()}): record a step or a "
             "sweep up to beyond the resonance"
         )
     if axis.operators.dynamic:
@@ -312,5 +312,5 @@ def unresolved_parameters(axis: AxisFit, name: str, parameters: Sequence[Paramet
         for key, row in rates.items():
             error = row["standard_error"]
             if row["value"] == 0.0 or (error is not None and error > abs(row["value"])):
-                notes.append(f"axis {name}: {key} cannot be told from 0: record loops at 100 Hz and above")
+                notes.append(f"axis {name}: {key} cannot be distinguished from 0: record loops at 100 Hz and above")
     return notes

@@ -101,7 +101,7 @@ def minimize_simulation_error(
 ) -> Solution:
     """Fit a chain's parameters to records by damped Gauss-Newton. Never worse than the start.
 
-    A pass with derivatives is made at every parameter vector that lowered the cost, but for the last; whether one does is tried by a
+    A pass with derivatives is done at every parameter vector that lowered the cost, but for the last; whether one does is tried by a
     pass without.
 
     Parameters

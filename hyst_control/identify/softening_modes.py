@@ -150,7 +150,7 @@ def fit_softening(
     Returns
     -------
     SofteningFit
-        The stage, how it was found, and how sure its poles are.
+        The stage, its fit, and the standard deviations of its poles.
     """
     began = time.perf_counter()
     g = [schedule(level.amplitude, reference) for level in levels]

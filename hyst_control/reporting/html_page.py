@@ -66,7 +66,7 @@ def write_page(path: Path, template: str, title: str, summary: str, **values: ob
 
 
 class Page:
-    """A page without a template of its own: sections, tables and figures in the order of the calls.
+    """A page in the common template: sections, tables and figures in the order of the calls.
 
     Parameters
     ----------

@@ -102,7 +102,7 @@ def _slip(block: Array, slack: Array, weights: Array, sums: Array, law: Array, s
     """
     last, direction, moving, resting, value = state[0], state[1], int(state[2]), state[3], state[4]
     elastic, curvature, count = law[0], law[1], slack.size
-    slope, held, goal = 0.0, 0.0, -np.inf  # of the elements that move: output per volt, rest; how far until another one moves
+    slope, held, goal = 0.0, 0.0, -np.inf  # of the elements that move: output per volt, rest; voltage at which another one moves
     for k in range(block.size):
         voltage = block[k]
         if voltage != last:
