@@ -70,8 +70,8 @@ class Solution:
         Gram matrices of [derivatives, nuisances, error].
     passes
         Number of passes over the records.
-    linearised
-        The parameters (P,) at which the derivatives in `grams` were taken: these, or those one step before.
+    linearized
+        Parameters (P,) at which the derivatives in `grams` were taken: these, or those one step before.
     """
 
     parameters: Array

@@ -39,7 +39,15 @@ class Level:
 
 @dataclass(frozen=True)
 class Scheduled:
-    """Modal parameters that move along one direction with g: θ = center + g · change, in the layout of `modal_fit.Problem`."""
+    """Modal parameters that move along one direction with g: θ = centre + g · change.
+
+    Parameters
+    ----------
+    centre
+        The model at g = 0.
+    change
+        Change (P,) of the parameters with g, in the layout of `modal_fit.Problem`.
+    """
 
     centre: ModalModel
     change: Array

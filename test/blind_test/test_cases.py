@@ -143,7 +143,7 @@ def test_unusable_requests_are_refused(tmp_path, capsys):
     for option, value in (("--kinds", "triple"), ("--excitations", "step"), ("--switched", "2")):
         assert main(["cases", "make", "--seed", "1", "--count", "2", "--output", str(tmp_path / "b"), option, value]) == 2
     error = capsys.readouterr().err
-    for words in ("--count 0", "--plants pear", "--kinds triple", "--excitations step", "--switched 2"):
+    for words in ("--count: must be >= 1, got 0", "got pear", "got triple", "got step", "--switched: must be from 0 to 1, got 2"):
         assert words in error
     assert error.count("\n") == 5 and not (tmp_path / "b").exists()
 
