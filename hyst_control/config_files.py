@@ -1,4 +1,4 @@
-"""Places of the files of `config/`: in the source tree, or in the share folder of an installed package."""
+"""Location of the files of `config/`: in the source tree, or in the share folder of an installed package."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hyst_control.errors import InputError
 
 
 def config_folders() -> list[Path]:
-    """The `config` folders there are, the source tree first, then installed ones (colcon workspaces, then pip)."""
+    """List the existing `config` folders, the source tree first, then installed ones (colcon workspaces, then pip)."""
     prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
     folders = [
         Path(__file__).resolve().parent.parent / "config",
@@ -20,9 +20,27 @@ def config_folders() -> list[Path]:
 
 
 def config_path(name: str | Path) -> Path:
-    """The path of a shipped configuration file such as ``plants/pea.yaml``. Raises `InputError` when there is none."""
+    """Find a shipped configuration file.
+
+    Parameters
+    ----------
+    name
+        Path within `config/`, such as ``plants/pea.yaml``.
+
+    Returns
+    -------
+    Path
+        Path of the file.
+
+    Raises
+    ------
+    InputError
+        There is no such file.
+    """
     for folder in config_folders():
         if (folder / name).is_file():
             return folder / name
     siblings = sorted({path.name for folder in config_folders() for path in (folder / name).parent.glob("*.yaml")})
-    raise InputError(f"config/{name}: there is no such file: {', '.join(siblings) or 'reinstall hyst_control'}")
+    raise InputError(
+        f"config/{name}: no such file: {'use one of ' + ', '.join(siblings) if siblings else 'reinstall hyst_control'}"
+    )

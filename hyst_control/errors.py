@@ -15,4 +15,4 @@ class InputError(ValueError):
 
 
 class WorkerLost(InputError):
-    """A process that computed was killed from outside; told to the user as an unusable input is, since nothing here can mend it."""
+    """A process that computed was killed from outside; reported like an unusable input, since the program cannot correct it."""

@@ -1,7 +1,7 @@
-"""Processes to compute with: the one place that hands out an executor.
+"""Worker processes for computations, started here only.
 
-Nothing else in the package starts processes for computing. Workers compute serially inside, end with their parent, also when that
-is killed, and end at once when the work is given up (an error, Ctrl-C). A worker that is killed ends the work in a `WorkerLost`.
+Workers compute serially inside, end with their parent, also when that
+is killed, and end at once when the work is canceled (an error, Ctrl-C). A worker that is killed ends the work in a `WorkerLost`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hyst_control.errors import WorkerLost
 
 PARENT_DEATH_SIGNAL = 1  # of prctl(2)
 JOBS_PER_WORKER = 100
-"""After as many jobs a worker of `mapped` is replaced, so that what a library leaks never adds up."""
+"""Number of jobs after which a worker of `mapped` is replaced, so that memory leaks of libraries do not accumulate."""
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -40,21 +40,26 @@ def cores() -> int:
 
 @contextmanager
 def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bool = True) -> Iterator[Executor]:
-    """Hand out worker processes for independent pieces of a computation.
+    """Provide worker processes for independent pieces of a computation.
 
     Parameters
     ----------
     workers
         Number of processes.
     start
-        "spawn" for fresh interpreters, or "fork" for copies of this process, which begin at once and know all that it knows.
+        "spawn" for fresh interpreters, or "fork" for copies of this process, which begin at once and share its memory.
     serial
-        Whether `forked` and `mapped` compute serially within a worker.
+        Compute serially in `forked` and `mapped` within a worker.
+
+    Yields
+    ------
+    Executor
+        Executor, which is shut down at the end of the context.
 
     Raises
     ------
     WorkerLost
-        When a worker is killed before its work is done.
+        A worker was killed before its work was done.
     """
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context(start), _begin_worker, (serial,))
@@ -66,7 +71,7 @@ def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bo
             worker.kill()
         if isinstance(error, BrokenProcessPool):
             raise WorkerLost(
-                "a worker process was killed, by want of memory perhaps: free some and run the command again"
+                "a worker process was killed, possibly for lack of memory: free memory and run the command again"
             ) from None
         raise
     finally:
@@ -74,21 +79,26 @@ def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bo
 
 
 def forked(work: Callable[[int], Result], count: int) -> Iterator[Result]:
-    """Results of work(0), work(1), … in order, on all cores by forking: nothing is copied or pickled on the way in.
+    """Compute work(0), work(1), ... in order, on all cores by forking: no arguments are copied or pickled.
 
-    In this process where there is one core, in a worker, or beside threads that a fork would leave behind.
+    Computed in this process where there is one core, in a worker, or beside threads that a fork would leave behind.
 
     Parameters
     ----------
     work
-        Any function, a closure over large arrays too; its results are pickled.
+        Any function, also a closure over large arrays; its results are pickled.
     count
         Number of pieces.
+
+    Yields
+    ------
+    Result
+        Results in order.
 
     Raises
     ------
     WorkerLost
-        When a worker is killed before its work is done.
+        A worker was killed before its work was done.
     """
     global _work
     workers = min(cores(), count)
@@ -104,7 +114,7 @@ def forked(work: Callable[[int], Result], count: int) -> Iterator[Result]:
 
 
 def mapped(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
-    """Results of work(job) in order, on all cores, in fresh processes: for jobs of seconds to minutes.
+    """Compute work(job) in order, on all cores, in fresh processes: for jobs of seconds to minutes.
 
     Parameters
     ----------
@@ -113,10 +123,15 @@ def mapped(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Resul
     jobs
         Its arguments, pickled one by one.
 
+    Yields
+    ------
+    Result
+        Results in order.
+
     Raises
     ------
     WorkerLost
-        When a worker is killed before its work is done; the results up to there have been given.
+        A worker was killed before its work was done; the results before have been returned.
     """
     workers = min(cores(), len(jobs))
     if _serial or workers < 2:
@@ -131,9 +146,9 @@ def mapped(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Resul
 
 
 def _begin_worker(serial: bool) -> None:
-    """A worker ends when it is told to, without the message that the command line has for the user; Ctrl-C is its parent's to answer.
+    """Set up the signals of a worker: SIGTERM ends it without a message, Ctrl-C is handled by its parent.
 
-    It ends with its parent, also when that is killed: nobody else would tell it that there is nothing more to do.
+    It ends with its parent, also when that is killed, since no other process would end it.
     """
     global _serial
     _serial = serial

@@ -2,7 +2,7 @@
 
 A distribution names them in its metadata, under `hyst_control.stages`, `hyst_control.effects`, `hyst_control.estimators` or
 `hyst_control.controllers`; the entry point's name is the name in model files, in reports and on the command line. One that cannot be
-imported, or is something else, is told in one line, and does not take the rest down.
+imported, or is something else, is reported in one line, and the others load.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ def load(group: str, add: Callable[[str, object], object] = lambda name, value: 
     group
         One of `GROUPS`.
     add
-        Called with the name and the value of each; what it raises makes the plugin unusable. By default importing is all: a
-        module registers its own.
+        Called with the name and the value of each; an exception makes the plugin unusable. By default a plugin is only imported: its
+        module registers itself.
     """
     assert group in GROUPS
     for point in sorted(entry_points(group=f"hyst_control.{group}"), key=lambda point: point.name):
         try:
             add(point.name, point.load())
-        except Exception as error:  # anything: it is other people's code
+        except Exception as error:  # of any kind: it is foreign code
             logging.getLogger("hyst_control").warning("%s", _line(group, point, error))
 
 
@@ -45,33 +45,33 @@ def _line(group: str, point: EntryPoint, error: Exception) -> str:
 
 
 class Registry(MutableMapping[str, Item]):
-    """Things of one group by name: this package's own, and those of plugins, which are imported when one is first looked up.
+    """Members of one group by name: those of this package, and those of plugins, which are imported at the first lookup.
 
-    Not earlier: a plugin's modules import this package, and may be imported before it.
+    They are not imported earlier, since a plugin's modules import this package.
 
     Parameters
     ----------
     group
         One of `GROUPS`.
-    due
-        Description of a member, for the refusal of a plugin that is none.
+    expected
+        Description of a member, for the message on a plugin that is not one.
     fits
-        Whether a plugin's value of a name is a member.
+        Test of a plugin's name and value: True if it is a member.
     own
-        This package's members.
+        Members of this package.
     order
-        Sorting key of a member; without one they stand in the order in which they came.
+        Sorting key of a member; without one they are in the order of registration.
     """
 
     def __init__(
         self,
         group: str,
-        due: str,
+        expected: str,
         fits: Callable[[str, object], bool],
         own: Mapping[str, Item] | None = None,
         order: Callable[[Item], tuple[int | str, ...]] | None = None,
     ) -> None:
-        self._group, self._due, self._fits, self._order = group, due, fits, order
+        self._group, self._expected, self._fits, self._order = group, expected, fits, order
         self._known: dict[str, Item] = {}
         self._loaded = False
         self._keep(own or {})
@@ -99,9 +99,9 @@ class Registry(MutableMapping[str, Item]):
 
     def _add(self, name: str, value: object) -> None:
         if not self._fits(name, value):
-            raise InputError(f"{value!r} is not {self._due}")
+            raise InputError(f"{value!r} is not {self._expected}")
         if self._known.get(name, value) is not value:
-            raise InputError("the name is taken")
+            raise InputError("another plugin or this package has the name")
         self._keep({name: cast(Item, value)})
 
     def _keep(self, more: Mapping[str, Item]) -> None:

@@ -1,4 +1,4 @@
-"""Progress of a long command, on one line of the terminal: silent unless a command asked for it, and where there is no terminal."""
+"""Progress of a long command, on one line of the terminal: shown only if a command requests it and there is a terminal."""
 
 from __future__ import annotations
 
@@ -12,16 +12,24 @@ class Bar(Protocol):
     """The part of a tqdm bar that is used here."""
 
     def set_description_str(self, desc: str | None = None, refresh: bool | None = True) -> None:
-        """Set the text behind the elapsed time."""
+        """Set the text behind the elapsed time.
+
+        Parameters
+        ----------
+        desc
+            The text.
+        refresh
+            Draw the line at once.
+        """
 
     def update(self) -> bool | None:
         """Count one step."""
 
     def refresh(self) -> object:
-        """Draw the line anew."""
+        """Draw the line again."""
 
     def close(self) -> None:
-        """Take the line away."""
+        """Remove the line."""
 
 
 _bar: Bar | None = None
@@ -30,12 +38,17 @@ _within = ""
 
 @contextmanager
 def shown(wanted: bool = True) -> Iterator[None]:
-    """Show the steps on the standard error while the context lasts, when that is a terminal.
+    """Show the steps on the standard error while the context lasts, if that is a terminal.
 
     Parameters
     ----------
     wanted
         False to show nothing.
+
+    Yields
+    ------
+    None
+        Nothing.
     """
     global _bar
     if not wanted or not sys.stderr.isatty():
@@ -43,7 +56,7 @@ def shown(wanted: bool = True) -> Iterator[None]:
         return
     from tqdm import tqdm
 
-    tqdm.monitor_interval = 0  # no thread of its own: what is shown may be forked
+    tqdm.monitor_interval = 0  # no monitor thread: the process may fork meanwhile
     _bar = bar = tqdm(bar_format="{elapsed} {desc}", leave=False, file=sys.stderr)
     try:
         yield
@@ -68,7 +81,7 @@ def step(text: str) -> None:
 
 @contextmanager
 def steps(total: int) -> Iterator[Callable[[str], None]]:
-    """Hand out a `step` for work of several parts, which are counted.
+    """Provide a `step` for work of several parts, which are counted.
 
     The steps within a part are shown behind it: "3/8 identify HAMPI: read".
 
@@ -76,6 +89,11 @@ def steps(total: int) -> Iterator[Callable[[str], None]]:
     ----------
     total
         Number of parts.
+
+    Yields
+    ------
+    Callable[[str], None]
+        Function that shows the next part.
     """
     global _within
     count = 0

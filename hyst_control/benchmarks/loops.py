@@ -1,7 +1,7 @@
-"""Speed, latency, loss and load of the loop through the real nodes, beside the same loop written the plain way.
+"""Speed, latency, loss and load of the loop through the real nodes, beside the same loop in plain rclpy.
 
-The loop is the MHL paper's: two axes, inverse hysteresis and PI feedback on the published model, 5 kHz. Every case is a run of
-processes of its own on a ROS domain of its own; what is measured comes from the nodes' diagnostics, from the operating system
+The loop is the MHL paper's: two axes, inverse hysteresis and PI feedback on the published model, 5 kHz. Every case runs in
+separate processes on a separate ROS domain; the figures come from the nodes' diagnostics, from the operating system
 (processor time, memory) and from the bag.
 """
 
@@ -11,7 +11,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,10 +39,18 @@ MIB = 2.0**20
 
 @dataclass(frozen=True)
 class Run:
-    """What a run showed between two diagnostics of its plant.
+    """Figures of one run, between two diagnostics of its plant.
 
-    rate: rounds (ticks) per second; cpu: % of one core, all its processes; memory: MiB resident at every sample; values: the last
-    diagnostics by node.
+    Parameters
+    ----------
+    rate
+        Rounds (ticks) per second.
+    cpu
+        Processor load of all its processes, % of one core.
+    memory
+        Resident memory at every sample, MiB.
+    values
+        Last diagnostics by node.
     """
 
     rate: float
@@ -51,14 +59,33 @@ class Run:
     values: Mapping[str, dict[str, str]]
 
     def microseconds(self, entry: str) -> float:
-        """An entry of the plant's diagnostics, NaN when it is not there."""
+        """Return an entry of the plant's diagnostics.
+
+        Parameters
+        ----------
+        entry
+            Name of the entry.
+
+        Returns
+        -------
+        float
+            The value, us; NaN without such an entry.
+        """
         return float(
             next((found[entry] for name, found in self.values.items() if name.endswith("plant") and entry in found), "nan")
         )
 
 
 def run(table: Table, seconds: float = SECONDS) -> None:
-    """All cases, lockstep and wall clock, composed and as processes, plain and with the recorder."""
+    """Measure all cases: lockstep and wall clock, composed and as processes, plain and with the recorder.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    seconds
+        Length of every run, s.
+    """
     name = "lockstep, MHL loop of two axes"
     streamed = f"composed, reference streamed in {STREAMED} rows"
     table.add(
@@ -72,7 +99,7 @@ def run(table: Table, seconds: float = SECONDS) -> None:
             with tempfile.TemporaryDirectory() as folder:
                 measured = measure(case, "hyst", "lockstep", seconds, Path(folder) / "bag", outside=bool(way))
                 table.add(name, f"{case}, recorded{way}", "hyst", "rounds_rate", "rounds/s", measured.rate)
-                table.add(name, f"{case}, recorded{way}", "hyst", "loss", "%", lost(Path(folder) / "bag")[0])
+                table.add(name, f"{case}, recorded{way}", "hyst", "loss", "%", message_loss(Path(folder) / "bag")[0])
     for case in ("composed", "processes"):
         for subject in ("hyst", "plain rclpy"):
             _add_timing(table, case, subject, measure(case, subject, "timer", seconds))
@@ -80,7 +107,7 @@ def run(table: Table, seconds: float = SECONDS) -> None:
             with tempfile.TemporaryDirectory() as folder:
                 measured = measure(case, "hyst", "timer", seconds, Path(folder) / "bag", outside=bool(way))
                 _add_timing(table, f"{case}, recorded{way}", "hyst", measured)
-                loss, count = lost(Path(folder) / "bag")
+                loss, count = message_loss(Path(folder) / "bag")
                 table.add("wall clock, 1 kHz", f"{case}, recorded{way}", "hyst", "loss", "%", loss, n=count)
 
 
@@ -95,7 +122,15 @@ def _add_timing(table: Table, case: str, subject: str, measured: Run) -> None:
 
 
 def soak(table: Table, minutes: float) -> None:
-    """That long in lockstep, then a sixth of it on the wall clock, composed and recorded: rate, loss, memory from begin to end."""
+    """Run in lockstep, then a sixth of that on the wall clock, composed and recorded: rate, loss, and growth of memory.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    minutes
+        Length of the run in lockstep, min.
+    """
     for schedule, name, length in (("lockstep", "soak, lockstep", minutes), ("timer", "soak, wall clock 1 kHz", minutes / 6.0)):
         with tempfile.TemporaryDirectory() as folder:
             measured = measure("composed", "hyst", schedule, 60.0 * length, Path(folder) / "bag")
@@ -105,19 +140,41 @@ def soak(table: Table, minutes: float) -> None:
             table.add(name, case, "hyst", "rounds_rate", "rounds/s", measured.rate)
             table.add(name, case, "hyst", "memory", "MiB", end)
             table.add(name, case, "hyst", "memory_growth", "MiB", end - begin, n=len(measured.memory))
-            loss, count = lost(Path(folder) / "bag")
+            loss, count = message_loss(Path(folder) / "bag")
             table.add(name, case, "hyst", "loss", "%", loss, n=count)
 
 
 def measure(
     case: str, subject: str, schedule: str, seconds: float, bag: Path | None = None, block: int = 1, outside: bool = False
 ) -> Run:
-    """One run of the loop; `case`: "composed" or "processes"; `subject`: "hyst" or "plain rclpy"; `bag`: recorded to it.
+    """Run the loop once.
 
-    block: rows of the reference, which is known ahead, in one message, and so of the feedforward; all else goes tick by tick.
-    outside: the recorder is a process of its own beside the composed nodes, so that the middleware carries all messages.
+    Parameters
+    ----------
+    case
+        "composed" or "processes".
+    subject
+        "hyst" or "plain rclpy".
+    schedule
+        "lockstep" or "timer".
+    seconds
+        Length of the run, s.
+    bag
+        Bag to record to; None: no recorder.
+    block
+        Rows of the reference, which is known ahead, in one message, and so of the feedforward; all else goes tick by tick.
+    outside
+        Run the recorder as a process beside the composed nodes, so that the middleware carries all messages.
 
-    Raises `InputError` when a node fails or the loop does not start.
+    Returns
+    -------
+    Run
+        The figures.
+
+    Raises
+    ------
+    InputError
+        A node fails or the loop does not start.
     """
     progress.step(f"{schedule}, {case}, {subject}{', recorded' if bag else ''}{' from outside' if outside else ''}: {seconds:g} s")
     with _running(case, subject, schedule, bag, block, outside) as (processes, plant):
@@ -140,19 +197,47 @@ def measure(
     return Run(rate, 100.0 * cpu, memory, values)
 
 
-def lost(bag: Path) -> tuple[float, int]:
-    """Rows that are missing within the topics of a bag, in % of those that are due, and how many are due."""
-    missing = due = 0
+def message_loss(bag: Path) -> tuple[float, int]:
+    """Count the rows that are missing within the topics of a bag.
+
+    Parameters
+    ----------
+    bag
+        The bag.
+
+    Returns
+    -------
+    loss : float
+        Missing rows in % of those expected.
+    expected : int
+        Number of rows expected.
+    """
+    missing = expected = 0
     for signal in read_bag(bag).signals.values():
         step = float(np.median(np.diff(signal.time)))
         rows = round((signal.time[-1] - signal.time[0]) / step) + 1
         missing += rows - len(signal.time)
-        due += rows
-    return 100.0 * missing / due, due
+        expected += rows
+    return 100.0 * missing / expected, expected
 
 
 def settings(schedule: str, bag: Path | None, block: int = 1) -> dict[str, dict[str, Any]]:
-    """Parameters of the nodes of the MHL loop by name."""
+    """Parameters of the nodes of the MHL loop.
+
+    Parameters
+    ----------
+    schedule
+        "lockstep" or "timer".
+    bag
+        Bag to record to; None: no recorder.
+    block
+        Rows of the reference in one message.
+
+    Returns
+    -------
+    dict[str, dict[str, Any]]
+        Parameters by the node's name.
+    """
     rate = LOCKSTEP_RATE if schedule == "lockstep" else TIMER_RATE
     common = {"schedule": schedule, "rate_hz": rate, "axes": ["x", "y"], "unit": "mrad", "timeout": 1.0}
     model = str(config_path("models/fsm_mhl.yaml"))
@@ -213,7 +298,7 @@ def _running(
 
 
 class _Diagnostics:
-    """The newest entries by node out of the monitor's growing log, each read once."""
+    """Newest entries by node of the monitor's growing log; every line is read once."""
 
     def __init__(self, path: Path) -> None:
         self._file = open(path, encoding="utf-8")
@@ -224,19 +309,17 @@ class _Diagnostics:
         *lines, self._part = (self._part + self._file.read()).split("\n")
         for line in lines:
             if line.startswith("{"):
-                told = json.loads(line)
-                self._values[told["node"]] = {**told["values"], "stamp": repr(told["stamp"])}
+                entry = json.loads(line)
+                self._values[entry["node"]] = {**entry["values"], "stamp": repr(entry["stamp"])}
         return self._values
 
 
-def _until(condition: Any, processes: Processes, timeout: float) -> None:
+def _until(condition: Callable[[], bool], processes: Processes, timeout: float) -> None:
     end = time.monotonic() + timeout
     while not condition():
         processes.check()
         if time.monotonic() > end:
-            raise InputError(
-                f"bench: the loop gave no sign of life within {timeout:g} s: see whether DDS may use the loopback network"
-            )
+            raise InputError(f"bench: no diagnostics of the loop within {timeout:g} s: check that DDS may use the loopback network")
         time.sleep(0.1)
 
 

@@ -25,15 +25,31 @@ GROUPS = ("kernels", "bags", "loops", "workflows")
 
 
 def run(only: str | None = None, seconds: float = loops.SECONDS, soak: float | None = None) -> Table:
-    """All groups, or one of `GROUPS`.
+    """Run all groups of benchmarks, or one of `GROUPS`.
 
-    seconds: length of every run of the loop; soak: minutes of the long run, in place of the groups.
-    Raises `InputError` when gcc is missing for the kernels, or a node fails.
+    Parameters
+    ----------
+    only
+        The group; None: all.
+    seconds
+        Length of every run of the loop, s.
+    soak
+        Length of the long run, which replaces the groups, min.
+
+    Returns
+    -------
+    Table
+        The figures.
+
+    Raises
+    ------
+    InputError
+        A length is out of range, gcc is missing for the kernels, or a node fails.
     """
     table = Table("bench")
     for name, value in (("seconds", seconds), ("soak", soak)):
         if value is not None and not 0 < value < 1e6:
-            raise InputError(f"{name}: {value!r}, a positive time is due")
+            raise InputError(f"{name}: must be > 0 and < 1e6, got {value!r}")
     if soak is not None:
         loops.soak(table, soak)
         return table
@@ -53,7 +69,13 @@ def run(only: str | None = None, seconds: float = loops.SECONDS, soak: float | N
 
 
 def bags(table: Table) -> None:
-    """Write and read a bag of two topics; messages of both topics per second, medians."""
+    """Write and read a bag of two topics; messages of both topics per second, medians.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    """
     labels = {"/command": "t[s],x[V]", "/measurement": "t[s],x[um]"}
     rng = np.random.default_rng(0)
     blocks = rng.normal(size=(MESSAGES, ROWS, 2))

@@ -1,4 +1,4 @@
-"""Time and memory of an identification and of a diagnosis, each in a process of its own, and the speed of the truth plants."""
+"""Time and memory of an identification and of a diagnosis, each in a separate process, and the speed of the truth plants."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import resource
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
@@ -23,20 +23,33 @@ from hyst_control.records.record import Record
 from hyst_control.reporting.tables import Table
 from hyst_plant_sim.physics import load_plant
 
+P = ParamSpec("P")
+T = TypeVar("T")
+
 RATE = 20e3  # Hz
 SECONDS = 60.0
 IDENTIFIED: dict[str, tuple[str, tuple[str, ...], str, float, Callable[[float], Array]]] = {
     "hampi": ("pea", ("x",), "um", 1e-4, excitation.hampi_identification),
     "mhl": ("fsm", ("x", "y"), "mrad", 1e-6, partial(excitation.mhl_identification, axes=2)),
 }
-"""Family: truth plant, axes, unit, noise, and the records of the family's paper."""
+"""By family: truth plant, axes, unit, noise, and the excitation of the family's paper."""
 PLANTS = ("pea_published", "fsm_published", "third")
 TRUTH = ("pea", "pea_published", "fsm", "fsm_published", "third")
 REPEATS = 5
 
 
 def run(table: Table, seconds: float = SECONDS, plants: Sequence[str] = PLANTS) -> None:
-    """Truth plants at 20 kHz; identification from a record of `seconds`; diagnosis of a diagnostic record, its threshold cached or not."""
+    """Measure truth plants, identifications, and diagnoses with a new and with a cached threshold.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    seconds
+        Length of the record that is identified, s.
+    plants
+        Plants that are diagnosed.
+    """
     for name in TRUTH:
         table.add("truth plants", f"{RATE / 1e3:g} kHz, one core", name, "speed", "x real time", _alone(speed, name), n=REPEATS)
     for family in IDENTIFIED:
@@ -52,7 +65,18 @@ def run(table: Table, seconds: float = SECONDS, plants: Sequence[str] = PLANTS) 
 
 
 def speed(name: str) -> float:
-    """Simulated seconds per second of processor time of a truth plant under a 50 Hz sine: the median of `REPEATS`."""
+    """Simulated seconds per second of processor time of a truth plant under a 50 Hz sine: the median of `REPEATS`.
+
+    Parameters
+    ----------
+    name
+        The plant.
+
+    Returns
+    -------
+    float
+        Speed, times real time.
+    """
     truth = load_plant({"plant": name}, seed=1, sample_time=1.0 / RATE)
     lower, upper = np.broadcast_to(np.array(truth.rating, dtype=float), (2,))
     time_axis = np.arange(round(RATE)) / RATE
@@ -69,7 +93,24 @@ def speed(name: str) -> float:
 
 
 def identification(family: str, seconds: float) -> tuple[float, float, int]:
-    """Seconds, MiB at most, and rows of one identification; a tenth of the record goes before to compile the kernels."""
+    """Time and memory of one identification; a tenth of the record is identified first to compile the kernels.
+
+    Parameters
+    ----------
+    family
+        Model family.
+    seconds
+        Length of the record, s.
+
+    Returns
+    -------
+    elapsed : float
+        Time, s.
+    memory : float
+        Largest memory, MiB.
+    rows : int
+        Rows of the record.
+    """
     plant, axes, unit, noise, signal = IDENTIFIED[family]
     rows = signal(1.0 / RATE).reshape(-1, len(axes))
     once, count = len(rows), round(seconds * RATE)
@@ -86,7 +127,24 @@ def identification(family: str, seconds: float) -> tuple[float, float, int]:
 
 
 def diagnosis(plant: str) -> tuple[float, float, int, float]:
-    """Seconds without and with the threshold in the cache, rows, and seconds of the record: one effect, diagnostic excitation."""
+    """Time of one diagnosis: one effect, diagnostic excitation.
+
+    Parameters
+    ----------
+    plant
+        The plant.
+
+    Returns
+    -------
+    fresh : float
+        Time with a threshold to calibrate, s.
+    cached : float
+        Time with a cached threshold, s.
+    rows : int
+        Rows of the record.
+    length : float
+        Length of the record, s.
+    """
     case = draw(0, 1, [plant], {"single": 1.0}, ["rich"])[0]
     record: Record = record_of(case, run_case(case))
     model = nominal(plant, case.noise)
@@ -100,7 +158,7 @@ def diagnosis(plant: str) -> tuple[float, float, int, float]:
     return fresh, time.perf_counter() - begin, len(signal.time), float(signal.time[-1] - signal.time[0])
 
 
-def _alone(task: Callable[..., Any], *arguments: Any) -> Any:
-    """A task's result from a process of its own, whose memory is its own."""
+def _alone(task: Callable[P, T], *arguments: P.args, **named: P.kwargs) -> T:
+    """Return a task's result from a separate process, so that its memory is measured alone."""
     with executor(1, serial=False) as pool:
-        return pool.submit(task, *arguments).result()
+        return pool.submit(task, *arguments, **named).result()

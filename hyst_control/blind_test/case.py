@@ -1,4 +1,4 @@
-"""One case of the blind test: what is done, and what is in it."""
+"""One case of the blind test: its excitation, and the label with its effects."""
 
 from __future__ import annotations
 
@@ -11,12 +11,34 @@ EXCITATIONS = ("rich", "multisine", "sine", "closed_loop")
 KINDS = ("single", "pair", "parameters", "none", "open_set")
 
 NOISES = (5e-4, 3e-3)
-"""Share of the stroke, rms."""
+"""Noise of the sensor, rms / stroke."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One case: what is done, and (label) what is in it. effects: mappings that `load_plant` takes."""
+    """One case of the blind test.
+
+    Parameters
+    ----------
+    name
+        Name of the case.
+    plant
+        Truth plant.
+    kind
+        One of `KINDS`.
+    excitation
+        One of `EXCITATIONS`.
+    noise
+        Noise of the sensor, rms / stroke.
+    seed
+        Seed of the plant's scatter, noise and excitation.
+    effects
+        Effects of the plant, mappings that `load_plant` takes.
+    off
+        Scatter of the plant's coefficients, times their tolerance.
+    label
+        The answer: kind, effects, true gap.
+    """
 
     name: str
     plant: str
@@ -30,10 +52,21 @@ class Case:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Effects that are in it."""
+        """Names of its effects."""
         return tuple(effect["name"] for effect in self.effects)
 
 
 def as_document(case: Case) -> dict[str, Any]:
-    """The label of a case as JSON types."""
+    """Convert a case with its label to JSON types.
+
+    Parameters
+    ----------
+    case
+        The case.
+
+    Returns
+    -------
+    dict[str, Any]
+        The document.
+    """
     return {**asdict(case), "effects": [dict(effect) for effect in case.effects], "label": dict(case.label)}

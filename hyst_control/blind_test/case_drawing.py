@@ -1,8 +1,8 @@
 """Cases of the blind test, drawn by a seed and balanced: kinds, plants, excitations, noise, and effects of drawn size.
 
 A case is a truth plant whose coefficients scatter, one of four excitations, one of two noise levels, and effects of drawn size:
-one, two, none, coefficients off by more than their tolerance, or an effect that is in nobody's catalogue; they are there from the
-start or, where asked for, from a time within the record on. Seeds 0 to 999 are for tuning, scoring seeds begin at 100000.
+one, two, none, coefficients off by more than their tolerance, or an effect outside the catalogue; they act from the start or, where
+asked for, from a time within the record. Seeds 0 to 999 are for tuning, scoring seeds begin at 100000.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from hyst_control.blind_test.case_records import commands
 from hyst_control.blind_test.effect_sizes import NOISE_LIKE, OPEN_SET, SEVERITIES, draw_effect
 from hyst_control.blind_test.plant_setups import PLANTS, SETUPS
 
-SHARES = {"single": 0.45, "none": 0.25, "pair": 0.12, "open_set": 0.1, "parameters": 0.08}
-"""Of the kinds."""
+KIND_FRACTIONS = {"single": 0.45, "none": 0.25, "pair": 0.12, "open_set": 0.1, "parameters": 0.08}
+"""Fraction of the cases that are of a kind."""
 
-OFF = (4.0, 8.0)
+COEFFICIENT_DEVIATION = (4.0, 8.0)
 """`parameters`: the coefficients are off by this many times their tolerance."""
 
-BEGIN = (0.3, 0.7)
-"""Share of the record's length after which an effect that is switched on begins."""
+SWITCH_FRACTION = (0.3, 0.7)
+"""Fraction of the record's length after which an effect that is switched on begins."""
 
 
 def draw(
@@ -36,14 +36,33 @@ def draw(
     excitations: Sequence[str] = EXCITATIONS,
     switched: float = 0.0,
 ) -> list[Case]:
-    """A balanced set of cases: every effect on every plant in turn, half of it on the rich record.
+    """Draw a balanced set of cases: every effect on every plant in turn, half of it on the rich record.
 
-    kinds: which, with their usual shares among each other, or with these shares. switched: share of the cases with effects in
-    which every effect begins within the record, each at a time of its own.
+    Parameters
+    ----------
+    seed
+        Seed of the drawing.
+    count
+        Number of cases.
+    plants
+        Truth plants.
+    kinds
+        Kinds with their fractions of the cases, or kinds alone, in the usual proportion.
+    excitations
+        Excitations.
+    switched
+        Fraction of the cases with effects in which every effect begins within the record, each at its own time.
+
+    Returns
+    -------
+    list[Case]
+        The cases.
     """
     random = np.random.default_rng(seed)
-    chosen = kinds or SHARES
-    shares = dict(chosen) if isinstance(chosen, Mapping) else {kind: SHARES[kind] for kind in SHARES if kind in chosen}
+    chosen = kinds or KIND_FRACTIONS
+    shares = (
+        dict(chosen) if isinstance(chosen, Mapping) else {kind: KIND_FRACTIONS[kind] for kind in KIND_FRACTIONS if kind in chosen}
+    )
     if not isinstance(chosen, Mapping):
         shares = {kind: share / sum(shares.values()) for kind, share in shares.items()}
     order = [kind for kind, share in shares.items() for _ in range(int(round(share * count)))]
@@ -55,21 +74,21 @@ def draw(
         excitation = "rich" if "rich" in excitations and index % 2 == 0 else str(excitations[(index // 2) % len(excitations)])
         names = _names(kind, plant, cycles, random)
         noise = NOISES[(index // 4) % 2]
-        off = float(random.uniform(*OFF)) if kind == "parameters" else 1.0
+        off = float(random.uniform(*COEFFICIENT_DEVIATION)) if kind == "parameters" else 1.0
         case = Case("", plant, kind, excitation, noise, int(random.integers(1 << 31)), off=off)
         cases.append(replace(case, effects=tuple(draw_effect(name, plant, noise, random) for name in names)))
     random.shuffle(cases)
-    times = np.random.default_rng([seed, 3])  # apart, so that the cases are the same with and without
+    times = np.random.default_rng([seed, 3])  # separate, so that the cases are the same with and without switching
     return [replace(case, name=f"case_{index:04d}", effects=_begun(case, switched, times)) for index, case in enumerate(cases)]
 
 
 def _begun(case: Case, switched: float, random: np.random.Generator) -> tuple[Mapping[str, Any], ...]:
-    """Its effects, switched on within the record in a share `switched` of the cases."""
+    """Effects of a case, switched on within the record in a fraction `switched` of the cases."""
     if not case.effects or random.random() >= switched:
         return case.effects
     sample_time = SETUPS[case.plant].sample_time
     length = len(commands(case))
-    return tuple({**effect, "from": round(random.uniform(*BEGIN) * length) * sample_time} for effect in case.effects)
+    return tuple({**effect, "from": round(random.uniform(*SWITCH_FRACTION) * length) * sample_time} for effect in case.effects)
 
 
 def _names(kind: str, plant: str, cycles: dict[str, list[tuple[str, ...]]], random: np.random.Generator) -> tuple[str, ...]:

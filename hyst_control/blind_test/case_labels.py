@@ -1,4 +1,4 @@
-"""Labels of the blind test's cases: the true gap of each, and whether anybody could see it."""
+"""Labels of the blind test's cases: the true gap of each, and its visibility."""
 
 from __future__ import annotations
 
@@ -13,15 +13,26 @@ from hyst_control.blind_test.nominal_models import stated_noise
 from hyst_control.blind_test.plant_setups import SETUPS
 from hyst_control.chain.stage import Array
 
-LEAST = 10.0
-"""Distance (standard deviations, coefficients marginalised) below which nobody could see a gap: such a case counts as none."""
+LEAST_VISIBILITY = 10.0
+"""Distance (standard deviations, coefficients marginalized) below which a gap is invisible: such a case counts as none."""
 
 
-def labelled(case: Case, stated: float | None = None) -> Case:
-    """The case with its label: what to score, the true gap, from when each effect is there, and whether anybody could see it.
+def with_label(case: Case, stated: float | None = None) -> Case:
+    """Add the label to a case: kind and effects to score, true gap, begin of each effect, and visibility.
 
-    Of a pair also which of the two are `shown`: could be seen beside the other.
-    stated: what `stated_noise` says, where it is known already (a plant without a published model is identified first).
+    A pair's label also lists the effects that are `shown`: visible beside the other.
+
+    Parameters
+    ----------
+    case
+        The case.
+    stated
+        Noise as from `stated_noise`, where it is known already (a plant without a published model is identified first).
+
+    Returns
+    -------
+    Case
+        The case with its label.
     """
     setup = SETUPS[case.plant]
     noise = case.noise * setup.stroke
@@ -35,15 +46,15 @@ def labelled(case: Case, stated: float | None = None) -> Case:
         "noise": case.noise,
     }
     gap, distance = 0.0, 0.0
-    least = 0.2 * noise if setup.model is not None else 1.5 * stated  # under a model's own error nothing can be told
-    within = case.kind != "parameters"  # those off by more than their tolerance are themselves the gap
+    least = 0.2 * noise if setup.model is not None else 1.5 * stated  # a gap below the model's own error cannot be detected
+    within = case.kind != "parameters"  # coefficients outside their tolerance are themselves the gap
     wrong = bool(case.effects) or not within
     if wrong:
         difference = _difference(case, replace(case, effects=()), within)
         gap = float(np.sqrt(np.mean(difference**2)))
-        distance = visible(case, difference, stated)
+        distance = visibility(case, difference, stated)
     label |= {"gap_rms": gap, "noise_rms": noise, "distance": distance}
-    if wrong and (distance < LEAST or gap < least):
+    if wrong and (distance < LEAST_VISIBILITY or gap < least):
         label["kind"] = "none"
         label["hidden"] = list(case.names) or [case.kind]
         label["names"] = []
@@ -51,28 +62,41 @@ def labelled(case: Case, stated: float | None = None) -> Case:
         label["shown"] = []
         for effect in case.effects:
             part = _difference(case, replace(case, effects=tuple(other for other in case.effects if other is not effect)))
-            size = visible(replace(case, effects=(effect,)), part, stated)
-            if size >= LEAST and float(np.sqrt(np.mean(part**2))) >= least:
+            size = visibility(replace(case, effects=(effect,)), part, stated)
+            if size >= LEAST_VISIBILITY and float(np.sqrt(np.mean(part**2))) >= least:
                 label["shown"].append(effect["name"])
     return replace(case, label=label)
 
 
 def _difference(case: Case, other: Case, scattered: bool = True) -> Array:
-    """Measurement (N, A) of a case's plant less that of another, without noise; scattered: whether the other's coefficients are."""
-    if case.excitation == "closed_loop":  # the loop hides a gap: what counts is the plant on one and the same command
+    """Difference (N, A) of the noiseless measurements of two cases' plants; `scattered`: the other's coefficients scatter."""
+    if case.excitation == "closed_loop":  # a loop hides a gap: both plants are driven by the same command
         command = run_case(case, noisy=False)["command"]
         truth, bare = plant_of(case, noisy=False), plant_of(other, noisy=False, scattered=scattered)
-        return np.concatenate([truth.reset(command[0])[None], truth.step(command)[:-1]]) - np.concatenate(
-            [bare.reset(command[0])[None], bare.step(command)[:-1]]
-        )
-    difference: Array = (
-        run_case(case, noisy=False)["measurement"] - run_case(other, noisy=False, scattered=scattered)["measurement"]
-    )
-    return difference
+        measured, expected = (np.concatenate([plant.reset(command[0])[None], plant.step(command)[:-1]]) for plant in (truth, bare))
+    else:
+        measured = run_case(case, noisy=False)["measurement"]
+        expected = run_case(other, noisy=False, scattered=scattered)["measurement"]
+    return np.asarray(measured - expected, dtype=np.float64)
 
 
-def visible(case: Case, difference: Array, noise: float) -> float:
-    """Size of a difference in standard deviations (of the stated noise) once a change of gain and of offset on each axis is taken off."""
+def visibility(case: Case, difference: Array, noise: float) -> float:
+    """Distance of a difference from any change of gain and offset on each axis.
+
+    Parameters
+    ----------
+    case
+        The case.
+    difference
+        Difference (N, A) of two measurements.
+    noise
+        Stated noise, rms in the measurement unit.
+
+    Returns
+    -------
+    float
+        Distance, in standard deviations of the noise.
+    """
     measured = run_case(case, effects=False, noisy=False)["measurement"]
     left = 0.0
     for axis in range(difference.shape[1]):

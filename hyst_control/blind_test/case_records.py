@@ -18,11 +18,22 @@ from hyst_plant_sim.physics import Plant, load_plant
 
 
 def commands(case: Case) -> Array:
-    """The open loop's commands (N, A) in V; the reference (N, A) in the measurement unit for the closed loop."""
+    """Construct the excitation of a case.
+
+    Parameters
+    ----------
+    case
+        The case.
+
+    Returns
+    -------
+    Array
+        Commands (N, A) in V; for the closed loop references (N, A) in the measurement unit.
+    """
     setup = SETUPS[case.plant]
     axes = 2 if case.plant.startswith("fsm") else 1
     low, high = setup.command
-    span, centre, random = high - low, 0.5 * (high + low), np.random.default_rng([case.seed, 1])
+    span, center, random = high - low, 0.5 * (high + low), np.random.default_rng([case.seed, 1])
     if case.excitation == "rich":
         spec: dict[str, Any] = {"signal": "diagnostic", "lowest": low, "highest": high, "seed": int(random.integers(3))}
     elif case.excitation == "multisine":
@@ -32,7 +43,7 @@ def commands(case: Case) -> Array:
             "lower_frequency": 4.0,
             "upper_frequency": 600.0,
             "rms": 0.13 * span,
-            "offset": centre,
+            "offset": center,
             "periods": 6,
             "detection": 4,
             "avoid_mains": True,
@@ -43,7 +54,7 @@ def commands(case: Case) -> Array:
             "signal": "sine",
             "frequency": float(random.choice([5.0, 12.0, 35.0, 90.0])),
             "amplitude": 0.42 * span,
-            "offset": centre,
+            "offset": center,
             "duration": 1.5,
         }
     else:
@@ -57,13 +68,30 @@ def commands(case: Case) -> Array:
     rows = build(spec, setup.sample_time, axes)
     if case.excitation != "closed_loop":
         return np.clip(rows, low, high)
-    # A record starts at rest: the loop closes at a reference of 0 and goes from there.
+    # A record starts at rest: the loop is closed at a reference of 0.
     ramp = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, int(0.1 / setup.sample_time)))
     return np.concatenate([np.zeros((20, axes)), ramp[:, None] * rows[0], rows])
 
 
 def run_case(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True) -> dict[str, Array]:
-    """Signals of a case by topic, (N, A) each, with or without its effects, the noise, and the scatter of its plant."""
+    """Simulate a case.
+
+    Parameters
+    ----------
+    case
+        The case.
+    effects
+        Include its effects.
+    noisy
+        Include the noise.
+    scattered
+        Include the scatter of its plant.
+
+    Returns
+    -------
+    dict[str, Array]
+        Signals (N, A) by topic.
+    """
     truth = plant_of(case, effects, noisy, scattered)
     rows, setup = commands(case), SETUPS[case.plant]
     if case.excitation != "closed_loop":
@@ -75,7 +103,24 @@ def run_case(case: Case, effects: bool = True, noisy: bool = True, scattered: bo
 
 
 def plant_of(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True) -> Plant:
-    """The truth plant of a case, rated for the range in which it is driven."""
+    """Construct the truth plant of a case, rated for the range in which it is driven.
+
+    Parameters
+    ----------
+    case
+        The case.
+    effects
+        Include its effects.
+    noisy
+        Include the noise.
+    scattered
+        Include the scatter of its plant.
+
+    Returns
+    -------
+    Plant
+        The plant.
+    """
     setup = SETUPS[case.plant]
     changes = scatter(case.plant, case.seed, SCATTER * case.off if scattered else 0.0)
     document = {
@@ -89,7 +134,20 @@ def plant_of(case: Case, effects: bool = True, noisy: bool = True, scattered: bo
 
 
 def record_of(case: Case, signals: Mapping[str, Array]) -> Record:
-    """A case's signals as a record; nothing in it tells what is in the case."""
+    """Convert a case's signals to a record, which holds nothing of the case's label.
+
+    Parameters
+    ----------
+    case
+        The case.
+    signals
+        Signals (N, A) by topic.
+
+    Returns
+    -------
+    Record
+        The record.
+    """
     setup = SETUPS[case.plant]
     time = np.arange(len(signals["command"]), dtype=np.float64) * setup.sample_time
     axes = ("x", "y") if case.plant.startswith("fsm") else ("x",)

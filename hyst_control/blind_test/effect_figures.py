@@ -1,7 +1,7 @@
-"""The catalogue of effects as a page: what each is, where it sits, and how a record looks with it and without it.
+"""The catalogue of effects as a page: meaning and place of each, and a record with it and without it.
 
-`hyst cases figures --output docs` writes docs/effects.md and one figure per effect. The records are of the truth PEA (for what needs
-two axes, of the truth mirror) without its own noise, and the effects are stronger than in a blind case, so that one sees them.
+`hyst cases figures --output docs` writes docs/effects.md and one figure per effect. The records are of the truth PEA (effects that
+need two axes: of the truth mirror) without its own noise, and the effects are stronger than in a blind case, so that they are visible.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +20,34 @@ from hyst_control.reporting.templates import render
 from hyst_plant_sim.physics import EFFECTS, Plant, load_plant
 from hyst_plant_sim.physics.signal_path import PLACES
 
+if TYPE_CHECKING:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
 Array = NDArray[np.float64]
 
 COMMAND = "hyst cases figures --output docs"
 SAMPLE_TIME = 5e-5
 UPPER_FREQUENCY = 4000.0
-"""Hz, of the multisine whose answer is shown."""
+"""Hz, of the multisine whose response is drawn."""
 
 
 @dataclass(frozen=True)
 class Example:
-    """Parameters of an effect, length of the jumps' record (s), frequency of the loop (Hz), what a record shows of it."""
+    """Example of an effect for its figure.
+
+    Parameters
+    ----------
+    values
+        Parameters of the effect.
+    span
+        Length of the record of jumps, s.
+    frequency
+        Frequency of the loop, Hz.
+    sign
+        Sign of the effect in a record, in words.
+    plant
+        Truth plant.
+    """
 
     values: Mapping[str, float]
     span: float
@@ -187,7 +204,18 @@ TITLES = {
 
 
 def write(folder: Path) -> list[Path]:
-    """effects.md and figures/effects/*.png in a folder; the paths written."""
+    """Write effects.md and figures/effects/*.png.
+
+    Parameters
+    ----------
+    folder
+        Folder to write to.
+
+    Returns
+    -------
+    list[Path]
+        Paths of the files.
+    """
     figures = folder / "figures" / "effects"
     figures.mkdir(parents=True, exist_ok=True)
     written = []
@@ -240,7 +268,15 @@ def _unit(unit: str, plant: str) -> str:
 
 
 def draw(name: str, path: Path) -> None:
-    """One effect's figure: jumps and the gap in time, spectrum, loop."""
+    """Draw the figure of one effect: jumps and the gap in time, spectrum, loop.
+
+    Parameters
+    ----------
+    name
+        Name of the effect.
+    path
+        File to write.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from scipy.signal import welch
@@ -250,7 +286,7 @@ def draw(name: str, path: Path) -> None:
     unit = plants[0].units["measurement"]
     grey, blue, orange = "0.55", "tab:blue", "tab:orange"
     figure = Figure(figsize=(9.6, 2.7), layout="constrained")
-    FigureCanvasAgg(figure)
+    canvas = FigureCanvasAgg(figure)
     parts = figure.subfigures(1, 3)
     assert isinstance(parts, np.ndarray)
     left, middle, right = parts
@@ -268,9 +304,9 @@ def draw(name: str, path: Path) -> None:
     rows = multisine(plants[0])
     without, found = (_answer(plant, rows) for plant in plants)
     axes = middle.subplots()
-    for values, colour, width in ((without, grey, 1.6), (found, blue, 0.8), (found - without, orange, 0.8)):
+    for values, color, width in ((without, grey, 1.6), (found, blue, 0.8), (found - without, orange, 0.8)):
         frequency, density = welch(values, 1.0 / SAMPLE_TIME, nperseg=4096, detrend=False)
-        axes.loglog(frequency[1:], np.sqrt(density[1:]) + 1e-300, color=colour, lw=width)
+        axes.loglog(frequency[1:], np.sqrt(density[1:]) + 1e-300, color=color, lw=width)
     top = np.sqrt(welch(without, 1.0 / SAMPLE_TIME, nperseg=4096)[1].max())
     axes.set(xlabel="frequency, Hz", ylabel=f"{unit} / √Hz", xlim=(5.0, 1e4), ylim=(1e-6 * top, 4.0 * top))
 
@@ -280,16 +316,17 @@ def draw(name: str, path: Path) -> None:
     axes.plot(command, without, color=grey, lw=1.2)
     axes.plot(command, found, color=blue, lw=0.8)
     axes.set(xlabel="command, V", ylabel=unit)
-    _save(figure, path)
+    _save(canvas, path)
 
 
-def _save(figure: Any, path: Path) -> None:
+def _save(canvas: FigureCanvasAgg, path: Path) -> None:
     """Save a picture of few colors, which is a quarter of the size."""
     from PIL import Image
 
-    figure.set_dpi(80)
-    figure.canvas.draw()
-    Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()).quantize(48).save(path, optimize=True)
+    canvas.figure.set_dpi(80)
+    canvas.draw()  # type: ignore[no-untyped-call]  # matplotlib gives it no types
+    pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]  # as draw
+    Image.fromarray(pixels[..., :3].copy()).quantize(48).save(path, optimize=True)
 
 
 def _plant(example: Example, effects: list[dict[str, Any]]) -> Plant:
@@ -306,7 +343,22 @@ def _on_axes(first: Array, second: Array, plant: Plant) -> Array:
 
 
 def jumps(example: Example, plant: Plant) -> tuple[Array, Array]:
-    """A rest, a jump up, a smaller one down; the second axis jumps meanwhile."""
+    """Construct a rest, a jump up and a smaller one down; the second axis jumps meanwhile.
+
+    Parameters
+    ----------
+    example
+        Example of the effect.
+    plant
+        The plant.
+
+    Returns
+    -------
+    time : Array
+        Times (N,), s.
+    commands : Array
+        Commands (N, A), V.
+    """
     time = np.arange(int(example.span / SAMPLE_TIME), dtype=np.float64) * SAMPLE_TIME
     share, top = time / example.span, plant.rating[1]
     first = np.select([share < 0.1, share < 0.55], [0.1 * top, 0.8 * top], 0.45 * top)
@@ -314,7 +366,20 @@ def jumps(example: Example, plant: Plant) -> tuple[Array, Array]:
 
 
 def multisine(plant: Plant, duration: float = 2.0) -> Array:
-    """Lines of equal size and random phase up to `UPPER_FREQUENCY`, 1.5 Hz apart, about the middle of the rating."""
+    """Construct lines of equal size and random phase up to `UPPER_FREQUENCY`, 1.5 Hz apart, about the middle of the rating.
+
+    Parameters
+    ----------
+    plant
+        The plant.
+    duration
+        Length, s.
+
+    Returns
+    -------
+    Array
+        Commands (N, A), V.
+    """
     time = np.arange(int(duration / SAMPLE_TIME)) * SAMPLE_TIME
     lines = int(UPPER_FREQUENCY / 1.5)
     spectrum = np.zeros((2, len(time) // 2 + 1), dtype=complex)
@@ -327,9 +392,21 @@ def multisine(plant: Plant, duration: float = 2.0) -> Array:
 
 
 def loop(example: Example, plant: Plant) -> tuple[Array, Array]:
-    """The last of three cycles over most of the rating, command (N,) of the first axis; the whole command (M, A).
+    """Construct three cycles over most of the rating; the second axis moves at twice the frequency.
 
-    The other axis goes twice as fast.
+    Parameters
+    ----------
+    example
+        Example of the effect.
+    plant
+        The plant.
+
+    Returns
+    -------
+    cycle : Array
+        Last cycle (N,) of the first axis, V.
+    commands : Array
+        All commands (M, A), V.
     """
     cycle = int(round(1.0 / example.frequency / SAMPLE_TIME))
     angle = 2 * np.pi * np.arange(3 * cycle + 1) / cycle

@@ -1,4 +1,4 @@
-"""Effects of the blind test, and the sizes in which they are drawn: each can be seen, and none is all of the signal."""
+"""Effects of the blind test, and the ranges of their sizes: each is visible, and none dominates the signal."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ OPEN_SET: dict[str, dict[str, Range | str]] = {
     "outliers": {"fraction": (0.002, 0.01), "size stroke": (0.02, 0.2)},
     "guide_friction": {"share": (0.01, 0.06)},
 }
-"""Effects that are in nobody's catalogue."""
+"""Effects outside the catalogue."""
 
 EITHER_SIGN = ("width", "gain", "change", "amount", "offset", "second", "third", "coupling")
 
@@ -57,6 +57,24 @@ NOISE_LIKE = ("sensor_noise", "flicker_noise", "quantization", "held_samples", "
 
 
 def draw_effect(name: str, plant: str, noise: float, random: np.random.Generator) -> dict[str, Any]:
+    """Draw the parameters of an effect from its range.
+
+    Parameters
+    ----------
+    name
+        Name of the effect.
+    plant
+        Truth plant, whose scales the range refers to.
+    noise
+        Noise of the sensor, rms / stroke.
+    random
+        Random numbers.
+
+    Returns
+    -------
+    dict[str, Any]
+        The effect, a mapping that `load_plant` takes.
+    """
     setup = SETUPS[plant]
     scale = {
         "stroke": setup.stroke,

@@ -1,7 +1,7 @@
 """The diagnosis on measurements, an effect withheld: models of measured plants that lost one element.
 
-The mirror (`fsm_cubespec`): a linear model per level, fitted on realisations 1-4, its input delay chosen on the fifth, loses its
-delay, the coupling of its axes, 5 % of its gain, and each mode in turn; the sixth realisation is diagnosed. The error of the
+The mirror (`fsm_cubespec`): a linear model per level, fitted on realizations 1-4, its input delay chosen on the fifth, loses its
+delay, the coupling of its axes, 5 % of its gain, and each mode in turn; the sixth realization is diagnosed. The error of the
 whole model on the fifth is what it states of itself. Then the true unknown: a level's model against the records of a higher
 one. The stack (`pea_p885`): a model without hysteresis, and one with too few operators, against the nested loops of another file.
 """
@@ -12,7 +12,7 @@ import hashlib
 import json
 import re
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -40,22 +40,37 @@ from hyst_control.reproduction import pea_p885 as stack
 ORDER = 46
 """States of the mirror's linear models."""
 DELAYS = (0.0, 0.25, 0.5, 0.75)
-"""Candidates in samples; the fifth realisation chooses among them."""
+"""Candidates in samples; the fifth realization chooses among them."""
 MODES = {"none": (), "middle": mirror.LEVELS[1:2], "all": mirror.LEVELS}
 """Levels (mV) whose model loses each of its modes."""
 LOST_GAIN = 0.05
 LEAST_SHARE = 1.0
-"""Energy of a deleted mode, in units of what the whole model leaves, from which its loss is diagnosed."""
-FEW = 3
-"""Operators of the stack's crippled model: the fewest that are identified."""
+"""Energy of a deleted mode, relative to the residual of the whole model, above which its loss is diagnosed."""
+FEW_OPERATORS = 3
+"""Operators of the stack's crippled model: the smallest number that can be identified."""
 TITLE = "Measured, an effect withheld"
 
 
 @dataclass(frozen=True)
 class Withheld:
-    """A case: what was taken away, which names are right for it, the model without it, a record, and seconds to warm up.
+    """A measured case with one element of its model withheld.
 
-    floor: rms (measurement unit) that the whole model leaves on this record.
+    Parameters
+    ----------
+    plant
+        The measured plant.
+    element
+        The element withheld.
+    right
+        Names of effects that are right for it.
+    model
+        The model without it.
+    record
+        The record to diagnose.
+    warm_up
+        Time that is not compared, s.
+    floor
+        Residual of the whole model on this record, rms in the measurement unit.
     """
 
     plant: str
@@ -73,11 +88,29 @@ class Withheld:
         return hashlib.sha256(head.encode() + b"".join(s.time.tobytes() + s.values.tobytes() for s in signals)).hexdigest()
 
 
-def run(out: str, page: str | None = None, modes: str = "all", note: Any = print) -> Table:
-    """Every case diagnosed; the table, and the page where asked for. Raises `InputError` when the measurements are absent.
+def run(out: str, page: str | None = None, modes: str = "all", note: Callable[[str], None] = print) -> Table:
+    """Diagnose every case.
 
-    out: folder of the reports. A case whose report is there already is not diagnosed again: a run goes on where it stopped.
-    modes: one of `MODES`.
+    Parameters
+    ----------
+    out
+        Folder of the reports. A case whose report is there already is not diagnosed again: a run goes on where it stopped.
+    page
+        Page to write.
+    modes
+        One of `MODES`.
+    note
+        Called with every line of progress.
+
+    Returns
+    -------
+    Table
+        The figures.
+
+    Raises
+    ------
+    InputError
+        The measurements are absent.
     """
     folder = Path(out) / "measured"
     folder.mkdir(parents=True, exist_ok=True)
@@ -88,14 +121,27 @@ def run(out: str, page: str | None = None, modes: str = "all", note: Any = print
         rows.append((case, report))
         add(table, case, report)
         note(f"{case.plant}, without {case.element}: {sentence(report)}")
-    summarise(table, rows)
+    add_summary(table, rows)
     if page is not None:
         write_page(Path(page), rows, modes)
     return table
 
 
 def report_on(case: Withheld, folder: Path) -> dict[str, Any]:
-    """The report on a case: the one in the folder where it is of this model and record, else diagnosed now and kept there."""
+    """Return the report on a case, from the folder where it is of this model and record, otherwise diagnosed now.
+
+    Parameters
+    ----------
+    case
+        The case.
+    folder
+        Folder of the reports.
+
+    Returns
+    -------
+    dict[str, Any]
+        The report.
+    """
     path = folder / (re.sub(r"[^a-z0-9]+", "_", f"{case.plant} {case.element}".lower()).strip("_") + ".json")
     digest = case.digest()
     if path.exists():
@@ -109,7 +155,17 @@ def report_on(case: Withheld, folder: Path) -> dict[str, Any]:
 
 
 def add(table: Table, case: Withheld, report: dict[str, Any]) -> None:
-    """The figures of one case."""
+    """Add the figures of one case.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    case
+        The case.
+    report
+        Report on it.
+    """
     table.add(TITLE, case.plant, f"without {case.element}", "gap_rms", report["gap"]["unit"], report["gap"]["rms"])
     table.add(TITLE, case.plant, f"without {case.element}", "whole_model_rms", report["gap"]["unit"], case.floor)
     table.add(TITLE, case.plant, f"without {case.element}", "named", "", float(named_right(case, report)))
@@ -118,17 +174,49 @@ def add(table: Table, case: Withheld, report: dict[str, Any]) -> None:
 
 
 def named_right(case: Withheld, report: dict[str, Any]) -> bool:
-    """True when the withheld element, or what the data cannot tell from it, is the first name given."""
+    """Report whether the first name given is the withheld element, or one that the data cannot separate from it.
+
+    Parameters
+    ----------
+    case
+        The case.
+    report
+        Report on it.
+
+    Returns
+    -------
+    bool
+        True if so.
+    """
     return bool(report["effects"]) and report["effects"][0]["name"] in case.right
 
 
 def best_shrink(report: dict[str, Any]) -> float:
-    """Share of the gap's energy above the noise that the named effects take off on held-out blocks, coefficients fitted; 0 without."""
+    """Largest reduction of the gap's energy above the noise by a named effect on held-out blocks, coefficients fitted.
+
+    Parameters
+    ----------
+    report
+        Report on a case.
+
+    Returns
+    -------
+    float
+        Fraction of the energy; 0 without effects.
+    """
     return max((effect["shrink_reidentified"] or 0.0 for effect in report["effects"]), default=0.0)
 
 
-def summarise(table: Table, rows: Sequence[tuple[Withheld, dict[str, Any]]]) -> None:
-    """Share of cases in which the withheld element was the first name, with their number."""
+def add_summary(table: Table, rows: Sequence[tuple[Withheld, dict[str, Any]]]) -> None:
+    """Add the fraction of cases in which the withheld element was the first name, with their number.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    rows
+        Cases with their reports.
+    """
     from hyst_control.blind_test.scores import wilson
 
     scored = [(case, report) for case, report in rows if case.right]
@@ -145,8 +233,21 @@ def summarise(table: Table, rows: Sequence[tuple[Withheld, dict[str, Any]]]) -> 
     )
 
 
-def mirror_cases(modes: Sequence[int], note: Any = print) -> Iterator[Withheld]:
-    """The crippled models of the mirror, and every level's model against a higher level. modes: levels (mV) that lose each mode."""
+def mirror_cases(modes: Sequence[int], note: Callable[[str], None] = print) -> Iterator[Withheld]:
+    """Construct the crippled models of the mirror, and every level's model against a higher level.
+
+    Parameters
+    ----------
+    modes
+        Levels (mV) whose model loses each of its modes in turn.
+    note
+        Called with every line of progress.
+
+    Yields
+    ------
+    Withheld
+        The cases.
+    """
     levels = mirror.LEVELS
     measured = dict(zip(mirror.LEVELS, mirror.load_levels(), strict=True))
     middle = measured[mirror.LEVELS[1]]
@@ -154,7 +255,7 @@ def mirror_cases(modes: Sequence[int], note: Any = print) -> Iterator[Withheld]:
     delay = DELAYS[int(np.argmin([found.held_out for found in fits]))]
     whole = dict(zip(levels, forked(lambda i: fit(measured[levels[i]], delay), len(levels)), strict=True))
     note(
-        f"mirror: input delay of {delay:g} samples, errors on the fifth realisation "
+        f"mirror: input delay of {delay:g} samples, errors on the fifth realization "
         + ", ".join(f"{100 * found.held_out:.2f} % ({late:g})" for late, found in zip(DELAYS, fits, strict=True))
     )
     for level, found in whole.items():
@@ -164,7 +265,7 @@ def mirror_cases(modes: Sequence[int], note: Any = print) -> Iterator[Withheld]:
         record, warm_up = record_of(data, mirror.TEST[0]), mirror.PERIOD * mirror.SAMPLE_TIME
         floor = float(np.sqrt(np.mean(errors(model, data, mirror.TEST[0]) ** 2)))
         yield Withheld(f"mirror, {level} mV", "nothing", (), model, record, warm_up, floor)
-        for element, right, crippled in crippled_models(model, level in modes, data, floor):
+        for element, right, crippled in models_without_elements(model, level in modes, data, floor):
             yield Withheld(f"mirror, {level} mV", element, right, crippled, record, warm_up, floor)
         for other in (other for other in mirror.LEVELS if other > level):
             higher = record_of(measured[other], mirror.TEST[0])
@@ -177,33 +278,93 @@ def mirror_cases(modes: Sequence[int], note: Any = print) -> Iterator[Withheld]:
 
 
 def fit(level: mirror.Level, delay: float) -> Candidate:
-    """The level's linear model with an input delay (samples), with its relative error on the fifth realisation."""
+    """Fit the linear model of a level, with its relative error on the fifth realization.
+
+    Parameters
+    ----------
+    level
+        Measurements at one level.
+    delay
+        Input delay, samples.
+
+    Returns
+    -------
+    Candidate
+        The model.
+    """
     data = [level.spectra(mirror.FIT)]
     found = refined(data, subspace(data, [ORDER], np.full(3, delay), "zoh")[0], True, False, 25)
     return replace(found, held_out=error_of(found.model, [level.spectra(mirror.SELECT)]))
 
 
-def errors(model: Model, level: mirror.Level, realisation: int) -> Array:
-    """Rms error (3,) of a model on a realisation, both periods."""
-    simulated = mirror.steady_state(model, level.command[:, :, [realisation]].mean(axis=3))[:, :, 0]
-    error: Array = np.sqrt(np.mean((level.measurement[:, :, realisation] - simulated[..., None]) ** 2, axis=(0, 2)))
+def errors(model: Model, level: mirror.Level, realization: int) -> Array:
+    """Rms errors of a model on a realization, both periods.
+
+    Parameters
+    ----------
+    model
+        The model.
+    level
+        Measurements at one level.
+    realization
+        Index of the realization.
+
+    Returns
+    -------
+    Array
+        Errors (3,) in the measurement unit.
+    """
+    simulated = mirror.steady_state(model, level.command[:, :, [realization]].mean(axis=3))[:, :, 0]
+    error: Array = np.sqrt(np.mean((level.measurement[:, :, realization] - simulated[..., None]) ** 2, axis=(0, 2)))
     return error
 
 
-def record_of(level: mirror.Level, realisation: int) -> Record:
-    """Both periods of a realisation, one after the other; the first brings the simulation into its steady state."""
+def record_of(level: mirror.Level, realization: int) -> Record:
+    """Join both periods of a realization; the first brings the simulation into its steady state.
+
+    Parameters
+    ----------
+    level
+        Measurements at one level.
+    realization
+        Index of the realization.
+
+    Returns
+    -------
+    Record
+        The record.
+    """
     command, measurement = (
-        part[:, :, realisation].transpose(2, 0, 1).reshape(-1, 3) for part in (level.command, level.measurement)
+        part[:, :, realization].transpose(2, 0, 1).reshape(-1, 3) for part in (level.command, level.measurement)
     )
     time = mirror.SAMPLE_TIME * np.arange(len(command), dtype=np.float64)
     return Record(
         {"command": Signal(time, command, mirror.AXES, "V"), "measurement": Signal(time, measurement, mirror.AXES, "um")},
-        f"{level.name}, realisation {realisation + 1}",
+        f"{level.name}, realisation {realization + 1}",
     )
 
 
-def crippled_models(model: Model, modes: bool, level: mirror.Level, floor: float) -> Iterator[tuple[str, tuple[str, ...], Model]]:
-    """(element, right names, the model without it)."""
+def models_without_elements(
+    model: Model, modes: bool, level: mirror.Level, floor: float
+) -> Iterator[tuple[str, tuple[str, ...], Model]]:
+    """Remove one element of a model after the other.
+
+    Parameters
+    ----------
+    model
+        The whole model.
+    modes
+        Remove also each mode.
+    level
+        Measurements at one level.
+    floor
+        Residual of the whole model, rms in the measurement unit.
+
+    Yields
+    ------
+    tuple[str, tuple[str, ...], Model]
+        The element, the effects that are right for it, and the model without it.
+    """
     *before, whole = model.chain.stages
     assert isinstance(whole, StateSpace)
     if any(isinstance(stage, Delay) for stage in before):
@@ -219,19 +380,43 @@ def crippled_models(model: Model, modes: bool, level: mirror.Level, floor: float
         return
     simulated = mirror.steady_state(model, level.command[:, :, [mirror.TEST[0]]].mean(axis=3))
     for block, frequency in oscillating(whole):
-        crippled = with_stages(model, *before, without(whole, block))
+        crippled = with_stages(model, *before, without_states(whole, block))
         lost = mirror.steady_state(crippled, level.command[:, :, [mirror.TEST[0]]].mean(axis=3)) - simulated
         if np.mean(lost**2) > LEAST_SHARE * floor**2:
             yield f"mode at {frequency:.0f} Hz", ("resonance",), crippled
 
 
 def with_stages(model: Model, *stages: Stage) -> Model:
-    """The model with other stages."""
+    """Replace the stages of a model.
+
+    Parameters
+    ----------
+    model
+        The model.
+    *stages
+        Its new stages.
+
+    Returns
+    -------
+    Model
+        The new model.
+    """
     return replace(model, chain=Chain(tuple(stages)))
 
 
 def uncoupled(whole: StateSpace) -> StateSpace:
-    """Every axis driven by its own input alone."""
+    """Remove the coupling: every axis is driven by its own input alone.
+
+    Parameters
+    ----------
+    whole
+        The system.
+
+    Returns
+    -------
+    StateSpace
+        The system without coupling.
+    """
     a, b, c, d = (np.array(getattr(whole, part), dtype=float) for part in "ABCD")
     axes = range(len(d))
     return StateSpace(
@@ -243,7 +428,18 @@ def uncoupled(whole: StateSpace) -> StateSpace:
 
 
 def oscillating(whole: StateSpace) -> Iterator[tuple[slice, float]]:
-    """The states of every oscillating mode of a block-diagonal system, and its frequency in Hz, below the band's end."""
+    """Find the oscillating modes of a block-diagonal system below the band's end.
+
+    Parameters
+    ----------
+    whole
+        The system.
+
+    Yields
+    ------
+    tuple[slice, float]
+        States of a mode, and its frequency in Hz.
+    """
     a = np.array(whole.A, dtype=float)
     row = 0
     while row < len(a):
@@ -255,8 +451,21 @@ def oscillating(whole: StateSpace) -> Iterator[tuple[slice, float]]:
         row += size
 
 
-def without(whole: StateSpace, block: slice) -> StateSpace:
-    """The system without some of its states."""
+def without_states(whole: StateSpace, block: slice) -> StateSpace:
+    """Remove some states of a system.
+
+    Parameters
+    ----------
+    whole
+        The system.
+    block
+        The states.
+
+    Returns
+    -------
+    StateSpace
+        The system without them.
+    """
     a, b, c = (np.array(getattr(whole, part), dtype=float) for part in "ABC")
     gone = np.arange(block.start, block.stop)
     kept = np.delete(np.delete(a, gone, axis=0), gone, axis=1)
@@ -269,9 +478,12 @@ def stack_cases() -> Iterator[Withheld]:
     cycle = stack.cycles(full)[0]
     rows = stack.SCORED["rows 7950-14150"]
     whole = identify([cycle], "pi", operators=stack.OPERATORS, nuisance="offset").model
-    few = identify([cycle], "pi", operators=FEW, nuisance="offset").model
+    few = identify([cycle], "pi", operators=FEW_OPERATORS, nuisance="offset").model
     part = nested.rows(0, rows.stop)
-    for element, model in (("hysteresis", without_memory(few, cycle)), (f"all but {FEW} of {stack.OPERATORS} operators", few)):
+    for element, model in (
+        ("hysteresis", without_memory(few, cycle)),
+        (f"all but {FEW_OPERATORS} of {stack.OPERATORS} operators", few),
+    ):
         # The sensor's zero differs between the files.
         zero = float(np.mean((part.measurement - simulate(model, part.command))[rows]))
         time = stack.SAMPLE_TIME * np.arange(len(part.command), dtype=np.float64)
@@ -288,13 +500,36 @@ def stack_cases() -> Iterator[Withheld]:
 
 
 def without_memory(model: Model, cycle: Dataset) -> Model:
-    """A static gain in place of the operators: the slope of the cycle's chord."""
+    """Replace the operators by a static gain: the slope of the cycle's chord.
+
+    Parameters
+    ----------
+    model
+        The model.
+    cycle
+        Record of one cycle.
+
+    Returns
+    -------
+    Model
+        The model without hysteresis.
+    """
     slope = float(np.polyfit(cycle.command[:, 0], cycle.measurement[:, 0], 1)[0])
     return with_stages(model, TransferFunction((slope,), (1.0,)))
 
 
 def write_page(path: Path, rows: Sequence[tuple[Withheld, dict[str, Any]]], modes: str) -> None:
-    """docs/blind-test-measured.md."""
+    """Write docs/blind-test-measured.md.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    rows
+        Cases with their reports.
+    modes
+        One of `MODES`.
+    """
     lost = {
         "none": "leaves out the cases that lose one mode",
         "middle": "has the cases that lose one mode at the middle level only",
@@ -307,7 +542,7 @@ def write_page(path: Path, rows: Sequence[tuple[Withheld, dict[str, Any]]], mode
         *(line.strip() for line in (__doc__ or "").strip().splitlines()),
         "",
         "Shrink: share of the gap's energy above the noise that the named effects take off on blocks that neither chose nor fitted "
-        "them. The mirror's states are those of the model itself; nothing was fitted to the realisation that is diagnosed.",
+        "them. The mirror's states are those of the model itself; nothing was fitted to the realization that is diagnosed.",
         "",
         "| measured plant | withheld | gap, rms | whole model, rms | named | right | shrink | unexplained | in words |",
         "|---|---|---|---|---|---|---|---|---|",

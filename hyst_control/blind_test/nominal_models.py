@@ -1,4 +1,4 @@
-"""Models that the cases of the blind test are diagnosed against."""
+"""Models against which the cases of the blind test are diagnosed."""
 
 from __future__ import annotations
 
@@ -21,9 +21,22 @@ from hyst_plant_sim.physics import load_plant
 
 @cache
 def nominal(plant: str, noise: float) -> Model:
-    """The model that a case is diagnosed against: the published one, or one identified from a clean record of the nominal plant.
+    """Return the model against which a case is diagnosed.
 
-    Its tolerance is the scatter of the plants; its noise, that of the sensor and of what the identification left.
+    It is the published model, or one identified from a clean record of the nominal plant. Its tolerance is the scatter of the
+    plants; its noise is that of the sensor and the residual of the identification.
+
+    Parameters
+    ----------
+    plant
+        Truth plant.
+    noise
+        Noise of the sensor, rms / stroke.
+
+    Returns
+    -------
+    Model
+        The model.
     """
     setup = SETUPS[plant]
     sigma = noise * setup.stroke
@@ -43,7 +56,7 @@ def nominal(plant: str, noise: float) -> Model:
 
 @cache
 def _identified(plant: str) -> tuple[Model, float]:
-    """A model of the nominal plant, and what (rms) its family leaves of this physics on a record that did not identify it."""
+    """Identified model of the nominal plant, and its residual (rms) on a record that was not used to identify it."""
     setup, (family, spec) = SETUPS[plant], IDENTIFICATION[plant]
     low, high = setup.command
     truth = load_plant({"plant": plant, "rating": [low, high]}, seed=1, sample_time=setup.sample_time, noise=1e-4 * setup.stroke)
@@ -66,5 +79,18 @@ def _identified(plant: str) -> tuple[Model, float]:
 
 
 def stated_noise(plant: str, noise: float) -> float:
-    """Noise (rms, measurement unit) that the nominal model of a plant states for a noise level."""
+    """Noise that the nominal model of a plant states.
+
+    Parameters
+    ----------
+    plant
+        Truth plant.
+    noise
+        Noise of the sensor, rms / stroke.
+
+    Returns
+    -------
+    float
+        Noise, rms in the measurement unit.
+    """
     return float(np.max(nominal(plant, noise).noise["sigma"]))

@@ -1,4 +1,4 @@
-"""Setups of the blind test's plants: how each is driven, and how its coefficients scatter."""
+"""Setups of the blind test's plants: drive and scatter of the coefficients of each."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import yaml
 from hyst_plant_sim.physics.plant_files import shipped
 
 PLANTS = ("pea_published", "fsm_published", "third")
-"""The blind test's; others that can be asked for are in `SETUPS`."""
+"""Plants of the blind test; `SETUPS` has others that an option selects."""
 
 SCATTER = 0.01
 """Relative standard deviation of every coefficient of a plant about the nominal one."""
@@ -22,7 +22,23 @@ TOLERANCE = ("weights", "m1", "m2", "k", "b", "w0", "num", "den", "ascending", "
 
 @dataclass(frozen=True)
 class Setup:
-    """Drive of a plant: model file (None: identified), sample time s, command range V, stroke (measurement unit)."""
+    """Drive of a plant.
+
+    Parameters
+    ----------
+    model
+        Model file; None: identified.
+    sample_time
+        Sample time, s.
+    command
+        Range of the command, V.
+    stroke
+        Stroke (measurement unit).
+    scattered
+        Names of the coefficients that scatter.
+    gains
+        Gains of the closed loop: proportional (V per unit) and integral (V per unit and s).
+    """
 
     model: str | None
     sample_time: float
@@ -30,7 +46,6 @@ class Setup:
     stroke: float
     scattered: tuple[str, ...]
     gains: tuple[float, float]
-    """Proportional V per unit, and integral V per unit and s."""
 
 
 SETUPS = {
@@ -82,7 +97,7 @@ SETUPS = {
 }
 
 IDENTIFICATION: dict[str, tuple[str, dict[str, Any]]] = {
-    # by plant without a published model: the family, and what identifies it beside the diagnostic record, over the command range
+    # By plant without a published model: the family, and the excitation that identifies it beside the diagnostic record.
     "third": ("hampi", {"signal": "hampi_identification"}),
     "pea": ("hampi", {"signal": "hampi_identification"}),
     "fsm": ("mhl", {"signal": "mhl_identification", "sweep_time": 1.0}),
@@ -90,7 +105,22 @@ IDENTIFICATION: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 def scatter(plant: str, seed: int, size: float) -> dict[str, Any]:
-    """Coefficients of a plant, each off by a normal share of `size`; both axes of a mirror about the first axis' values."""
+    """Scatter the coefficients of a plant; both axes of a mirror about the first axis' values.
+
+    Parameters
+    ----------
+    plant
+        Truth plant.
+    seed
+        Seed of the scatter.
+    size
+        Relative standard deviation.
+
+    Returns
+    -------
+    dict[str, Any]
+        Changed coefficients by name.
+    """
     parameters = _parameters(plant)
     random = np.random.default_rng([seed, 2])
     setup = SETUPS[plant]

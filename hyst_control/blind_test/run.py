@@ -1,8 +1,8 @@
 """The blind test: cases drawn from truth plants, diagnosed by processes that never see their labels, then scored.
 
-Folder of a run: cases/NAME/{bag, model.yaml, next.npy} is all that a diagnosis gets (next.npy is the command of a fresh record, for
-which it foresees the shrink), labels.json stands apart (its SHA-256 is printed before anything is diagnosed), reports/NAME.json (and
-.yaml, the augmented model) is what the diagnosis wrote. A run that was interrupted goes on where it stopped.
+Folder of a run: cases/NAME/{bag, model.yaml, next.npy} is all the input of a diagnosis (next.npy is the command of a fresh record, for
+which it predicts the shrink), labels.json is kept separate (its SHA-256 is printed before anything is diagnosed), reports/NAME.json (and
+.yaml, the augmented model) is the output of the diagnosis. A run that was interrupted goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -14,14 +14,17 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
 from hyst_control.parallel import mapped
 from hyst_control.reporting.tables import Table
 
-NEAR = {
+if TYPE_CHECKING:
+    from hyst_control.blind_test.case import Case
+
+CONFUSABLE = {
     "amplifier_lowpass": ("sensor_lowpass", "delay"),
     "sensor_lowpass": ("amplifier_lowpass", "delay"),
     "delay": ("amplifier_lowpass", "sensor_lowpass"),
@@ -31,7 +34,7 @@ NEAR = {
     "offset_drift": ("creep", "gain_drift"),
     "gain_drift": ("creep", "offset_drift"),
 }
-"""Effects of nearly one signature (gap-diagnosis: confusable by nature), left out together."""
+"""Effects of nearly the same signature, which are left out together."""
 
 
 def run_all(
@@ -44,9 +47,36 @@ def run_all(
     note: Callable[[str], None] = print,
     so_far: bool = False,
 ) -> Table:
-    """The whole test: draw, diagnose, leave out, hold the predictions against fresh records, score, write.
+    """Run the whole test: draw, diagnose, leave out, compare the predictions with fresh records, score, write.
 
-    so_far: score what an earlier call has diagnosed, and diagnose nothing more.
+    Parameters
+    ----------
+    out
+        Folder of the run.
+    seed
+        Seed of the cases.
+    count
+        Number of cases.
+    left_out
+        Number of cases to diagnose again without their effect in the catalogue.
+    page
+        Page to write.
+    json_path
+        Table to write.
+    note
+        Called with every line of progress.
+    so_far
+        Score the cases that an earlier call has diagnosed, and diagnose no more.
+
+    Returns
+    -------
+    Table
+        The figures.
+
+    Raises
+    ------
+    InputError
+        The folder is that of another run, or there is no diagnosed case.
     """
     from hyst_control.blind_test.scores import metrics, table
 
@@ -56,7 +86,7 @@ def run_all(
         diagnose_all(folder, note=note)
         if left_out:
             leave_out(folder, left_out, note)
-    realise(folder, note)
+    add_realized_shrinks(folder, note)
     pairs = list(load(folder))
     if not pairs:
         raise InputError(f"{folder}: no case has been diagnosed yet: call without --so-far")
@@ -82,7 +112,33 @@ def make_cases(
     switched: float = 0.0,
     note: Callable[[str], None] = print,
 ) -> Path:
-    """Cases and labels only; see `make`, and `hyst_control.blind_test.case_drawing.draw` for the options."""
+    """Draw and record cases with their labels, without a diagnosis; see `make` and `case_drawing.draw`.
+
+    Parameters
+    ----------
+    out
+        Folder of the run.
+    seed
+        Seed of the cases.
+    count
+        Number of cases.
+    plants, kinds, excitations
+        Restriction to these; None: all.
+    switched
+        Fraction of the cases with effects in which every effect begins within the record.
+    note
+        Called with every line of progress.
+
+    Returns
+    -------
+    Path
+        File of the labels.
+
+    Raises
+    ------
+    InputError
+        A name or number is not admissible, or the folder is that of another run.
+    """
     from hyst_control.blind_test.case import EXCITATIONS, KINDS
     from hyst_control.blind_test.plant_setups import SETUPS
 
@@ -93,27 +149,50 @@ def make_cases(
     ):
         for name in asked or ():
             if name not in known:
-                raise InputError(f"--{option} {name}: no such {option[:-1]}, one of {', '.join(known)} is due")
+                raise InputError(f"--{option}: must be among {', '.join(known)}, got {name}")
     if not 0 <= switched <= 1:
-        raise InputError(f"--switched {switched:g}: a share from 0 to 1 is due")
+        raise InputError(f"--switched: must be from 0 to 1, got {switched:g}")
     given = {"plants": plants, "kinds": kinds, "excitations": excitations, "switched": switched}
     return make(_folder(out, count), seed, count, note, **{name: value for name, value in given.items() if value})
 
 
 def _folder(out: str, count: int) -> Path:
     if count < 1:
-        raise InputError(f"--count {count}: at least one case is due")
+        raise InputError(f"--count: must be >= 1, got {count}")
     folder = Path(out)
     if folder.exists() and not (folder / "labels.json").exists() and any(folder.iterdir()) and not (folder / "cases").is_dir():
-        raise InputError(f"{folder}: holds something else: choose another folder")
+        raise InputError(f"{folder}: holds files that are not of a blind test: choose another folder")
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
 
 def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = print, **options: Any) -> Path:
-    """Draw the cases of a seed, record them, and write their labels apart; returns the labels' file.
+    """Draw the cases of a seed, record them, and write their labels to a separate file.
 
     Labels that are there already are kept: a run goes on where it stopped.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+    seed
+        Seed of the cases.
+    count
+        Number of cases.
+    note
+        Called with every line of progress.
+    **options
+        Options of `case_drawing.draw`.
+
+    Returns
+    -------
+    Path
+        File of the labels.
+
+    Raises
+    ------
+    InputError
+        The folder holds cases of another seed, count or options.
     """
     from hyst_control.blind_test.case_drawing import draw
     from hyst_control.blind_test.nominal_models import nominal, stated_noise
@@ -123,7 +202,9 @@ def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = prin
     if labels.exists():
         known = json.loads(labels.read_text(encoding="utf-8"))
         if (known["seed"], known["count"]) != (seed, count):
-            raise InputError(f"{labels}: is of seed {known['seed']} and {known['count']} cases: choose another folder")
+            raise InputError(
+                f"{labels}: holds seed {known['seed']} and {known['count']} cases, not seed {seed} and {count}: choose another folder"
+            )
         if options and json.loads(json.dumps(options)) != known.get("options"):
             raise InputError(f"{labels}: was drawn with other options: choose another folder")
         note(f"labels: SHA-256 {_digest(labels)}")
@@ -151,7 +232,19 @@ def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = prin
 def diagnose_all(
     folder: Path, without: dict[str, Sequence[str]] | None = None, reports: str = "reports", note: Callable[[str], None] = print
 ) -> None:
-    """Diagnose every case that has no report yet, one process per core; they get a bag and a model, nothing else."""
+    """Diagnose every case that has no report yet, one process per core, each from a bag and a model alone.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+    without
+        Effects to leave out of the catalogue, by case; only these cases are diagnosed. None: all cases.
+    reports
+        Name of the folder of reports.
+    note
+        Called with every line of progress.
+    """
     (folder / reports).mkdir(exist_ok=True)
     waiting = [
         case
@@ -167,7 +260,17 @@ def diagnose_all(
 
 
 def leave_out(folder: Path, count: int, note: Callable[[str], None] = print) -> None:
-    """Diagnose single effects on the rich record once more, each with that effect and what is nearly it out of the catalogue."""
+    """Diagnose single effects on the rich record again, without the effect and those nearly equal to it in the catalogue.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+    count
+        Largest number of cases.
+    note
+        Called with every line of progress.
+    """
     from hyst_control.effects import EFFECTS
 
     without: dict[str, Sequence[str]] = {}
@@ -179,12 +282,20 @@ def leave_out(folder: Path, count: int, note: Callable[[str], None] = print) -> 
             and case["label"]["excitation"] == "rich"
             and EFFECTS[name].waveform
         ):
-            without[case["name"]] = (name, *NEAR.get(name, ()))
+            without[case["name"]] = (name, *CONFUSABLE.get(name, ()))
     diagnose_all(folder, without, "reports_left_out", note)
 
 
-def realise(folder: Path, note: Callable[[str], None] = print) -> None:
-    """Beside every shrink that a report predicts, the one measured on a fresh record of another excitation."""
+def add_realized_shrinks(folder: Path, note: Callable[[str], None] = print) -> None:
+    """Add to every shrink that a report predicts the one measured on a fresh record of another excitation.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+    note
+        Called with every line of progress.
+    """
     jobs = [
         (case, str(folder / "reports" / f"{case['name']}.json"), str(folder / "cases" / case["name"] / "model.yaml"))
         for case, report in load(folder)
@@ -192,29 +303,42 @@ def realise(folder: Path, note: Callable[[str], None] = print) -> None:
         and report["verdict"] == "effect"
         and any(effect["shrink"] is not None for effect in report["effects"])
     ]
-    for _ in mapped(_realise_one, jobs):
+    for _ in mapped(_add_realized_shrink, jobs):
         pass
     note(f"{len(jobs)} predicted shrinks held against fresh records")
 
 
 def load(folder: Path, reports: str = "reports") -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
-    """(case document with its label, report) of every case that was diagnosed."""
+    """Read the cases that were diagnosed.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+    reports
+        Name of the folder of reports.
+
+    Yields
+    ------
+    tuple[dict[str, Any], dict[str, Any]]
+        Document of a case with its label, and its report.
+    """
     for case in json.loads((folder / "labels.json").read_text(encoding="utf-8"))["cases"]:
         file = folder / reports / f"{case['name']}.json"
         if file.exists():
             yield case, json.loads(file.read_text(encoding="utf-8"))
 
 
-def _fresh(case: Any) -> Any:
+def _fresh(case: Case) -> Case:
     """The same plant under another excitation, on which predictions are checked."""
     return replace(case, excitation="multisine" if case.excitation == "rich" else "rich")
 
 
-def _make_one(job: tuple[Any, str, float]) -> dict[str, Any]:
+def _make_one(job: tuple[Case, str, float]) -> dict[str, Any]:
     import numpy as np
 
     from hyst_control.blind_test.case import as_document
-    from hyst_control.blind_test.case_labels import labelled
+    from hyst_control.blind_test.case_labels import with_label
     from hyst_control.blind_test.case_records import commands, record_of, run_case
     from hyst_control.records.importing import write_bag
 
@@ -224,7 +348,7 @@ def _make_one(job: tuple[Any, str, float]) -> dict[str, Any]:
     bag.parent.mkdir(parents=True)
     write_bag(bag, record_of(case, run_case(case)))
     np.save(bag.parent / "next.npy", commands(_fresh(case)))
-    return as_document(labelled(case, stated))
+    return as_document(with_label(case, stated))
 
 
 def _diagnose_one(job: tuple[str, str, tuple[str, ...]]) -> str:
@@ -246,7 +370,7 @@ def _diagnose_one(job: tuple[str, str, tuple[str, ...]]) -> str:
     return Path(case).name
 
 
-def _realise_one(job: tuple[dict[str, Any], str, str]) -> None:
+def _add_realized_shrink(job: tuple[dict[str, Any], str, str]) -> None:
     import numpy as np
 
     from hyst_control.blind_test.case import Case
@@ -273,9 +397,9 @@ def _realise_one(job: tuple[dict[str, Any], str, str]) -> None:
     model, better = load_model(nominal), load_model(Path(path).with_suffix(".yaml"))
     before, after = (float(np.mean((measured - simulate(m, command)) ** 2)) for m in (model, better))
     floor = (case.noise * SETUPS[case.plant].stroke) ** 2
-    realised = 1.0 - (after - floor) / max(before - floor, 1e-300)
+    realized = 1.0 - (after - floor) / max(before - floor, 1e-300)
     predicted = max(effect["shrink"] for effect in report["effects"] if effect["shrink"] is not None)
-    report["shrink_realised"] = [predicted, float(np.clip(realised, -10.0, 1.0)), case.excitation]
+    report["shrink_realised"] = [predicted, float(np.clip(realized, -10.0, 1.0)), case.excitation]
     write_json(path, report)
 
 

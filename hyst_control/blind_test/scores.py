@@ -23,16 +23,32 @@ FAMILIES = {
     "noise": ("sensor_noise", "flicker_noise", "quantization", "held_samples"),
     "line": ("mains_hum", "vibration"),
 }
-"""Effects of like signature; those not named are a family of their own."""
+"""Effects of similar signature; each effect not listed is a family by itself."""
 
 
-OTHERWISE = ("vibration", "flicker_noise", "dac_hold", "sensor_nonlinearity")
-"""Effects whose parameters are stated otherwise in the plants (a nonlinearity over their stroke instead of the record's range)."""
+OTHERWISE_DEFINED = ("vibration", "flicker_noise", "dac_hold", "sensor_nonlinearity")
+"""Effects whose parameters have another definition in the plants (a nonlinearity over their stroke instead of the record's range)."""
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A share k of n with its Wilson 95 % interval, or a plain value (n cases); the target, and whether more is better."""
+    """A proportion with its Wilson 95 % interval, or a plain value, beside its target.
+
+    Parameters
+    ----------
+    name
+        Name of the metric.
+    value
+        Proportion or value.
+    n
+        Number of cases.
+    ci95
+        Wilson 95 % interval of a proportion; None for a plain value.
+    target
+        The target.
+    at_least
+        True if the value should reach the target from below, False if it should not exceed it.
+    """
 
     name: str
     value: float
@@ -48,7 +64,22 @@ class Metric:
 
 
 def wilson(k: int, n: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share k of n; 0 to 1 where there are no cases."""
+    """Wilson's 95 % interval of a proportion k / n.
+
+    Parameters
+    ----------
+    k
+        Number of successes.
+    n
+        Number of cases.
+
+    Returns
+    -------
+    lower : float
+        Lower end; 0 without cases.
+    upper : float
+        Upper end; 1 without cases.
+    """
     if not n:
         return 0.0, 1.0
     interval = binomtest(k, n).proportion_ci(0.95, "wilson")
@@ -56,7 +87,20 @@ def wilson(k: int, n: int) -> tuple[float, float]:
 
 
 def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric]:
-    """Every figure of the targets' table that the cases allow; pairs of (case with label, report)."""
+    """Compute every figure of the targets' table that the cases allow.
+
+    Parameters
+    ----------
+    pairs
+        Cases with their reports.
+    left_out
+        Cases diagnosed without their effect in the catalogue, with their reports.
+
+    Returns
+    -------
+    list[Metric]
+        The metrics.
+    """
     found: list[Metric] = []
 
     def share(name: str, target: float, cases: Iterable[Pair], right: Callable[[Pair], bool], at_least: bool = True) -> None:
@@ -65,7 +109,9 @@ def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric
             k = sum(right(pair) for pair in chosen)
             found.append(Metric(name, k / len(chosen), len(chosen), wilson(k, len(chosen)), target, at_least))
 
-    def value(name: str, target: float, amounts: Sequence[float], at_least: bool, reduce: Callable[[Any], Any]) -> None:
+    def value(
+        name: str, target: float, amounts: Sequence[float], at_least: bool, reduce: Callable[[Sequence[float]], float]
+    ) -> None:
         if len(amounts):
             found.append(Metric(name, float(reduce(amounts)), len(amounts), None, target, at_least))
 
@@ -154,7 +200,20 @@ def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric
 
 
 def table(found: Sequence[Metric], source: str) -> Table:
-    """The metrics as a result table; the target stands where a published figure would."""
+    """Convert metrics to a result table, the target in place of a published figure.
+
+    Parameters
+    ----------
+    found
+        The metrics.
+    source
+        Command that produced them.
+
+    Returns
+    -------
+    Table
+        The table.
+    """
     result = Table(source)
     for metric in found:
         result.add(
@@ -172,7 +231,22 @@ def table(found: Sequence[Metric], source: str) -> Table:
 
 
 def confusion(pairs: Sequence[Pair]) -> tuple[list[str], list[str], np.ndarray]:
-    """True names (rows), names given (columns), and counts, over single effects and records without a gap."""
+    """Count the names given by true name, over single effects and records without a gap.
+
+    Parameters
+    ----------
+    pairs
+        Cases with their reports.
+
+    Returns
+    -------
+    rows : list[str]
+        True names.
+    columns : list[str]
+        Names given.
+    counts : np.ndarray
+        Counts (rows, columns).
+    """
     counts: Counter[tuple[str, str]] = Counter()
     for pair in pairs:
         kind = _label(pair)["kind"]
@@ -187,7 +261,20 @@ def confusion(pairs: Sequence[Pair]) -> tuple[list[str], list[str], np.ndarray]:
 
 
 def worst(pairs: Sequence[Pair], count: int = 12) -> list[Pair]:
-    """Cases that went wrong, the largest gaps first."""
+    """Select the cases that went wrong, the largest gaps first.
+
+    Parameters
+    ----------
+    pairs
+        Cases with their reports.
+    count
+        Largest number of cases.
+
+    Returns
+    -------
+    list[Pair]
+        The cases with their reports.
+    """
     wrong = [pair for pair in pairs if not _right(pair)]
     return sorted(wrong, key=lambda pair: -_label(pair)["gap_rms"] / max(_label(pair)["noise_rms"], 1e-300))[:count]
 
@@ -199,9 +286,9 @@ def _right(pair: Pair) -> bool:
     if kind == "pair":
         return set(_named(pair)) == set(_truth(pair))
     if kind == "none" and set(_named(pair)) & set(_label(pair).get("hidden", ())):
-        return True  # seen all the same
-    due = {"none": ("no_gap", "parameters"), "parameters": ("parameters",), "open_set": ("unknown",)}
-    return verdict in due[kind]
+        return True  # visible nevertheless
+    right = {"none": ("no_gap", "parameters"), "parameters": ("parameters",), "open_set": ("unknown",)}
+    return verdict in right[kind]
 
 
 def _label(pair: Pair) -> dict[str, Any]:
@@ -231,7 +318,7 @@ def _first(pair: Pair) -> bool:
 
 
 def _wrong(pair: Pair) -> bool:
-    """Named with certainty what is not there."""
+    """Report whether an absent effect was named with certainty."""
     return pair[1]["verdict"] == "effect" and not set(_named(pair)) & set(_truth(pair))
 
 
@@ -259,7 +346,7 @@ def _macro_f1(pairs: Sequence[Pair]) -> float:
 
 
 def _auroc(positive: Sequence[float], negative: Sequence[float]) -> float:
-    """Share of pairs in which the positive one is the greater, ties counting half: the statistic U of Mann and Whitney, of 1."""
+    """Fraction of pairs in which the positive one is the greater, ties counting half: the statistic U of Mann and Whitney, of 1."""
     return float(mannwhitneyu(positive, negative, method="asymptotic").statistic / (len(positive) * len(negative)))
 
 
@@ -278,7 +365,7 @@ def _covered(pair: Pair) -> bool | None:
     """Coverage: True when the true value of the named effect's main parameter lies in its interval; None where it was not named."""
     effect = _label(pair)["effects"][0]
     named = next((row for row in pair[1]["effects"] if row["name"] == effect["name"]), None)
-    if named is None or effect["name"] in OTHERWISE:
+    if named is None or effect["name"] in OTHERWISE_DEFINED:
         return None
     for name, row in named["parameters"].items():
         if name in effect and name != "frequency":

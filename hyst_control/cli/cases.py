@@ -12,7 +12,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hyst_control.reporting.artifacts import Made
+    from hyst_control.reporting.artifacts import Artifacts
 
 NAME = "cases"
 HELP = "draw recorded cases with effects in them, labels in a separate file"
@@ -57,16 +57,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace) -> Made:
+def run(arguments: argparse.Namespace) -> Artifacts:
     """Run this command; its result, as `hyst_control.cli` describes it."""
-    from hyst_control.reporting.artifacts import Made
+    from hyst_control.reporting.artifacts import Artifacts
 
     if arguments.action == "figures":
         from pathlib import Path
 
         from hyst_control.blind_test.effect_figures import write
 
-        return Made("cases figures", write(Path(arguments.output)))
+        return Artifacts("cases figures", write(Path(arguments.output)))
     from hyst_control.blind_test.run import make_cases
     from hyst_control.errors import InputError
 
@@ -81,6 +81,6 @@ def run(arguments: argparse.Namespace) -> Made:
         arguments.excitations,
         arguments.switched,
     )
-    made = Made("cases make", [labels.parent / "cases", labels])
+    made = Artifacts("cases make", [labels.parent / "cases", labels])
     made.add("", "cases", "", arguments.count)
     return made

@@ -16,7 +16,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hyst_control.reporting.artifacts import Made
+    from hyst_control.reporting.artifacts import Artifacts
 
 NAME = "excite"
 HELP = "build an excitation and write it as a table, array, bag or description"
@@ -41,14 +41,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--unit", default="V", help="unit: V for an excitation (default), um or mrad for a reference")
 
 
-def run(arguments: argparse.Namespace) -> Made | Kinds:
+def run(arguments: argparse.Namespace) -> Artifacts | Kinds:
     """Run this command; its result, as `hyst_control.cli` describes it."""
     import numpy as np
 
     from hyst_control.errors import InputError
     from hyst_control.records.excitation import build
     from hyst_control.records.excitation_files import read_description, write_excitation
-    from hyst_control.reporting.artifacts import Made
+    from hyst_control.reporting.artifacts import Artifacts
 
     if arguments.list:
         return Kinds()
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> Made | Kinds:
     write_excitation(arguments.output, spec, rows, 1.0 / arguments.rate, arguments.unit)
     unit, duration = arguments.unit, len(rows) / arguments.rate
     slope = np.abs(np.diff(rows, axis=0)).max(initial=0.0) * arguments.rate
-    made = Made(
+    made = Artifacts(
         "excite",
         [arguments.output],
         lines=[f"{len(rows)} samples, {duration:g} s, {rows.min():.6g} to {rows.max():.6g} {unit}, at most {slope:.4g} {unit}/s"],

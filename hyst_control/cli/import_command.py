@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from hyst_control.records.record import Record
-    from hyst_control.reporting.artifacts import Made
+    from hyst_control.reporting.artifacts import Artifacts
 
 NAME = "import"
 HELP = "convert CSV, NPY, NPZ or MAT recordings to bags"
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--variable", help="array to read from an .npz or .mat file")
 
 
-def run(arguments: argparse.Namespace) -> Made:
+def run(arguments: argparse.Namespace) -> Artifacts:
     """Run this command; its result, as `hyst_control.cli` describes it."""
     from pathlib import Path
 
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> Made:
     return written(arguments.output, record, [f"note: {note}" for note in record.notes])
 
 
-def written(output: str, record: Record, notes: list[str]) -> Made:
+def written(output: str, record: Record, notes: list[str]) -> Artifacts:
     """Write a record to a bag and describe it.
 
     Parameters
@@ -84,16 +84,16 @@ def written(output: str, record: Record, notes: list[str]) -> Made:
 
     Returns
     -------
-    Made
+    Artifacts
         The written files, with the number of samples of every topic.
     """
     from hyst_control import progress
     from hyst_control.records.importing import write_bag
-    from hyst_control.reporting.artifacts import Made
+    from hyst_control.reporting.artifacts import Artifacts
 
     progress.step(f"write {output}")
     write_bag(output, record)
-    made = Made("import", [output], lines=notes)
+    made = Artifacts("import", [output], lines=notes)
     for topic, signal in record.signals.items():
         made.lines.append(f"{topic}: {len(signal.time)} samples, {', '.join(signal.axes)} in {signal.unit}")
         made.add(topic, "samples", "", len(signal.time))

@@ -14,7 +14,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hyst_control.reporting.artifacts import Made
+    from hyst_control.reporting.artifacts import Artifacts
 
 NAME = "record"
 HELP = "record signal topics to a bag"
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--namespace", help="namespace of the topics")
 
 
-def run(arguments: argparse.Namespace) -> Made | int:
+def run(arguments: argparse.Namespace) -> Artifacts | int:
     """Run this command; its result, as `hyst_control.cli` describes it."""
     import json
     from pathlib import Path
@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> Made | int:
     from hyst_control.errors import InputError
     from hyst_control.nodes.recorder import Recorder
     from hyst_control.nodes.run import main
-    from hyst_control.reporting.artifacts import Made
+    from hyst_control.reporting.artifacts import Artifacts
     from hyst_control.yaml_files import read_yaml
 
     for name in ("duration", "ticks"):
@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> Made | int:
     progress.step(f"record to {arguments.output}; Ctrl-C ends it")
     if status := main(Recorder, args=["hyst", "--ros-args", *given, *remaps]):
         return status
-    made = Made("record", [arguments.output])
+    made = Artifacts("record", [arguments.output])
     metadata = read_yaml(Path(arguments.output) / "metadata.yaml")
     for topic in metadata["rosbag2_bagfile_information"]["topics_with_message_count"]:
         name, count = topic["topic_metadata"]["name"], topic["message_count"]

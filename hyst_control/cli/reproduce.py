@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from hyst_control.errors import InputError
 
 if TYPE_CHECKING:
-    from hyst_control.reporting.artifacts import Made
+    from hyst_control.reporting.artifacts import Artifacts
     from hyst_control.reporting.tables import Table
 
 NAME = "reproduce"
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--page", metavar="OUT.md", help="page: Markdown to write")
 
 
-def run(arguments: argparse.Namespace) -> Table | Made:
+def run(arguments: argparse.Namespace) -> Table | Artifacts:
     """Run this command; its result, as `hyst_control.cli` describes it."""
     from importlib import import_module
 
@@ -46,11 +46,11 @@ def run(arguments: argparse.Namespace) -> Table | Made:
     if not all(given) if arguments.experiment == "page" else any(given):
         raise InputError("--results, --page: give both with `hyst reproduce page`, and neither with an experiment")
     if arguments.experiment == "page":
-        from hyst_control.reporting.artifacts import Made
+        from hyst_control.reporting.artifacts import Artifacts
         from hyst_control.reproduction.page import write_page
 
         write_page(arguments.results, arguments.page)
-        return Made("reproduce page", [arguments.page])
+        return Artifacts("reproduce page", [arguments.page])
     experiment = import_module(f"hyst_control.reproduction.{arguments.experiment.replace('-', '_')}")
     table: Table = experiment.run(None, arguments.figures)
     return table

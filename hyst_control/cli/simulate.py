@@ -11,7 +11,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hyst_control.reporting.artifacts import Made
+    from hyst_control.reporting.artifacts import Artifacts
 
 NAME = "simulate"
 HELP = "run a model over a recorded command or an excitation"
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")
 
 
-def run(arguments: argparse.Namespace) -> Made:
+def run(arguments: argparse.Namespace) -> Artifacts:
     """Run this command; its result, as `hyst_control.cli` describes it."""
     import numpy as np
 
@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> Made:
     from hyst_control.records.excitation_files import read_description
     from hyst_control.records.importing import write_bag
     from hyst_control.records.record import Record, Signal
-    from hyst_control.reporting.artifacts import Made
+    from hyst_control.reporting.artifacts import Artifacts
 
     if bool(arguments.bag) == bool(arguments.excitation):
         raise InputError("give either a bag or --excitation")
@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> Made:
     }
     write_bag(arguments.output, Record(signals, arguments.output, (), hold))
     unit, rate = model.units["measurement"], 1.0 / sample_time
-    made = Made(
+    made = Artifacts(
         "simulate",
         [arguments.output],
         lines=[

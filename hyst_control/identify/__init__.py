@@ -32,7 +32,7 @@ def identify(datasets: Sequence[Dataset], family: str, method: str = "joint", **
     Raises
     ------
     InputError
-        The family, the method or an option is unknown, or the records cannot tell the model.
+        The family, the method or an option is unknown, or the records do not determine the model.
     """
     estimator = estimator_of(family)
     chosen = estimator.options(method=method, **options)

@@ -11,7 +11,7 @@ from hyst_control.chain.stage import Array
 def solve_bounded(gram: Array, target: Array, lower: Array, upper: Array) -> Array:
     """Minimize x' gram x - 2 target' x within bounds.
 
-    Columns are scaled to unit length first; directions that the data do not show are left at their smallest.
+    Columns are scaled to unit length first; directions that the data do not show keep the smallest solution.
 
     Parameters
     ----------
@@ -42,7 +42,20 @@ def solve_bounded(gram: Array, target: Array, lower: Array, upper: Array) -> Arr
 
 
 def cost(gram: Array, solution: Array) -> float:
-    """Return the sum of squared residuals of a solution (K,); gram (K + 1, K + 1) is that of [columns, y]."""
+    """Return the sum of squared residuals of a solution.
+
+    Parameters
+    ----------
+    gram
+        Gram matrix (K + 1, K + 1) of [columns, y].
+    solution
+        Coefficients (K,) of the columns.
+
+    Returns
+    -------
+    float
+        Sum of squares, never negative.
+    """
     vector = np.append(solution, -1.0)
     return max(float(vector @ gram @ vector), 0.0)
 
@@ -51,7 +64,7 @@ def covariance(blocks: Array, solution: Array) -> Array:
     """Estimate the covariance of a least-squares solution from blocks of rows.
 
     The sandwich estimate with blocks as clusters (Liang and Zeger, Biometrika 73, 1986): residuals may be correlated within a
-    block, as those of a model error are, without making the parameters look surer than they are.
+    block, as those of a model error are, without underestimating the errors of the parameters.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Chains that differ in few parameters, run side by side: what they have in common is computed once.
+"""Chains that differ in few parameters, run side by side; equal parts are computed once.
 
 A derivative by differences needs a chain per parameter, but a parameter changes one stage. Chains whose first stages are equal
 share their output, and so do equal branches of parallel stages.
@@ -19,12 +19,22 @@ from hyst_control.chain.linear import Delay
 from hyst_control.chain.stage import Array
 
 SOURCE = -1
-"""The number of the signal that enters all chains."""
+"""Number of the signal that enters all chains."""
 
 
 @dataclass(frozen=True)
 class Node:
-    """One step of some chains: a filter of what a node before it puts out, or without one the sum of several nodes."""
+    """One step of some chains: a filter behind another node, or the sum of several nodes.
+
+    Parameters
+    ----------
+    before
+        Numbers of the nodes whose outputs enter.
+    running
+        The filter; None for a sum.
+    hold
+        Hold of the output, "zoh" or "foh".
+    """
 
     before: tuple[int, ...]
     running: Filter | None
@@ -32,7 +42,17 @@ class Node:
 
 
 class Bundle:
-    """Running chains of one axis, fed alike; the same numbers as each chain by itself would give, in the same two calls."""
+    """Running chains of one axis with a common input.
+
+    The outputs are those of each chain run by itself, with the same two calls.
+
+    Parameters
+    ----------
+    chains
+        Stages of every chain.
+    sampling
+        Sample time and hold of the input.
+    """
 
     def __init__(self, chains: Sequence[Sequence[Stage]], sampling: Sampling) -> None:
         self.nodes: list[Node] = []
@@ -42,14 +62,31 @@ class Bundle:
         self.outputs = [self._series(arrange(resolved(stages, 1), sampling.hold), SOURCE) for stages in chains]
 
     def settle(self, value: float) -> None:
-        """Come to rest at a constant input."""
+        """Come to rest at a constant input.
+
+        Parameters
+        ----------
+        value
+            The input.
+        """
         signals: list[Array] = []
         for node in self.nodes:
             inputs = [np.full(1, value) if number == SOURCE else signals[number] for number in node.before]
             signals.append(node.running.settle(inputs[0]) if node.running else np.sum(inputs, axis=0))
 
     def process(self, block: Array) -> list[Array]:
-        """The chains' outputs (N,) for a block (N, 1), which goes on where the one before ended; equal chains share an array."""
+        """Compute the chains' outputs for the next block of the input.
+
+        Parameters
+        ----------
+        block
+            Input (N, 1), which continues the block before.
+
+        Returns
+        -------
+        list[Array]
+            An output (N,) a chain; equal chains have the same array.
+        """
         signals: list[Array] = []
         for node in self.nodes:
             inputs = [block if number == SOURCE else signals[number] for number in node.before]
@@ -57,7 +94,7 @@ class Bundle:
         return [(block if number == SOURCE else signals[number])[:, 0] for number in self.outputs]
 
     def _series(self, stages: Sequence[Stage], before: int) -> int:
-        """The number of the node that ends stages in a row; linear neighbours are one filter, as in a chain."""
+        """Number of the node that ends stages in series; adjacent linear stages are one filter, as in a chain."""
         for linear, group in groupby(stages, key=lambda stage: stage.linear or isinstance(stage, Delay)):
             for run in [tuple(group)] if linear else [(stage,) for stage in group]:
                 if isinstance(run[0], Parallel):

@@ -1,4 +1,4 @@
-"""Records cut into gapless pieces of command and measurement, and the model and report that come of them."""
+"""Records cut into gapless pieces of command and measurement, and the model and report of a fit."""
 
 from __future__ import annotations
 
@@ -15,10 +15,27 @@ from hyst_control.model_file import Model
 
 @dataclass(frozen=True)
 class Dataset:
-    """A gapless record: command (N, A) in V and measurement (N, A), uniformly sampled.
+    """A gapless, uniformly sampled record of command and measurement.
 
-    `start` says whether the record begins settled at its first command ("settled") or in the middle of something ("unknown"):
-    an identification then lets the hysteresis memory fill before it counts the error.
+    Parameters
+    ----------
+    name
+        Name of the record, for messages.
+    command
+        Commands (N, A) in V.
+    measurement
+        Measurements (N, A) in `unit`.
+    sample_time
+        Sample time, s.
+    axes
+        Names of the A axes.
+    unit
+        Unit of the measurement.
+    hold
+        Command between ticks: "zoh" (held) or "foh" (straight).
+    start
+        "settled": the record begins at rest at its first command; "unknown": an identification lets the hysteresis memory fill
+        before it counts the error.
     """
 
     name: str
@@ -37,7 +54,18 @@ class Dataset:
         return span
 
     def rows(self, begin: int, end: int) -> Dataset:
-        """A cut of the record; unless it begins at row 0 its start is unknown."""
+        """Cut the record; the start of a cut that does not begin at row 0 is unknown.
+
+        Parameters
+        ----------
+        begin, end
+            First row, and the row behind the last one.
+
+        Returns
+        -------
+        Dataset
+            The rows begin ... end - 1.
+        """
         return Dataset(
             self.name,
             self.command[begin:end],
@@ -51,7 +79,7 @@ class Dataset:
 
 
 def check_records(datasets: Sequence[Dataset], least: int = 50) -> None:
-    """Check that records belong to one plant and can tell something about it.
+    """Check that records belong to one plant and are usable for identification.
 
     Parameters
     ----------
@@ -63,7 +91,7 @@ def check_records(datasets: Sequence[Dataset], least: int = 50) -> None:
     Raises
     ------
     InputError
-        There is no record, or one differs in axes or unit, is too short or holds values that are no finite numbers; or the command or
+        There is no record, or one differs in axes or unit, is too short or holds values that are not finite; or the command or
         the measurement of an axis moves in none of them.
     """
     if not datasets:
@@ -76,11 +104,11 @@ def check_records(datasets: Sequence[Dataset], least: int = 50) -> None:
                 f"{', '.join(first.axes)} in {first.unit}: give records of one plant"
             )
         if len(data.command) < least:
-            raise InputError(f"{data.name}: {len(data.command)} samples, at least {least} are needed")
+            raise InputError(f"{data.name}: must have at least {least} samples, got {len(data.command)}: record for longer")
         for topic, values in (("command", data.command), ("measurement", data.measurement)):
             if not np.all(np.isfinite(values)):
                 row = int(np.flatnonzero(~np.all(np.isfinite(values), axis=1))[0])
-                raise InputError(f"{data.name}: {topic}: not a finite number in sample {row}: cut it out first")
+                raise InputError(f"{data.name}: {topic}: must be finite, is not in sample {row}: remove it")
     for axis, name in enumerate(first.axes):
         if all(np.ptp(data.command[:, axis]) == 0 for data in datasets):
             raise InputError(f"{first.name}: the command of axis {name} never moves: record an excitation")
@@ -89,7 +117,29 @@ def check_records(datasets: Sequence[Dataset], least: int = 50) -> None:
 
 
 class RecordRow(TypedDict):
-    """Error of a model on one axis of a record: rmse in the unit, nrmse and nme in % of the measured range."""
+    """Error of a model on one axis of a record.
+
+    Parameters
+    ----------
+    name
+        The record.
+    axis
+        The axis.
+    samples
+        Number of rows compared.
+    rmse
+        Root mean square error, in `unit`.
+    nrmse
+        RMSE in % of the measured range.
+    nrmse_centered
+        The same, with the means removed.
+    nme
+        Largest error in % of the measured range.
+    unit
+        Unit of the measurement.
+    whiteness
+        Correlation of neighboring residuals, 0 for white noise.
+    """
 
     name: str
     axis: str
@@ -110,14 +160,50 @@ class _Parameter(TypedDict):
 
 
 class ParameterRow(_Parameter, total=False):
-    """A parameter with its standard error (None where the data cannot give one)."""
+    """A parameter with its standard error.
+
+    Parameters
+    ----------
+    axis
+        The axis.
+    threshold
+        Threshold of the play operator whose weight it is, V.
+    name
+        Name, with its index where it is one of a list.
+    value
+        Value, in `unit`.
+    standard_error
+        Standard error, in `unit`; None where the data cannot give one.
+    unit
+        Unit, empty for numbers without one.
+    """
 
     axis: str
     threshold: float
 
 
 class OrderRow(TypedDict, total=False):
-    """A linear model that was tried; errors relative to the measurement, held_out None where nothing was held out."""
+    """A linear model that was tried; errors are rms error / rms measurement.
+
+    Parameters
+    ----------
+    axis
+        The axis, where axes are fitted one by one.
+    order
+        Number of states asked for.
+    states
+        Number of states of the model.
+    parameters
+        Number of free parameters.
+    fitted
+        Error on the data fitted.
+    held_out
+        Error on held-out data; None where no data were held out.
+    seconds
+        Time that the fit took, s.
+    delay_samples
+        Delay (m,) of every input, samples.
+    """
 
     axis: str
     order: int
@@ -141,8 +227,30 @@ class _Report(TypedDict):
 class Report(_Report, total=False):
     """Errors of a fit and standard errors of its parameters, ready for JSON.
 
-    held_out_nrmse: % of range per axis on rows that were not fitted; structure: G(s) of each axis in words; steps: what the paper's
-    sequence found on its way, per axis; orders, states: linear models that were tried, and the chosen one's size; bags: their paths.
+    Parameters
+    ----------
+    held_out_nrmse
+        % of range per axis, on rows that were not fitted.
+    structure
+        G(s) of each axis in words.
+    steps
+        Results of the paper's sequence step by step, per axis.
+    orders
+        Linear models that were tried.
+    states
+        Number of states of the chosen linear model.
+    bags
+        Paths of the bags.
+    family, method
+        Model family, and "joint" or "paper".
+    unit
+        Unit of the measurement.
+    records
+        Errors, a row a record and axis.
+    parameters
+        Parameters with their standard errors.
+    notes
+        Sentences on what the data cannot show, with the remedy.
     """
 
     held_out_nrmse: list[float]
@@ -155,7 +263,15 @@ class Report(_Report, total=False):
 
 @dataclass(frozen=True)
 class Fit:
-    """An identified model, and the report that says how good it is and how sure its parameters are."""
+    """An identified model and its report.
+
+    Parameters
+    ----------
+    model
+        The model.
+    report
+        Errors on the records and standard errors of the parameters.
+    """
 
     model: Model
     report: Report

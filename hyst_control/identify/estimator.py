@@ -1,8 +1,8 @@
-"""One estimator a model family, behind one protocol, known by its name.
+"""Estimators by name, one for each model family, with one interface.
 
-A family is one class: its `Options`, which the command line, the node's parameters and the documents are made of, and
+A family is one class: its `Options`, which the command line, the node's parameters and the documents are derived from, and
 `fit(datasets, options) -> Fit`. Every module of `hyst_control.identify` is searched for them, so that a new family is one new file; another
-distribution hands its class to `register`.
+distribution registers its class with `register`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ O = TypeVar("O", bound=Options)  # noqa: E741
 E = TypeVar("E", bound="type[Estimator[Any]]")
 
 
-TAKEN = frozenset(
+RESERVED_NAMES = frozenset(
     {"allow_gaps", "bags", "family", "help", "hold", "json", "model", "namespace", "once", "output", "quiet", "start", "unit"}
 )
 """Names that options may not have: `hyst identify` and the node use them."""
@@ -31,7 +31,7 @@ TAKEN = frozenset(
 class Estimator(Generic[O]):
     """Identification of one model family.
 
-    Subclasses set `name` (as in `--model`), `sentence` (what the model is and how it is found) and `Options` (a dataclass derived from
+    Subclasses set `name` (as in `--model`), `sentence` (the model and its fit) and `Options` (a dataclass derived from
     `options.Options`), and implement `fit`.
     """
 
@@ -59,7 +59,7 @@ class Estimator(Generic[O]):
         Raises
         ------
         InputError
-            The records cannot tell a model: one line says what is missing.
+            The records do not determine a model; the message names the remedy.
         """
         raise NotImplementedError
 
@@ -74,11 +74,38 @@ class Estimator(Generic[O]):
         return next(each.choices for each in self.declared if each.name == "method")
 
     def has(self, values: Iterable[str]) -> bool:
-        """Tell whether the family has options of all these names."""
+        """Report whether the family has options of all these names.
+
+        Parameters
+        ----------
+        values
+            Names of options.
+
+        Returns
+        -------
+        bool
+            True if it has all of them.
+        """
         return set(values) <= {each.name for each in self.declared}
 
     def options(self, **values: object) -> O:
-        """Make the family's options of values or their texts. Raises `InputError` for an option that it does not have."""
+        """Construct the family's options from values or their texts.
+
+        Parameters
+        ----------
+        **values
+            Values or texts by the options' names.
+
+        Returns
+        -------
+        O
+            The options, checked.
+
+        Raises
+        ------
+        InputError
+            The family has no such option, or a value is of another type or out of range.
+        """
         known = [each.name for each in self.declared]
         for name in values:
             if name not in known:
@@ -111,15 +138,17 @@ def register(estimator: E) -> E:
         It has no name or sentence, its name is another's, or its options are not declared by `option`.
     """
     name = estimator.name
-    made = estimator()
-    if not name or not estimator.sentence or not hasattr(made, "Options"):
-        raise InputError(f"{estimator.__module__}.{estimator.__qualname__}: an estimator needs name, sentence and Options")
+    instance = estimator()
+    if not name or not estimator.sentence or not hasattr(instance, "Options"):
+        raise InputError(f"{estimator.__module__}.{estimator.__qualname__}: must have name, sentence and Options: add them")
     if name in _ESTIMATORS:
-        raise InputError(f"{name}: {type(_ESTIMATORS[name]).__module__} has a family of this name: choose another one")
-    for each in declared(made.Options):
-        if each.name in TAKEN:
-            raise InputError(f"{name}: {each.name}: is an option of the command or a parameter of the node: choose another name")
-    _ESTIMATORS[name] = made
+        raise InputError(f"{name}: the family is already registered by {type(_ESTIMATORS[name]).__module__}: choose another name")
+    for each in declared(instance.Options):
+        if each.name in RESERVED_NAMES:
+            raise InputError(
+                f"{name}: {each.name}: is already an option of the command or a parameter of the node: choose another name"
+            )
+    _ESTIMATORS[name] = instance
     return estimator
 
 
@@ -132,7 +161,7 @@ def estimators() -> Mapping[str, Estimator[Any]]:
 
 @cache
 def _search() -> frozenset[str]:
-    """Import every module of this package; their names."""
+    """Import every module of this package and return their names."""
     package = __name__.rpartition(".")[0]
     names = [f"{package}.{module.name}" for module in iter_modules(import_module(package).__path__)]
     for name in names:
@@ -150,7 +179,18 @@ def every_option() -> dict[str, dict[str, Option]]:
 
 
 def described(options: Mapping[str, Option]) -> str:
-    """Return one option of several families in a line: meaning, what it may be, who has it, and its defaults."""
+    """Describe one option of several families in a line: meaning, range, families and defaults.
+
+    Parameters
+    ----------
+    options
+        The option by family.
+
+    Returns
+    -------
+    str
+        The line.
+    """
     option = max(options.values(), key=lambda each: len(each.choices))
     defaults: dict[str, list[str]] = {}
     for family, each in options.items():
@@ -162,11 +202,27 @@ def described(options: Mapping[str, Option]) -> str:
         words = [f"default {value} for {', '.join(families)}" for value, families in defaults.items()]
     else:
         words = [*([f"default {value}" for value in defaults] or ["chosen unless given"]), f"of {', '.join(options)}"]
-    return f"{option.meaning}: {option.due()} ({'; '.join(words)})"
+    return f"{option.meaning}: {option.requirement()} ({'; '.join(words)})"
 
 
 def estimator_of(family: str) -> Estimator[Any]:
-    """Return a family's estimator. Raises `InputError` with the names there are."""
+    """Return a family's estimator.
+
+    Parameters
+    ----------
+    family
+        Name of the family.
+
+    Returns
+    -------
+    Estimator[Any]
+        The estimator.
+
+    Raises
+    ------
+    InputError
+        There is no such family; the message lists those there are.
+    """
     known = estimators()
     if family not in known:
         raise InputError(f"model: {family!r} is not a model family: use one of {', '.join(known)}")

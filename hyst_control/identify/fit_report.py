@@ -1,4 +1,4 @@
-"""Figures of merit of an identified model on records, and what the residual says of noise and whiteness."""
+"""Figures of merit of an identified model on records, and noise and whiteness of the residual."""
 
 from __future__ import annotations
 
@@ -13,7 +13,22 @@ from hyst_control.model_file import Model, simulate
 
 
 def residual(model: Model, data: Dataset) -> Array:
-    """Measured minus simulated (N, A); rows before the memory is filled are left out where the record's start is unknown."""
+    """Measured minus simulated output.
+
+    Rows before the hysteresis memory is filled are left out where the record's start is unknown.
+
+    Parameters
+    ----------
+    model
+        The model.
+    data
+        The record.
+
+    Returns
+    -------
+    Array
+        Residual (N, A) in the measurement unit.
+    """
     memory, begin = before(data)
     command = data.command if memory is None else np.concatenate([memory, data.command])
     simulated = simulate(model, command, data.sample_time, data.hold)[len(command) - len(data.command) :]
@@ -63,20 +78,53 @@ def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordR
 
 
 def lag_one(error: Array) -> float:
-    """Correlation of neighbouring residuals (N,): 0 for white noise, near 1 where the model misses something slow."""
+    """Correlation of neighboring residuals: 0 for white noise, near 1 where the model lacks something slow.
+
+    Parameters
+    ----------
+    error
+        Residual (N,).
+
+    Returns
+    -------
+    float
+        Correlation, -1 to 1.
+    """
     centered = error - np.mean(error)
     power = float(centered @ centered)
     return float(centered[1:] @ centered[:-1]) / power if power > 0 else 0.0
 
 
 def noise_sigma(residuals: Sequence[Array]) -> list[float]:
-    """White noise (rms per axis) in the residuals, from their third differences, which smooth model errors do not reach."""
+    """Estimate the white noise in residuals from their third differences, to which smooth model errors contribute little.
+
+    Parameters
+    ----------
+    residuals
+        Residuals (N, A) of every record.
+
+    Returns
+    -------
+    list[float]
+        Noise (A), rms in the measurement unit.
+    """
     stacked = np.concatenate([np.diff(error, 3, axis=0) for error in residuals])
     return [float(value) for value in np.median(np.abs(stacked), axis=0) / 0.6745 / np.sqrt(20.0)]
 
 
 def command_bandwidth(data: Dataset) -> float:
-    """Frequency (Hz) below which 99.9 % of the power of the command's motion lies."""
+    """Frequency below which 99.9 % of the power of the command's motion lies.
+
+    Parameters
+    ----------
+    data
+        The record.
+
+    Returns
+    -------
+    float
+        Frequency, Hz.
+    """
     moving = data.command - data.command.mean(axis=0)
     power = np.sum(np.abs(np.fft.rfft(moving, axis=0)) ** 2, axis=1)
     if power.sum() == 0:

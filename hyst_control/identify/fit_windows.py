@@ -1,4 +1,4 @@
-"""Rows of the records that a fit looks at: everything, or stretches of it while the structure is being chosen."""
+"""Rows of the records that a fit uses: all of them, or stretches while the structure is being chosen."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from hyst_control.chain.stage import Array
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.gram_sums import Window
-from hyst_control.identify.record_segmentation import REST_TIME, still, stretches_between_rests
+from hyst_control.identify.record_segmentation import REST_TIME, resting_stretches, stretches_between_rests
 from hyst_control.identify.reversal_points import turning_points
 
 SETTLE_TIME = 0.25
@@ -17,7 +17,20 @@ SETTLE_TIME = 0.25
 
 
 def whole_records(datasets: Sequence[Dataset], axis: int) -> list[Window]:
-    """Each record as one window; see `before` for one whose start is unknown."""
+    """Take each record as one window; for a record of unknown start see `before`.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+    axis
+        Index of the axis.
+
+    Returns
+    -------
+    list[Window]
+        A window a record.
+    """
     windows = []
     for group, data in enumerate(datasets):
         command = np.ascontiguousarray(data.command[:, axis])
@@ -38,9 +51,19 @@ def whole_records(datasets: Sequence[Dataset], axis: int) -> list[Window]:
 
 
 def balanced_weights(data: Dataset, axis: int) -> Array | None:
-    """Row weights (N,) with which every motion between rests counts alike, slow or fast: short fast loops are not drowned.
+    """Weight rows so that slow and fast motions between rests count alike and short fast loops are not drowned.
 
-    None where the record is one motion. Between a fifth and five times the plain weight, and 1 on average.
+    Parameters
+    ----------
+    data
+        The record.
+    axis
+        Index of the axis.
+
+    Returns
+    -------
+    Array | None
+        Weights (N,), 1 on average, from a fifth to five times the plain weight; None where the record is one motion.
     """
     motions = [stretch for stretch in stretches_between_rests(data, 0, axis) if stretch.kind == "motion"]
     if len(motions) < 2:
@@ -54,10 +77,22 @@ def balanced_weights(data: Dataset, axis: int) -> Array | None:
 
 
 def before(data: Dataset) -> tuple[Array | None, int]:
-    """Return the commands before a record (M, A), None for rest, and its first row that counts.
+    """Find the commands that precede a record, and its first row that counts.
 
     A record of unknown start that is a closed loop (it ends where it began) is taken to have been preceded by itself. Any other
     counts from where its command has met both its extremes, which wipes out all earlier memory.
+
+    Parameters
+    ----------
+    data
+        The record.
+
+    Returns
+    -------
+    memory : Array | None
+        Commands (M, A) before the record, V; None for rest.
+    begin : int
+        First row that counts.
     """
     if data.start != "unknown":
         return None, 0
@@ -69,7 +104,22 @@ def before(data: Dataset) -> tuple[Array | None, int]:
 
 
 def stretches(windows: Sequence[Window], rows: int, length: float = 1.0) -> list[Window]:
-    """About `rows` rows in stretches of `length` s spread evenly over the records; the windows themselves if they have no more."""
+    """Choose short stretches that are spread evenly over the records.
+
+    Parameters
+    ----------
+    windows
+        The records.
+    rows
+        Approximate number of rows to choose.
+    length
+        Length of a stretch, s.
+
+    Returns
+    -------
+    list[Window]
+        The stretches; the windows themselves if they have no more rows than that.
+    """
     total = sum(len(window.command) for window in windows)
     if total <= rows:
         return list(windows)
@@ -121,25 +171,50 @@ def first_motion(command: Array) -> int:
 
 
 def memory_filled(command: Array) -> int:
-    """First row after which the command has met both its extremes: from there on earlier memory is wiped out."""
+    """Find the row after which the command has met both its extremes, so that earlier memory is wiped out.
+
+    Parameters
+    ----------
+    command
+        Command (N,).
+
+    Returns
+    -------
+    int
+        The row.
+    """
     span = np.ptp(command)
     high, low = np.flatnonzero(command >= command.max() - 0.01 * span), np.flatnonzero(command <= command.min() + 0.01 * span)
     return int(max(high[0], low[0]))
 
 
 def largest_drift(data: Dataset, axis: int) -> float:
-    """The drift over the whole record (measurement unit) that its rests at one command leave room for; infinite without such rests.
+    """Bound the drift over a record by its rests at one command.
 
-    A drift shows at rest as in motion. What changes with the motions alone, as the mean of a loop does with its frequency, must
-    not be taken for one: records whose frequency rises with time would else teach the model the wrong mean.
+    A drift shows at rest as in motion. What changes with the motions alone, as the mean of a loop does with its frequency, must not
+    be taken for a drift: otherwise records whose frequency rises with time would teach the model the wrong mean.
+
+    Parameters
+    ----------
+    data
+        The record.
+    axis
+        Index of the axis.
+
+    Returns
+    -------
+    float
+        Largest drift over the whole record (measurement unit); infinite without such rests.
     """
     command, measurement = data.command[:, axis], data.measurement[:, axis]
     filled = memory_filled(command)
-    rests = [(begin, end) for begin, end in still(command, int(max(REST_TIME / data.sample_time, 2))) if begin >= filled]
+    rests = [
+        (begin, end) for begin, end in resting_stretches(command, int(max(REST_TIME / data.sample_time, 2))) if begin >= filled
+    ]
     span, largest = float(np.ptp(command)), np.inf
     for level in {round(float(command[end - 1]) / span, 4) for _, end in rests} if span else ():
         equal = [(begin, end) for begin, end in rests if abs(command[end - 1] / span - level) < 2e-4]
-        # The later half of a rest: what the motion before it left behind has gone by then.
+        # The later half of a rest: the transient of the motion before it has decayed by then.
         values = [float(np.mean(measurement[(begin + end) // 2 : end])) for begin, end in equal]
         apart = 0.75 * (equal[-1][1] - equal[0][1]) + 0.25 * (equal[-1][0] - equal[0][0])
         if apart > 0.5 * len(command):

@@ -17,23 +17,35 @@ from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 
 EXCITED = 1e-3
-"""A line is excited when the command's power there is over this share of the mean power per line."""
+"""A line is excited when the command's power there exceeds this fraction of the mean power per line."""
 
 
 @dataclass(frozen=True)
 class FrequencyResponse:
     """A measured frequency response matrix, sample to sample: measurement = response · command, line by line.
 
-    frequency (F,) Hz; response (F, p, m), measurement unit per V; noise_variance (F, p, m): variance of the response
-    because of disturbing noise; total_variance (F, p, m): noise and stochastic nonlinear distortion together, None
-    where the experiment cannot tell them apart. Both are variances of the *averaged* response, E|G - E G|².
+    Both variances are those of the *averaged* response, E|G - E G|².
+
+    Parameters
+    ----------
+    frequency
+        Frequencies (F,), Hz.
+    response
+        Response (F, p, m), measurement unit per V.
+    noise_variance
+        Variance (F, p, m) of the response because of disturbing noise.
+    total_variance
+        Variance (F, p, m) because of noise and stochastic nonlinear distortion together; None where the experiment cannot separate
+        them.
+    realisations
+        Number of realizations averaged.
     """
 
     frequency: Array
     response: np.ndarray
     noise_variance: Array
     total_variance: Array | None = None
-    realisations: int = 1
+    realizations: int = 1
 
     @property
     def distortion_variance(self) -> Array | None:
@@ -41,10 +53,19 @@ class FrequencyResponse:
         return None if self.total_variance is None else np.maximum(self.total_variance - self.noise_variance, 0.0)
 
     def radius(self, confidence: float = 0.95) -> Array:
-        """Radius (F, p, m) of the circle in the complex plane that holds the true value with this probability.
+        """Radius of the circle in the complex plane that holds the true value with a given probability.
 
-        The estimate is circular complex normal, so |G - E G|² / variance · 2 is chi-square with two degrees of freedom
-        (P&S 2.4).
+        The estimate is circular complex normal, so |G - E G|² / variance · 2 is chi-square with two degrees of freedom (P&S 2.4).
+
+        Parameters
+        ----------
+        confidence
+            The probability.
+
+        Returns
+        -------
+        Array
+            Radius (F, p, m).
         """
         variance = self.noise_variance if self.total_variance is None else self.total_variance
         radius: Array = np.sqrt(variance * chi2.ppf(confidence, 2) / 2.0)
@@ -76,9 +97,9 @@ def robust_bla(command: Array, measurement: Array, sample_time: float) -> Freque
     InputError
         The shapes do not fit, or there are fewer than two periods.
     """
-    n, m, realisations, periods = command.shape
+    n, m, realizations, periods = command.shape
     p = measurement.shape[1]
-    if measurement.shape != (n, p, realisations, periods) or realisations % m or periods < 2:
+    if measurement.shape != (n, p, realizations, periods) or realizations % m or periods < 2:
         raise InputError(
             f"multisines: command {command.shape} and measurement {measurement.shape}: (samples, channels, "
             f"realizations, periods): must have a multiple of {m} realizations and at least 2 periods"
@@ -87,14 +108,14 @@ def robust_bla(command: Array, measurement: Array, sample_time: float) -> Freque
     y = np.fft.rfft(measurement, axis=0) / n
     excited = excited_lines(np.sum(np.abs(u) ** 2, axis=(1, 2, 3)))
     u, y = u[excited], y[excited]
-    groups = realisations // m
+    groups = realizations // m
     per_group = np.empty((groups, len(excited), p, m), dtype=complex)
     noise = np.empty((groups, len(excited), p, m))
     for g in range(groups):
         chosen = slice(g * m, (g + 1) * m)
         inverse = np.linalg.inv(u[:, :, chosen].mean(axis=3))
         per_group[g] = y[:, :, chosen].mean(axis=3) @ inverse
-        # What the commands' own small differences between periods explain is not noise.
+        # The response to small differences of the command between periods is not noise.
         residual = y[:, :, chosen] - np.einsum("koj,kjrP->korP", per_group[g], u[:, :, chosen])
         power = np.sum(np.abs(residual) ** 2, axis=3) / (periods - 1) / periods
         noise[g] = power @ np.abs(inverse) ** 2
@@ -102,7 +123,7 @@ def robust_bla(command: Array, measurement: Array, sample_time: float) -> Freque
     total = None
     if groups > 1:
         total = np.sum(np.abs(per_group - per_group.mean(axis=0)) ** 2, axis=0) / (groups - 1) / groups
-    return FrequencyResponse(excited / (n * sample_time), per_group.mean(axis=0), noise_variance, total, realisations)
+    return FrequencyResponse(excited / (n * sample_time), per_group.mean(axis=0), noise_variance, total, realizations)
 
 
 def local_polynomial(
@@ -145,7 +166,7 @@ def local_polynomial(
     Raises
     ------
     InputError
-        The window holds fewer equations than unknowns, or the records do not tell the inputs apart.
+        The window holds fewer equations than unknowns, or the records do not separate the inputs.
     """
     if kind not in ("arbitrary", "periodic", "settled"):
         raise InputError(f"kind: must be one of arbitrary, periodic, settled, got {kind!r}")
@@ -187,7 +208,7 @@ def local_polynomial(
         diagonal = np.abs(np.diag(r))
         if diagonal.min() < 1e-10 * diagonal.max():
             raise InputError(
-                f"local polynomial: at {frequency[k]:g} Hz the records do not tell the {m} inputs apart: "
+                f"local polynomial: at {frequency[k]:g} Hz the records do not separate the {m} inputs: "
                 "excite them differently, or take a command with a rougher spectrum"
             )
         inverse = np.linalg.inv(r) / scale[:, None]
@@ -199,6 +220,17 @@ def local_polynomial(
 
 
 def excited_lines(power: Array) -> NDArray[np.intp]:
-    """Indices of the lines whose power (F,) is over `EXCITED` of the mean; never the static one."""
+    """Select the lines whose power exceeds `EXCITED` times the mean, except the static line.
+
+    Parameters
+    ----------
+    power
+        Power (F,) of every line.
+
+    Returns
+    -------
+    NDArray[np.intp]
+        Indices of the lines.
+    """
     chosen = np.flatnonzero(power > EXCITED * power[1:].mean())
     return chosen[chosen > 0]

@@ -1,14 +1,13 @@
-"""Damped Gauss-Newton: the one iteration of every fit.
+"""Damped Gauss-Newton, the iteration of all fits.
 
-A problem says what a point is (parameters, and what the next step needs of them, such as Gram sums), what it costs, and which step its
+A problem defines a point (parameters, and data for the next step, such as Gram sums), its cost, and the step that its
 linearization suggests; this module decides which steps are kept, how the damping follows, and when the search ends (Levenberg,
-Quarterly of Applied Mathematics 2, 1944; Marquardt, SIAM Journal 11, 1963). It holds no arithmetic of a fit: the same rules give the
-same bits.
+Quarterly of Applied Mathematics 2, 1944; Marquardt, SIAM Journal 11, 1963). It holds no arithmetic of a fit.
 
 The damping is a number that only the problem interprets. A search that shortens its steps along a ladder, in place of damping them,
 counts with it: `Rules(damping=0, raised=lambda rung: rung + 1, eased=lambda rung: 0, rejections=len(ladder))`, its `step` takes
 `ladder[int(damping)]` of the undamped step, gives an infinite cost to a point that no chain accepts, and is None where the linear model
-promises nothing.
+predicts no improvement.
 """
 
 from __future__ import annotations
@@ -30,7 +29,15 @@ P = TypeVar("P")
 
 @dataclass(frozen=True)
 class Trial(Generic[P]):
-    """A point that a step leads to, and the largest change of a parameter on the way."""
+    """A point that a step leads to.
+
+    Parameters
+    ----------
+    point
+        The point.
+    moved
+        Largest change of a parameter on the way.
+    """
 
     point: P
     moved: float = math.inf
@@ -40,19 +47,54 @@ class Problem(Protocol[P]):
     """A nonlinear least-squares problem. Points are values: a step that is not kept leaves nothing behind."""
 
     def cost(self, point: P) -> float:
-        """Return what the search lowers."""
+        """Return the cost that the search lowers.
+
+        Parameters
+        ----------
+        point
+            A point.
+
+        Returns
+        -------
+        float
+            The cost.
+        """
 
     def linearize(self, point: P) -> P:
-        """Return the point with derivatives taken there; asked for only where another step begins."""
+        """Return the point with the derivatives there; called only where another step begins.
+
+        Parameters
+        ----------
+        point
+            A point.
+
+        Returns
+        -------
+        P
+            The same point with its derivatives.
+        """
 
     def step(self, point: P, damping: float) -> Trial[P] | None:
-        """Return the trial of the damped step from a linearized point; None where no step is worth a trial."""
+        """Return the trial of the damped step from a linearized point.
+
+        Parameters
+        ----------
+        point
+            A linearized point.
+        damping
+            Levenberg-Marquardt damping.
+
+        Returns
+        -------
+        Trial[P] | None
+            The trial; None where no step is worth a trial.
+        """
 
 
 class End(Enum):
     """Reason for which a search ended."""
 
-    BUDGET = "as many steps or trials as are allowed were made"
+    BUDGET = "largest number of steps or trials reached"
     SMALL_GAIN = "the last step gained little"
     NO_STEP = "no step lowers the cost"
 
@@ -70,7 +112,7 @@ class Rules:
     small
         Whether the gain from a cost (first) to the next (second) is a sign of the minimum.
     confident
-        Damping from which on a small gain is no such sign: under strong damping it tells nothing.
+        Damping from which on a small gain is no such sign: under strong damping it is not significant.
     steps, trials
         Most steps kept, and most steps tried.
     rejections
@@ -95,9 +137,20 @@ class Rules:
 
 @dataclass(frozen=True)
 class Found(Generic[P]):
-    """Best point of a search, the reason for its end, and the numbers of steps kept and tried.
+    """Best point of a search.
 
-    `linearized` says whether the point's derivatives were taken there, or one step before.
+    Parameters
+    ----------
+    point
+        The best point.
+    end
+        Reason for the end of the search.
+    steps
+        Number of steps kept.
+    trials
+        Number of steps tried.
+    linearized
+        True if the point's derivatives were taken there, False if one step before.
     """
 
     point: P

@@ -1,8 +1,8 @@
-"""Streaming regressors of a Prandtl-Ishlinskii model in front of a linear dynamics, and their Gram matrices.
+"""Streaming regressors of a Prandtl-Ishlinskii model in front of linear dynamics, and their Gram matrices.
 
 For given thresholds and G(s) the output is linear in all the rest: y = Σ_j θ_j G[φ_j], with φ the play operators and, for
 HAMPI, the products of the dynamic weights (HAMPI paper Eq. 2-6). The regressors of a long record do not fit in memory, but
-their Gram matrix is small, and it is all that a least-squares problem needs: so a record is passed once, block by block.
+their Gram matrix is small, and sufficient for a least-squares problem: so a record is passed once, block by block.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ BLOCK = 4096
 HELD_OUT_BLOCKS = 90
 """A record is cut into at least this many blocks."""
 TINY = 1e-80
-"""States below this are 0: a decaying state would else end in subnormal numbers, which processors handle a hundred times slower."""
+"""States below this are 0: a decaying state would otherwise end in subnormal numbers, which processors handle a hundred times slower."""
 NUISANCES = {"none": 0, "offset": 1, "linear": 2}
 
 
@@ -57,13 +57,47 @@ def filtered_regressors(
     tangent: Array,
     output: Array,
 ) -> int:
-    """Rows of G[φ_j] (J columns) and of G_i[Σ θ_j φ_j] for P neighbouring dynamics G_i (P columns).
+    """Compute rows of G[φ_j] (J columns) and of G_i[Σ θ_j φ_j] for P neighboring dynamics G_i (P columns).
 
-    command (N,) V; `shift` 1 when the sample sees the command of the interval before (zoh), else 0; rate_factor 1 / sample_time;
-    thresholds, release (n,), each widened by rate_gain · |rate| (rate-dependent thresholds); `dynamic` adds the columns of m1, m2
-    and k, the last around `center`. a (n, n), b (3, n), c (n,), d (2,) and `whole` samples of delay are G; pa (n, n, P), pb
-    (3, n, P), pc (n, P), pd (2, P), pwhole (P,) the neighbours', last axis innermost. The remaining arrays are states: state
-    (n, J), tangent (n, P), scratch (n, J + P). Returns the ring's position.
+    Parameters
+    ----------
+    command
+        Command (N,), V.
+    shift
+        1 when the sample sees the command of the interval before (zoh), else 0.
+    rate_factor
+        1 / sample time, 1/s.
+    center
+        Command about which the column of k is taken, V.
+    thresholds, release
+        Thresholds (n,) of the play operators and their release widths (n,), V.
+    rate_gain
+        Widening of the thresholds per rate |du/dt|, s.
+    dynamic
+        Add the columns of m1, m2 and k.
+    a, b, c, d
+        One step of G: (n, n), (3, n), (n,), (2,).
+    whole
+        Delay of G, samples.
+    theta
+        Linear parameters (J,).
+    pa, pb, pc, pd, pwhole
+        The same of the neighbors: (n, n, P), (3, n, P), (n, P), (2, P), (P,), last axis innermost.
+    operators, previous, ring, combined
+        State: outputs of the operators, last command, ring of regressor rows and of their sums, for the delay.
+    position
+        Position in the ring.
+    state, tangent
+        State of G (n, J) and of the neighbors (n, P).
+    scratch
+        Working memory (n, J + P).
+    output
+        Rows (N, J + P), written.
+
+    Returns
+    -------
+    int
+        The new position in the ring.
     """
     count, columns, order, neighbours = thresholds.size, ring.shape[1], a.shape[0], pwhole.size
     length = ring.shape[0]
@@ -134,7 +168,18 @@ def filtered_regressors(
 
 @njit(cache=True, error_model="numpy")
 def gram_product(block: Array) -> Array:
-    """block' block of a tall block (N, K): without BLAS, whose threads spin for longer than such a product takes."""
+    """Compute block' block without BLAS, whose threads spin for longer than such a product takes.
+
+    Parameters
+    ----------
+    block
+        Tall block (N, K).
+
+    Returns
+    -------
+    Array
+        Gram matrix (K, K).
+    """
     rows, columns = block.shape
     product = np.zeros((columns, columns))
     for row in range(0, rows - 3, 4):
@@ -154,7 +199,7 @@ def gram_product(block: Array) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def weighed_columns(
+def weighted_columns(
     raw: Array,
     theta: Array,
     step: float,
@@ -165,9 +210,28 @@ def weighed_columns(
     weight: Array,
     block: Array,
 ) -> None:
-    """Rows of [θ columns, derivatives, nuisances, y] (N, K) from those of `filtered_regressors`, times the roots of their weights.
+    """Write rows of [θ columns, derivatives, nuisances, y], each times the root of its weight.
 
-    share (N,): where a row lies within its record, from 0 to 1, less a half; weight (N,), or (0,) where all rows weigh 1.
+    Parameters
+    ----------
+    raw
+        Rows (N, J + P) of `filtered_regressors`.
+    theta
+        Linear parameters (J,).
+    step
+        Step of the derivatives by differences.
+    first
+        First row of `raw` that counts.
+    share
+        Place (N,) of a row within its record, from -0.5 to 0.5.
+    extra
+        Number of nuisances: 0, 1 (offset) or 2 (offset and drift).
+    measurement
+        Measurement (N,).
+    weight
+        Weights (N,), or (0,) where all rows weigh 1.
+    block
+        Rows (N, K), written.
     """
     columns = theta.size
     size = raw.shape[1] - columns
@@ -189,7 +253,21 @@ def weighed_columns(
 
 @dataclass(frozen=True)
 class Operators:
-    """The play operators of one axis: thresholds (n,) V; rate_gain s: thresholds widen to r + rate_gain |du/dt| (RDPI)."""
+    """The play operators of one axis.
+
+    Parameters
+    ----------
+    thresholds
+        Thresholds (n,), V.
+    one_sided
+        One-sided play operators.
+    dynamic
+        Weights that follow the command's rate and level (m1, m2, k).
+    center
+        Command about which the level counts, V.
+    rate_gain
+        Thresholds widen to r + rate_gain |du/dt| (RDPI), s.
+    """
 
     thresholds: Array
     one_sided: bool = False
@@ -204,13 +282,37 @@ class Operators:
 
     @property
     def release(self) -> Array:
-        """Distance at which an operator is pulled down."""
+        """Distance (n,) at which an operator is pulled down, V."""
         return np.zeros_like(self.thresholds) if self.one_sided else self.thresholds
 
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of a record: command (N,), measurement (N,), counted from row `skip` on; `group` numbers its record."""
+    """A stretch of a record.
+
+    Parameters
+    ----------
+    command
+        Command (N,), V.
+    measurement
+        Measurement (N,).
+    sample_time
+        Sample time, s.
+    hold
+        Command between ticks: "zoh" or "foh".
+    skip
+        First row that counts.
+    group
+        Number of its record.
+    begin
+        Begin of the window as a fraction of its record: the drift nuisance runs over the whole record.
+    share
+        Length of the window as a fraction of its record.
+    memory
+        The command's turning points before the window, from rest: what the play operators remember.
+    weight
+        Weight of every row (N,), 1 where there is none.
+    """
 
     command: Array
     measurement: Array
@@ -219,24 +321,31 @@ class Window:
     skip: int
     group: int
     begin: float = 0.0
-    """Begin of the window within its record, as a share of it: the drift nuisance runs over the whole record."""
     share: float = 1.0
-    """The window's length as a share of its record."""
     memory: Array | None = None
-    """The command's turning points before the window, from rest: what the play operators remember."""
     weight: Array | None = None
-    """Weight of every row (N,), 1 where there is none."""
 
 
 @dataclass(frozen=True)
 class Grams:
-    """Gram matrices of [θ columns, dynamics columns, nuisance columns, y], for the rows fitted and the rows held out."""
+    """Gram matrices of [θ columns, dynamics columns, nuisance columns, y].
+
+    Parameters
+    ----------
+    fitted
+        Gram matrix (K, K) of the rows fitted.
+    held_out
+        Gram matrix (K, K) of the rows held out.
+    rows
+        Numbers of rows fitted and held out.
+    blocks
+        Gram matrices (B, K, K) of the blocks: the spread between blocks gives the standard errors.
+    """
 
     fitted: Array
     held_out: Array
     rows: tuple[int, int]
     blocks: Array
-    """The Gram matrix of every block by itself (B, K, K): how much the blocks disagree says how sure the parameters are."""
 
 
 def gram_matrices(
@@ -249,7 +358,34 @@ def gram_matrices(
     groups: int,
     step: float = 1e-4,
 ) -> Grams:
-    """Pass every window once. Columns: J of θ, then the derivatives by the P parameters of G, nuisances per record, y."""
+    """Form the Gram matrices in one pass over every window.
+
+    Columns: J of θ, then the derivatives by the P parameters of G, nuisances per record, y.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records.
+    operators
+        The play operators.
+    structure
+        Factors of G(s).
+    parameters
+        Parameters (P,) of G.
+    theta
+        Linear parameters (J,) at which the derivatives are taken.
+    nuisance
+        Nuisance of each record, one of `NUISANCES`.
+    groups
+        Number of records.
+    step
+        Step of the derivatives by differences.
+
+    Returns
+    -------
+    Grams
+        The Gram matrices.
+    """
     columns, size, extra = operators.columns, structure.size, NUISANCES[nuisance]
     total = columns + size + extra * groups + 1
     grams = np.zeros((2, total, total))
@@ -257,7 +393,7 @@ def gram_matrices(
     blocks = []
     samplings = {Sampling(window.sample_time, 1, window.hold) for window in windows}
     systems = {
-        sampling: [structure.discretised(vector, sampling) for vector in (parameters, *(parameters + step * np.eye(size)))]
+        sampling: [structure.discretized(vector, sampling) for vector in (parameters, *(parameters + step * np.eye(size)))]
         for sampling in samplings
     }
     for window in windows:
@@ -276,8 +412,8 @@ def gram_matrices(
             used = slice(begin + first, end)
             block = buffer[: end - begin - first]
             share = window.begin - 0.5 + window.share * np.arange(begin + first, end) / n
-            weighed_columns(raw, theta, step, first, share, extra, window.measurement[used], weight[used], block)
-            # Every third block is held out of the choice between structures: little of every experiment in the record.
+            weighted_columns(raw, theta, step, first, share, extra, window.measurement[used], weight[used], block)
+            # Every third block is held out of the choice between structures: a part of every experiment in the record.
             part = 1 if begin // length % 3 == 2 else 0
             product = np.zeros((total, total))
             product[np.ix_(place, place)] = gram_product(block)

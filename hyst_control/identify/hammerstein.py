@@ -1,7 +1,7 @@
 """Joint identification of Prandtl-Ishlinskii models, static or in front of dynamics: all records together.
 
 For given thresholds and G(s) the output is linear in the weights and the dynamic weights (HAMPI paper Eq. 2-6), so the search
-is over G's few parameters alone (`varpro`). G's structure is chosen on held-out stretches of the records.
+is over G's few parameters alone (`variable_projection`). G's structure is chosen on held-out stretches of the records.
 """
 
 from __future__ import annotations
@@ -23,15 +23,25 @@ from hyst_control.identify.variable_projection import Problem, Solution, solve
 from hyst_control.parallel import forked
 
 SELECTION_ROWS = 60_000
-FEW = 6
-"""Operators, below which none is spent on the first loading."""
-WORTHWHILE = 0.03
-"""A factor of G is kept when it lowers the held-out mean square error by more than this share."""
+LEAST_FOR_LOADING = 6
+"""Number of operators below which the first loading gets none."""
+LEAST_IMPROVEMENT = 0.03
+"""A factor of G is kept when it lowers the held-out mean square error by more than this fraction."""
 
 
 @dataclass(frozen=True)
 class OperatorOptions(Options):
-    """Choices of a fit of play operators."""
+    """Options of a fit of play operators.
+
+    Parameters
+    ----------
+    operators
+        Number of play operators, where `thresholds` does not list them.
+    thresholds
+        Increasing thresholds in place of the default ones, V.
+    nuisance
+        Offset or drift that each record may add.
+    """
 
     operators: int = option(10, INTEGER, "number of play operators, where `thresholds` does not list them", lower=3)
     thresholds: tuple[float, ...] | None = option(
@@ -46,14 +56,28 @@ class OperatorOptions(Options):
 
 @dataclass(frozen=True)
 class PlayOptions(OperatorOptions):
-    """Choices of a fit of play operators of either kind."""
+    """Options of a fit of one-sided or two-sided play operators.
+
+    Parameters
+    ----------
+    one_sided
+        One-sided play operators.
+    """
 
     one_sided: bool = option(False, TRUTH, "one-sided play operators")
 
 
 @dataclass(frozen=True)
 class HammersteinOptions(PlayOptions):
-    """Choices of a fit of play operators in front of dynamics."""
+    """Options of a fit of play operators in front of dynamics.
+
+    Parameters
+    ----------
+    method
+        "joint" or "paper".
+    structure
+        Factors of G(s); None: chosen on held-out stretches.
+    """
 
     method: str = methods_option("joint", "paper")
     structure: Structure | None = structure_option()
@@ -62,7 +86,26 @@ class HammersteinOptions(PlayOptions):
 def axis_problem(
     datasets: Sequence[Dataset], axis: int, options: OperatorOptions, *, one_sided: bool = False, dynamic: bool = False
 ) -> Problem:
-    """Set up the fit of one axis to all its records; `dynamic` for weights that follow the rate."""
+    """Set up the fit of one axis to all its records.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+    axis
+        Index of the axis.
+    options
+        Options of the fit.
+    one_sided
+        One-sided play operators.
+    dynamic
+        Weights that follow the command's rate and level.
+
+    Returns
+    -------
+    Problem
+        The problem.
+    """
     windows = whole_records(datasets, axis)
     operators = default_operators(windows, options, one_sided=one_sided, dynamic=dynamic)
     travel = max(np.ptp(window.measurement) for window in windows)
@@ -72,7 +115,18 @@ def axis_problem(
 
 
 def fit_static(problem: Problem) -> AxisFit:
-    """Identify the weights of one axis without dynamics."""
+    """Identify the weights of one axis without dynamics.
+
+    Parameters
+    ----------
+    problem
+        One axis of all records.
+
+    Returns
+    -------
+    AxisFit
+        Weights of the play operators.
+    """
     structure = Structure()
     chosen = solve(problem, structure, structure.start(1.0))
     final = solve(problem, structure, structure.start(1.0), everything=True)
@@ -80,7 +134,20 @@ def fit_static(problem: Problem) -> AxisFit:
 
 
 def fit_dynamic(problem: Problem, structure: Structure | None) -> AxisFit:
-    """Identify the weights of one axis and G(s) behind them; its structure is chosen on held-out stretches unless given."""
+    """Identify the weights of one axis and G(s) behind them.
+
+    Parameters
+    ----------
+    problem
+        One axis of all records.
+    structure
+        Factors of G(s); None: chosen on held-out stretches.
+
+    Returns
+    -------
+    AxisFit
+        Weights and dynamics.
+    """
     selection = replace(problem, windows=stretches(problem.windows, SELECTION_ROWS))
     chosen = choose_structure(selection, structure)
     chosen = solve(selection, chosen.structure, chosen.parameters, chosen.theta, passes=20)
@@ -91,9 +158,26 @@ def fit_dynamic(problem: Problem, structure: Structure | None) -> AxisFit:
 def default_operators(
     windows: Sequence[Window], options: OperatorOptions, *, one_sided: bool = False, dynamic: bool = False
 ) -> Operators:
-    """Choose thresholds from 0, closer together where most reversals engage them; up to half the drive, and two for the first loading.
+    """Choose the thresholds, where the options do not list them.
 
-    Few operators are all for the reversals.
+    They begin at 0 and are closer together where most reversals engage them, up to half the drive; two more are for the first
+    loading, unless there are fewer than `LEAST_FOR_LOADING`.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records.
+    options
+        Options of the fit.
+    one_sided
+        One-sided play operators.
+    dynamic
+        Weights that follow the command's rate and level.
+
+    Returns
+    -------
+    Operators
+        The play operators.
     """
     highest = max(float(np.max(np.abs(window.command))) for window in windows)
     span = max(float(np.ptp(window.command)) for window in windows)
@@ -102,7 +186,7 @@ def default_operators(
     else:
         reach = span if one_sided else span / 2
         loading = np.array([0.5, 0.85]) * highest if highest > 1.4 * reach else reach * np.array([0.9, 0.97])
-        inner = options.operators - len(loading) if options.operators >= FEW else options.operators
+        inner = options.operators - len(loading) if options.operators >= LEAST_FOR_LOADING else options.operators
         thresholds = np.concatenate(
             [0.98 * reach * (np.arange(inner) / (inner - 0.5)) ** 1.4, loading[: options.operators - inner]]
         )
@@ -111,7 +195,20 @@ def default_operators(
 
 
 def choose_structure(problem: Problem, given: Structure | None) -> Solution:
-    """Grow G factor by factor as long as the held-out error falls; `given` skips the choice."""
+    """Grow G factor by factor as long as the held-out error falls.
+
+    Parameters
+    ----------
+    problem
+        One axis of stretches of the records.
+    given
+        Factors to use without a choice.
+
+    Returns
+    -------
+    Solution
+        The solution with the chosen structure.
+    """
     frequency = _start_frequency(problem)
     if given is not None:
         return solve(problem, given, given.start(frequency))
@@ -121,14 +218,14 @@ def choose_structure(problem: Problem, given: Structure | None) -> Solution:
         if not trials:
             return best
         lowest = min(trial.held_out for trial in trials)
-        if not lowest < (1.0 - WORTHWHILE) * best.held_out:
+        if not lowest < (1.0 - LEAST_IMPROVEMENT) * best.held_out:
             return best
-        # The first of those that do about equally well: the list runs from the plainer to the richer factor.
-        best = next(trial for trial in trials if trial.held_out <= lowest * (1.0 + WORTHWHILE))
+        # The first of those that fit about equally well: the list runs from the plainer to the richer factor.
+        best = next(trial for trial in trials if trial.held_out <= lowest * (1.0 + LEAST_IMPROVEMENT))
 
 
 def _grown(problem: Problem, best: Solution, frequency: float) -> list[Solution]:
-    """The solutions of every structure with one factor more, on all cores."""
+    """Solve for every structure with one factor more, on all cores."""
     structures = best.structure.extensions()
     theta = best.theta if np.any(best.theta) else None
 
@@ -140,7 +237,7 @@ def _grown(problem: Problem, best: Solution, frequency: float) -> list[Solution]
 
 
 def _start_frequency(problem: Problem) -> float:
-    """The resonance (Hz) on a coarse grid at which a plain mode does best: where Gauss-Newton begins."""
+    """The resonance (Hz) on a coarse grid at which a single mode fits best, from which Gauss-Newton starts."""
     sample_time = min(window.sample_time for window in problem.windows)
     grid = [f for f in (30.0, 100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0) if f < 0.4 / sample_time] or [0.2 / sample_time]
     structure = Structure(modes=1)
@@ -149,7 +246,20 @@ def _start_frequency(problem: Problem) -> float:
 
 
 def fit_rate_dependent(problem: Problem) -> AxisFit:
-    """Identify one axis whose thresholds are r_i + β |du/dt|, without dynamics; β by golden-section search on the error."""
+    """Identify one axis whose thresholds are r_i + β |du/dt|, without dynamics.
+
+    β is found by a golden-section search on the error.
+
+    Parameters
+    ----------
+    problem
+        One axis of all records.
+
+    Returns
+    -------
+    AxisFit
+        Weights and β.
+    """
     structure = Structure()
     fastest = max(float(np.max(np.abs(np.diff(window.command)))) / window.sample_time for window in problem.windows)
     largest = 2.0 * float(problem.operators.thresholds[-1]) / fastest

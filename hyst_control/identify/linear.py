@@ -1,6 +1,6 @@
 """The family "linear": stable linear dynamics with a sub-sample delay, from records of any excitation.
 
-Each record is taken to its discrete Fourier transform. A record is in general not periodic, so the transient at its
+Each record is transformed to the frequency domain. A record is in general not periodic, so the transient at its
 ends is estimated with the model (see `modal_fit`); the static line is left out, which frees the fit of each record's
 offset. The number of states is chosen on held-out data.
 """
@@ -25,19 +25,33 @@ from hyst_control.identify.modal_fit import Layout, ModalModel, Problem, Spectra
 from hyst_control.identify.options import INTEGER, NUMBER, TRUTH, Options, option
 from hyst_control.model_file import Model
 
-MOST_LINES = 6000
-"""Lines of one record that a fit looks at: those where the command is strongest."""
+MAX_LINES = 6000
+"""Largest number of lines of one record in a fit: those where the command is strongest."""
 BAND_POWER = 1e-5
-"""Share of the command's power per line, relative to the strongest, under which a line tells nothing."""
-NO_BETTER = 0.01
-"""A model is preferred to a larger one that is better on held-out data by no more than this share of the error."""
+"""Power of a line relative to the strongest one below which it is left out."""
+NEGLIGIBLE_IMPROVEMENT = 0.01
+"""A model is preferred to a larger one that is better on held-out data by no more than this fraction of the error."""
 SINGLE_ORDERS = (1, 2, 3, 4, 5, 6, 8, 10)
 COUPLED_ORDERS = (2, 4, 6, 8, 12, 16, 20, 26, 32, 40)
 
 
 @dataclass(frozen=True)
 class LinearOptions(Options):
-    """Choices of a linear fit."""
+    """Options of a linear fit.
+
+    Parameters
+    ----------
+    order
+        Number of states; None: chosen on held-out data.
+    coupled
+        True: a `state_space` of all axes; False: a `transfer_function` per axis; None: coupled where there are several.
+    delay
+        Delay in s, or "estimate".
+    direct
+        Allow a direct path D besides the states.
+    iterations
+        Largest number of refinement steps.
+    """
 
     order: int | None = option(None, INTEGER, "number of states, where it is not to be chosen on held-out data", lower=1)
     coupled: bool | None = option(
@@ -54,7 +68,25 @@ class LinearOptions(Options):
 
 @dataclass(frozen=True)
 class Candidate:
-    """A fitted model with its relative errors: rms error / rms measurement, on the data fitted and on held-out data."""
+    """A fitted model with its relative errors (rms error / rms measurement).
+
+    Parameters
+    ----------
+    model
+        The model.
+    fitted
+        Error on the data fitted.
+    held_out
+        Error on held-out data, NaN without them.
+    normal
+        Normal matrix JᵀJ (P, P).
+    variance
+        Variance of the residual per equation.
+    layout
+        Places of the parameters in the vector (P,).
+    seconds
+        Time that the fit took, s.
+    """
 
     model: ModalModel
     fitted: float
@@ -65,7 +97,18 @@ class Candidate:
     seconds: float
 
     def standard_errors(self, *kinds: str) -> Array:
-        """Standard errors (P,) of the parameters of these kinds estimated together, for a white residual; others as known."""
+        """Standard errors of parameters that are estimated together, for a white residual; the other parameters count as known.
+
+        Parameters
+        ----------
+        *kinds
+            Kinds of parameters, as in `Layout`.
+
+        Returns
+        -------
+        Array
+            Standard errors (P,), 0 for the others.
+        """
         chosen = np.concatenate([np.arange(self.normal.shape[0])[self.layout.slices[kind]] for kind in kinds])
         part = self.normal[np.ix_(chosen, chosen)]
         scale = np.sqrt(np.maximum(np.diag(part), 1e-300))
@@ -148,27 +191,54 @@ class Linear(Estimator[LinearOptions]):
 
 
 def checked(datasets: Sequence[Dataset]) -> Dataset:
-    """Return the first record, after all were found to agree in axes, units, hold and sample time and to move on every axis."""
+    """Check that records agree in axes, unit, hold and sample time, and move on every axis.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+
+    Returns
+    -------
+    Dataset
+        The first record.
+
+    Raises
+    ------
+    InputError
+        They do not.
+    """
     for data in datasets:
         first = datasets[0]
         if data.hold != first.hold:
             raise InputError(
-                f"{data.name}: hold {data.hold}, {first.name} has {first.hold}: a linear fit takes records of one hold"
+                f"{data.name}: hold {data.hold}, but {first.name} has {first.hold}: give a linear fit records of one hold"
             )
         if abs(data.sample_time - first.sample_time) > 1e-9 * first.sample_time:
             raise InputError(
-                f"{data.name}: sample time {data.sample_time:g} s, {first.name} has {first.sample_time:g} s: "
-                "a linear fit takes records of one sample time"
+                f"{data.name}: sample time {data.sample_time:g} s, but {first.name} has {first.sample_time:g} s: "
+                "give a linear fit records of one sample time"
             )
     check_records(datasets, 32)
     return datasets[0]
 
 
 def spectra_of(data: Dataset, period: int | None = None) -> Spectra:
-    """The record's discrete Fourier transform at the lines where the command has power, the static line left out.
+    """Take a record's discrete Fourier transform at the lines where the command has power, except the static line.
 
-    With `period` (samples) the record is in steady state over whole periods, which are averaged. Scaled to the root of
-    the number of samples, so that sums of squares are those of the samples.
+    Scaled to the root of the number of samples, so that sums of squares are those of the samples.
+
+    Parameters
+    ----------
+    data
+        The record.
+    period
+        Period in samples of a record in steady state, whose periods are averaged; None: not periodic.
+
+    Returns
+    -------
+    Spectra
+        Spectra of command and measurement.
     """
     command, measurement = data.command, data.measurement
     if period:
@@ -182,15 +252,27 @@ def spectra_of(data: Dataset, period: int | None = None) -> Spectra:
     if n % 2 == 0:
         power[-1] = 0.0
     lines = np.flatnonzero(power > BAND_POWER * power.max())
-    if len(lines) > MOST_LINES:
-        lines = np.sort(lines[np.argsort(power[lines])[-MOST_LINES:]])
+    if len(lines) > MAX_LINES:
+        lines = np.sort(lines[np.argsort(power[lines])[-MAX_LINES:]])
     return Spectra(2 * np.pi * lines / n, u[lines][:, :, None], y[lines][:, :, None], bool(period))
 
 
 def held_out_split(datasets: Sequence[Dataset]) -> tuple[list[Dataset], list[Dataset]]:
-    """Records to fit and records to judge by: every third record, or the last third of the one there is.
+    """Divide records into those to fit and those to judge by: every third record, or the last third of a single record.
 
-    Nothing is held out when what remains would not excite every axis, or what is held out would hardly move.
+    No data are held out when the rest would not excite every axis, or the held-out part would hardly move.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+
+    Returns
+    -------
+    fitted : list[Dataset]
+        Records to fit.
+    held_out : list[Dataset]
+        Records to judge by, possibly none.
     """
     datasets = list(datasets)
     if len(datasets) > 1:
@@ -216,7 +298,22 @@ def _length(data: Dataset) -> int:
 
 
 def error_of(model: ModalModel, data: Sequence[Spectra]) -> float:
-    """rms error / rms measurement of a model on spectra; transients are fitted, as nothing is known of a cut's start."""
+    """Relative error (rms error / rms measurement) of a model on spectra.
+
+    Transients are fitted, as the state at the start of a cut is unknown.
+
+    Parameters
+    ----------
+    model
+        The model.
+    data
+        Spectra of the records.
+
+    Returns
+    -------
+    float
+        The error.
+    """
     problem = Problem(data, model)
     if problem.records:
         problem.fit_linear("t", "d")
@@ -281,14 +378,14 @@ def choose(
             )
             scored.append((score, candidate))
         best = min(scored, key=lambda each: each[0])
-        gain = NO_BETTER if held_out else 0.0
+        gain = NEGLIGIBLE_IMPROVEMENT if held_out else 0.0
         lowest = min((score for score, _ in tried), default=np.inf)
         stale = 0 if best[0] < lowest * (1.0 - np.sign(lowest) * gain) or not np.isfinite(lowest) else stale + 1
         tried.append(best)
         if stale >= 3:
             break
     lowest = min(score for score, _ in tried)
-    limit = lowest * (1.0 + NO_BETTER) if held_out else lowest
+    limit = lowest * (1.0 + NEGLIGIBLE_IMPROVEMENT) if held_out else lowest
     return next(candidate for score, candidate in tried if score <= limit), rows
 
 
@@ -321,7 +418,20 @@ def refined(data: Sequence[Spectra], start: ModalModel, direct: bool, free_delay
 
 
 def information(candidate: Candidate, data: Sequence[Spectra]) -> float:
-    """Schwarz's criterion up to a constant: lower is better."""
+    """Schwarz's information criterion up to a constant: lower is better.
+
+    Parameters
+    ----------
+    candidate
+        A fitted model.
+    data
+        Spectra it was fitted to.
+
+    Returns
+    -------
+    float
+        The criterion.
+    """
     equations = sum(2 * spectra.measurement.size for spectra in data)
     return 2 * equations * float(np.log(candidate.fitted)) + candidate.model.parameters * float(np.log(equations))
 
@@ -335,7 +445,7 @@ def _search(datasets: Sequence[Dataset], options: LinearOptions, orders: Sequenc
     lines = sum(len(spectra.angle) * inputs for spectra in train)
     orders = [order for order in orders if order * 2 * inputs + inputs * inputs < lines] or [1]
     if options.delay == "estimate":
-        # The delay is told from the modes' own lag where the model is strictly proper; the direct path would take its
+        # The delay can be separated from the modes' own lag where the model is strictly proper; the direct path would take its
         # place.
         late = dead_time(train, first.hold)
         variants = [
@@ -351,7 +461,7 @@ def _search(datasets: Sequence[Dataset], options: LinearOptions, orders: Sequenc
         return candidate.held_out if test else information(candidate, train)
 
     lowest = min(score(candidate) for candidate, _ in results)
-    limit = lowest + NO_BETTER * abs(lowest) if test else lowest
+    limit = lowest + NEGLIGIBLE_IMPROVEMENT * abs(lowest) if test else lowest
     good = [(candidate.model.parameters, index) for index, (candidate, _) in enumerate(results) if score(candidate) <= limit]
     index = min(good)[1]
     delays, direct, free = variants[index]
@@ -361,7 +471,22 @@ def _search(datasets: Sequence[Dataset], options: LinearOptions, orders: Sequenc
 
 
 def dead_time(data: Sequence[Spectra], hold: str, order: int = 3) -> Array:
-    """Delay (m,) in samples, the same for all inputs, at which a model of few states and no direct path fits best."""
+    """Find the delay, the same for all inputs, at which a model of few states without a direct path fits best.
+
+    Parameters
+    ----------
+    data
+        Spectra of the records.
+    hold
+        Hold of the command.
+    order
+        Number of states per input.
+
+    Returns
+    -------
+    Array
+        Delay (m,), samples.
+    """
     inputs = data[0].command.shape[1]
     grid = [0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0]
     costs = []
@@ -381,7 +506,20 @@ def _axis(data: Dataset, axis: int) -> Dataset:
 
 
 def stages_of(model: ModalModel, sample_time: float) -> list[Stage]:
-    """The model as chain stages: the delay if there is one, then a `transfer_function` (one axis) or a `state_space`."""
+    """Convert a model into stages: the delay if there is one, then a `transfer_function` (one axis) or a `state_space`.
+
+    Parameters
+    ----------
+    model
+        The model.
+    sample_time
+        Sample time, s.
+
+    Returns
+    -------
+    list[Stage]
+        The stages.
+    """
     stages: list[Stage] = [Delay(_alike(model.delay * sample_time))] if np.any(model.delay > 0) else []
     if model.feedthrough.shape == (1, 1):
         num, den = polynomials(model, sample_time)
@@ -391,7 +529,20 @@ def stages_of(model: ModalModel, sample_time: float) -> list[Stage]:
 
 
 def diagonal_stages(models: Sequence[ModalModel], sample_time: float) -> list[Stage]:
-    """Models of one axis each as stages with per-axis parameters."""
+    """Convert models of one axis each into stages with per-axis parameters.
+
+    Parameters
+    ----------
+    models
+        A model an axis.
+    sample_time
+        Sample time, s.
+
+    Returns
+    -------
+    list[Stage]
+        The stages.
+    """
     delay = np.array([model.delay[0] * sample_time for model in models])
     pairs = [polynomials(model, sample_time) for model in models]
     longest = max(len(den) for _, den in pairs)
@@ -407,7 +558,22 @@ def _alike(values: Array) -> float | list[float]:
 
 
 def polynomials(model: ModalModel, sample_time: float) -> tuple[Array, Array]:
-    """num and den in descending powers of s of a model with one input and one output; den is monic."""
+    """Convert a model with one input and one output into a ratio of polynomials.
+
+    Parameters
+    ----------
+    model
+        The model.
+    sample_time
+        Sample time, s.
+
+    Returns
+    -------
+    num : Array
+        Numerator in descending powers of s.
+    den : Array
+        Monic denominator in descending powers of s.
+    """
     poles, residues = [], []
     for pole, c, b in zip(model.poles, model.outputs[:, 0], model.inputs[:, 0], strict=True):
         poles += [pole] if pole.imag == 0 else [pole, np.conj(pole)]
@@ -421,7 +587,22 @@ def polynomials(model: ModalModel, sample_time: float) -> tuple[Array, Array]:
 
 
 def parameter_rows(candidate: Candidate, sample_time: float, axis: str) -> list[ParameterRow]:
-    """Frequency and damping of every pole, the static gain and the delay, with standard errors."""
+    """Frequency and damping of every pole, the static gain and the delay, with standard errors.
+
+    Parameters
+    ----------
+    candidate
+        A fitted model.
+    sample_time
+        Sample time, s.
+    axis
+        Name of the axis, empty where the model is of all axes.
+
+    Returns
+    -------
+    list[ParameterRow]
+        A row a parameter.
+    """
     model, layout = candidate.model, candidate.layout.slices
     sigma = candidate.standard_errors(*layout)
     n = len(model.poles)
@@ -466,9 +647,21 @@ def parameter_rows(candidate: Candidate, sample_time: float, axis: str) -> list[
 
 
 def tolerance_of(found: Sequence[Candidate], stages: Sequence[Stage]) -> dict[str, float]:
-    """Relative standard deviations by parameter name, one number per parameter: the median over its entries.
+    """Relative standard deviations by parameter name: the median over a parameter's entries.
 
-    That of the residues holds b and the delay, for which c could be exchanged.
+    The deviation of the residues is taken with b and the delay fixed, as c could be exchanged for them.
+
+    Parameters
+    ----------
+    found
+        The fitted models.
+    stages
+        Their stages.
+
+    Returns
+    -------
+    dict[str, float]
+        The tolerance of a model file.
     """
     if not all(len(candidate.model.poles) for candidate in found):
         return {}

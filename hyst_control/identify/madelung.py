@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 
 from hyst_control.chain import Chain, Stage
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.chain.stage import Array
+from hyst_control.chain.stage import Array, per_axis_scalars
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report, check_records
 from hyst_control.identify.estimator import Estimator, register
@@ -24,21 +24,28 @@ from hyst_control.identify.fit_windows import whole_records
 from hyst_control.identify.gram_sums import NUISANCES, Window
 from hyst_control.identify.options import INTEGER, NUMBER, NUMBERS, Options, option
 from hyst_control.identify.shared_options import nuisance_option
-from hyst_control.identify.simulation_error import Parametrisation, Solution, minimise
+from hyst_control.identify.simulation_error import Parametrization, Solution, minimize_simulation_error
 from hyst_control.model_file import Model
 
 LEAST_SLOPE = 5e-3
-"""Smallest slope of a curve relative to its mean slope: what rises this much everywhere has an inverse."""
+"""Smallest slope of a curve relative to its mean slope: a curve that rises this much everywhere has an inverse."""
 GRID = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 65))
-"""Points at which a polynomial's slope is held above the least one: closest together at the ends, as its turns are."""
+"""Points at which the smallest slope of a polynomial is enforced: closest together at the ends, as its turns are."""
 
 
 @dataclass(frozen=True)
 class Curves:
     """A pair of curves as a parameter vector, in units of the full output: polynomials, or cubics through values at `knots`.
 
-    Polynomials: p_n … p_1, then q_n … q_2; q_1 follows from closure. Cubics: the ascending values behind the first knot, then
+    Polynomials: p_n ... p_1, then q_n ... q_2; q_1 follows from closure. Cubics: the ascending values behind the first knot, then
     the descending ones between the first and the last, where both meet.
+
+    Parameters
+    ----------
+    degree
+        Degree of the polynomials.
+    knots
+        Knots of the cubics, from 0 to 1 of the input scale; None: polynomials.
     """
 
     degree: int = 5
@@ -64,11 +71,35 @@ class Curves:
         return 2 * self.count - 1
 
     def full(self, vector: Array) -> float:
-        """The output at the upper end."""
+        """Output at the upper end.
+
+        Parameters
+        ----------
+        vector
+            Parameters (P,).
+
+        Returns
+        -------
+        float
+            The output.
+        """
         return float(np.sum(vector[: self.count]) if self.knots is None else vector[self.count - 1])
 
     def pair(self, vector: Array) -> tuple[Array, Array]:
-        """Ascending and descending curve as the stage has them, scaled to end at 1."""
+        """Ascending and descending curve in the stage's form, scaled to end at 1.
+
+        Parameters
+        ----------
+        vector
+            Parameters (P,).
+
+        Returns
+        -------
+        ascending : Array
+            Coefficients, or values at the knots.
+        descending : Array
+            The same of the descending curve.
+        """
         up, down = vector[: self.count], vector[self.count : self.size]
         full = self.full(vector)
         if self.knots is None:
@@ -78,12 +109,42 @@ class Curves:
         return np.concatenate([[0.0], up / full]), np.concatenate([[0.0], down / full, [1.0]])
 
     def stage(self, vector: Array, input_scale: float, output_scale: float, inverse: bool = False) -> Madelung:
-        """The stage of a vector; output_scale is the measurement at which the vector's full output is 1."""
+        """Construct the stage of a parameter vector.
+
+        Parameters
+        ----------
+        vector
+            Parameters (P,).
+        input_scale
+            Command at the upper end, V.
+        output_scale
+            Measurement at which the vector's output is 1.
+        inverse
+            Mark the curves as those of an inverse.
+
+        Returns
+        -------
+        Madelung
+            The stage.
+        """
         up, down = self.pair(vector)
         return Madelung(up, down, input_scale, output_scale * self.full(vector), self.knots, inverse)
 
     def like(self, other: Curves, vector: Array) -> Array:
-        """The vector in this form of curves that another form has, a polynomial of no higher degree or evaluated at the knots."""
+        """Convert the parameters of curves of another form: polynomials of no higher degree, or evaluated at the knots.
+
+        Parameters
+        ----------
+        other
+            The other form.
+        vector
+            Its parameters.
+
+        Returns
+        -------
+        Array
+            Parameters (P,) of this form.
+        """
         up, down = other.pair(vector)
         full = other.full(vector)
         if self.knots is not None:
@@ -93,7 +154,18 @@ class Curves:
         return full * np.concatenate([pad, up, pad, down[:-1]])
 
     def start(self, bulge: float = 0.15) -> Array:
-        """A pair to begin with: parabolas x (1 ± bulge (1 - x)), the ascending one below."""
+        """Initial parameters: parabolas x (1 ± bulge (1 - x)), the ascending one below.
+
+        Parameters
+        ----------
+        bulge
+            Bulge of the parabolas.
+
+        Returns
+        -------
+        Array
+            Parameters (P,).
+        """
         if self.knots is not None:
             x = np.asarray(self.knots, dtype=float)
             return np.concatenate([(x - bulge * x * (1 - x))[1:], (x + bulge * x * (1 - x))[1:-1]])
@@ -124,7 +196,17 @@ class Curves:
 
 @dataclass(frozen=True)
 class CurveOptions(Options):
-    """Form of the curves."""
+    """Options of the curves' form.
+
+    Parameters
+    ----------
+    degree
+        Degree of the polynomials.
+    knots
+        Knots of piecewise cubics in place of polynomials, from 0 to 1 of the input scale.
+    input_scale
+        Command at the upper end, V; None: the largest of the records.
+    """
 
     degree: int = option(
         5, INTEGER, "degree of the curves' polynomials, where `knots` does not make them piecewise", lower=1, upper=12
@@ -153,7 +235,13 @@ class CurveOptions(Options):
 
 @dataclass(frozen=True)
 class MadelungOptions(CurveOptions):
-    """Choices of a fit of Madelung curves."""
+    """Options of a fit of Madelung curves.
+
+    Parameters
+    ----------
+    nuisance
+        Offset or drift that each record may add.
+    """
 
     nuisance: str = nuisance_option("offset")
 
@@ -175,7 +263,23 @@ class MadelungCurves(Estimator[MadelungOptions]):
 
 @dataclass(frozen=True)
 class AxisFit:
-    """Curves of one axis in units of output_scale, the sign of the response, and the zero of the measurement."""
+    """Curves of one axis.
+
+    Parameters
+    ----------
+    curves
+        Form of the curves.
+    solution
+        Their parameters, in units of output_scale.
+    input_scale
+        Command at the upper end, V.
+    output_scale
+        Scale of the output (measurement unit).
+    sign
+        Sign of the response, 1 or -1.
+    offset
+        Zero of the measurement (measurement unit).
+    """
 
     curves: Curves
     solution: Solution
@@ -233,41 +337,78 @@ def fit_axis(
         return [curves.stage(vector, scale, travel)]
 
     lhs = curves.constraints()
-    problem = Parametrisation(stages, lhs, np.zeros(len(lhs)))
+    problem = Parametrization(stages, lhs, np.zeros(len(lhs)))
     start = curves.start(-0.15 if inverse else 0.15)
-    solution = minimise(turned, problem, start, nuisance=nuisance, passes=passes, tolerance=1e-6, everything=True)
+    solution = minimize_simulation_error(turned, problem, start, nuisance=nuisance, passes=passes, tolerance=1e-6, everything=True)
     return AxisFit(curves, solution, scale, travel, sign, sign * mean_offset(solution, windows, nuisance))
 
 
 def fit_inverse(stage: Madelung, curves: Curves | None = None) -> Madelung:
-    """Curves of their own for the inverse, fitted to the major loop of a model of one axis (MHL paper Table 1, right).
+    """Fit separate curves for the inverse to the major loop of a model of one axis (MHL paper Table 1, right).
 
     The result runs from output to command; it is not the closed-form inverse but near it, as the paper's is.
+
+    Parameters
+    ----------
+    stage
+        Hysteresis of one axis.
+    curves
+        Form of the inverse's curves; None: the default polynomials.
+
+    Returns
+    -------
+    Madelung
+        The stage of the inverse.
     """
     curves = curves or Curves()
-    full = float(stage.output_scale) * float(stage.curves(1)[0][0](np.ones(1))[0])
+    input_scale, output_scale = (float(each[0]) for each in per_axis_scalars(stage, 1, "input_scale", "output_scale"))
+    full = output_scale * float(stage.curves(1)[0][0](np.ones(1))[0])
     x = np.linspace(0.0, 1.0, 401)
-    up, down = (float(stage.output_scale) * curve(x) for curve in stage.curves(1)[0])
-    demand, command = np.concatenate([up, down[::-1]]), float(stage.input_scale) * np.concatenate([x, x[::-1]])
+    up, down = (output_scale * curve(x) for curve in stage.curves(1)[0])
+    demand, command = np.concatenate([up, down[::-1]]), input_scale * np.concatenate([x, x[::-1]])
     window = Window(demand, command, 1.0, "foh", 0, 0)
     found = fit_axis([window], curves, full, "none", inverse=True)
     vector = found.solution.parameters / curves.full(found.solution.parameters)
-    return curves.stage(vector, full, float(stage.input_scale))
+    return curves.stage(vector, full, input_scale)
 
 
 def check(datasets: Sequence[Dataset]) -> None:
-    """Raise `InputError` unless the records share their axes and unit, something moves, and no command is negative."""
+    """Check that records suit Madelung curves.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+
+    Raises
+    ------
+    InputError
+        They differ in axes or unit, nothing moves, or a command is negative.
+    """
     check_records(datasets)
     for data in datasets:
         lowest = float(data.command.min())
         if lowest < -0.01 * float(data.command.max()):
             raise InputError(
-                f"{data.name}: the command goes down to {lowest:g} V: Madelung curves begin at 0 V; use a family of play operators"
+                f"{data.name}: command: must be >= 0 V for Madelung curves, goes down to {lowest:g} V: use a family of play operators"
             )
 
 
 def full_scale(windows: Sequence[Window], given: float | None) -> float:
-    """The command (V) at the upper end of the major loop: the largest one of the records unless given."""
+    """Command at the upper end of the major loop.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records.
+    given
+        The command, V; None: the largest of the records.
+
+    Returns
+    -------
+    float
+        Command, V.
+    """
     largest = max(float(window.command.max()) for window in windows)
     if given is None:
         return largest
@@ -275,13 +416,39 @@ def full_scale(windows: Sequence[Window], given: float | None) -> float:
 
 
 def response_sign(windows: Sequence[Window]) -> float:
-    """1 where the measurement rises with the command, else -1."""
+    """Sign of the response: 1 where the measurement rises with the command, else -1.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records.
+
+    Returns
+    -------
+    float
+        1 or -1.
+    """
     covariance = sum(float((w.command - w.command.mean()) @ (w.measurement - w.measurement.mean())) for w in windows)
     return -1.0 if covariance < 0 else 1.0
 
 
 def mean_offset(solution: Solution, windows: Sequence[Window], nuisance: str) -> float:
-    """Mean of the records' offsets, each with the weight of its rows."""
+    """Mean of the records' offsets, weighted by their numbers of rows.
+
+    Parameters
+    ----------
+    solution
+        Solution of the fit.
+    windows
+        Stretches of the records.
+    nuisance
+        Nuisance of each record, one of `NUISANCES`.
+
+    Returns
+    -------
+    float
+        Offset (measurement unit); 0 without nuisances.
+    """
     extra = NUISANCES[nuisance]
     if not extra:
         return 0.0
@@ -292,23 +459,50 @@ def mean_offset(solution: Solution, windows: Sequence[Window], nuisance: str) ->
 
 
 def merged(stages: Sequence[Madelung]) -> Madelung:
-    """The hysteresis of several axes as one stage."""
+    """Merge the hysteresis of several axes into one stage.
+
+    Parameters
+    ----------
+    stages
+        A stage an axis.
+
+    Returns
+    -------
+    Madelung
+        The stage with per-axis parameters.
+    """
     if len(stages) == 1:
         return stages[0]
     return Madelung(
-        [stage.ascending for stage in stages],
-        [stage.descending for stage in stages],
-        [stage.input_scale for stage in stages],
-        [stage.output_scale for stage in stages],
+        [cast(Sequence[float], stage.ascending) for stage in stages],
+        [cast(Sequence[float], stage.descending) for stage in stages],
+        [cast(float, stage.input_scale) for stage in stages],
+        [cast(float, stage.output_scale) for stage in stages],
         knots=stages[0].knots,
     )
 
 
 def curve_errors(curves: Curves, vector: Array, covariance: Array) -> tuple[list[ParameterRow], float]:
-    """Rows {"name", "value", "standard_error"} of the curves' coefficients, and the tolerance of the curves as a whole.
+    """Parameter rows of the curves' coefficients, and the tolerance of the curves as a whole.
 
-    Coefficients of a polynomial are known together far better than one by one. The tolerance is the relative error which,
-    drawn independently per coefficient, scatters the curves as much as the data leave them uncertain.
+    Coefficients of a polynomial are known together far better than one by one. The tolerance is the relative error which, drawn
+    independently per coefficient, scatters the curves as much as the data leave them uncertain.
+
+    Parameters
+    ----------
+    curves
+        Form of the curves.
+    vector
+        Their parameters (P,).
+    covariance
+        Covariance (P, P) of the parameters.
+
+    Returns
+    -------
+    rows : list[ParameterRow]
+        A row a coefficient.
+    tolerance : float
+        Relative standard deviation.
     """
 
     def coefficients(at: Array) -> Array:
@@ -334,7 +528,22 @@ def curve_errors(curves: Curves, vector: Array, covariance: Array) -> tuple[list
 
 
 def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) -> Fit:
-    """Model and report of a static fit."""
+    """Assemble model and report of a static fit.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+    axes
+        A fit an axis.
+    method
+        Method of the fit.
+
+    Returns
+    -------
+    Fit
+        Model and report.
+    """
     first = datasets[0]
     stages: list[Stage] = [merged([axis.stage for axis in axes])]
     if any(axis.sign < 0 for axis in axes):
@@ -387,7 +596,20 @@ class Scaled(Protocol):
 
 
 def range_notes(datasets: Sequence[Dataset], axes: Sequence[Scaled]) -> list[str]:
-    """Name the part of the curves that the records do not reach, with the excitation that would show it."""
+    """Name the part of the curves that the records do not reach, with the excitation that would show it.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+    axes
+        Scales of every axis.
+
+    Returns
+    -------
+    list[str]
+        A sentence an axis that is not covered.
+    """
     notes = []
     for index, (axis, name) in enumerate(zip(axes, datasets[0].axes, strict=True)):
         low = min(float(data.command[:, index].min()) for data in datasets) / axis.input_scale

@@ -39,7 +39,7 @@ from hyst_control.identify.madelung import (
 )
 from hyst_control.identify.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
 from hyst_control.identify.parted_pair import PAIR_DAMPINGS, WORTHWHILE, parted_pair, unexplained_frequency, with_numerator
-from hyst_control.identify.simulation_error import Parametrisation, Solution, coarse, minimise, short_stretches
+from hyst_control.identify.simulation_error import Parametrization, Solution, minimize_simulation_error, short_stretches, thinned
 from hyst_control.identify.stable_dynamics import TAU_UNIT, Structure
 from hyst_control.model_file import Model, simulate
 from hyst_control.parallel import forked
@@ -117,7 +117,7 @@ def fit_joint(windows: Sequence[Window], options: MhlOptions, like: AxisFit | No
     scale = full_scale(windows, options.input_scale)
     few = short_stretches(turned, SELECTION_ROWS, STRETCH, SETTLE)
     # Where nothing creeps, the loops are bent by the dynamics: only the coarsest curves are to be had without them.
-    creeping = any(coarse(window) is not window for window in windows)
+    creeping = any(thinned(window) is not window for window in windows)
     form = options.curves if creeping or options.curves.degree < 2 else Curves(2)
     static = fit_axis(slowest(few), form, scale, options.nuisance, passes=8)
     blank = Axis(options.curves, Structure(), scale, static.output_scale, sign, min(window.sample_time for window in windows))
@@ -126,7 +126,7 @@ def fit_joint(windows: Sequence[Window], options: MhlOptions, like: AxisFit | No
         axis = replace(blank, structure=like.axis.structure)
         first = curves if form == options.curves else options.curves.like(form, curves)
         start = np.concatenate([first, like.vector[options.curves.size :]])
-        chosen = minimise(few, axis.parametrisation(), start, nuisance=options.nuisance, passes=12)
+        chosen = minimize_simulation_error(few, axis.parametrization(), start, nuisance=options.nuisance, passes=12)
     else:
         axis, chosen = choose_structure(few, replace(blank, curves=form), curves, options)
     found = AxisFit(axis, chosen.parameters, chosen.covariance, 0.0, chosen.held_out)
@@ -137,14 +137,18 @@ def refined(windows: Sequence[Window], found: AxisFit, nuisance: str, passes: in
     """The parameters brought closer over stretches of all records."""
     turned = [replace(window, measurement=found.axis.sign * window.measurement) for window in windows]
     many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
-    solution = minimise(many, found.axis.parametrisation(), found.vector, nuisance=nuisance, passes=passes, everything=True)
+    solution = minimize_simulation_error(
+        many, found.axis.parametrization(), found.vector, nuisance=nuisance, passes=passes, everything=True
+    )
     return replace(found, vector=solution.parameters)
 
 
 def refit(windows: Sequence[Window], found: AxisFit, nuisance: str) -> AxisFit:
     """The last passes, over every row of every record, and what they say of errors and offset."""
     turned = [replace(window, measurement=found.axis.sign * window.measurement) for window in windows]
-    solution = minimise(turned, found.axis.parametrisation(), found.vector, nuisance=nuisance, passes=2, everything=True)
+    solution = minimize_simulation_error(
+        turned, found.axis.parametrization(), found.vector, nuisance=nuisance, passes=2, everything=True
+    )
     offset = mean_offset(solution, turned, nuisance)
     return replace(found, vector=solution.parameters, covariance=solution.covariance, offset=offset)
 
@@ -176,7 +180,7 @@ def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, opti
     rich = searched(windows, replace(blank, structure=Structure(modes=1, lags=1, zeros=1, delay=True)), curves, options)
     axis, best = better(plain, rich)
     if best is plain[1]:
-        best = minimise(windows, axis.parametrisation(), best.parameters, nuisance=options.nuisance, passes=25)
+        best = minimize_simulation_error(windows, axis.parametrization(), best.parameters, nuisance=options.nuisance, passes=25)
     while True:
         # From the plainer to the richer: the first that is worth it.
         for grown in extended(windows, axis, best, extensions(axis.structure), options):
@@ -197,7 +201,7 @@ def searched(
     """
     held = axis.curves == options.curves
     if held:
-        problem = Parametrisation(
+        problem = Parametrization(
             lambda vector: axis.stages(np.concatenate([curves, vector])),
             np.zeros((0, axis.size - len(curves))),
             np.zeros(0),
@@ -205,20 +209,22 @@ def searched(
         )
         begin = starts(axis)
     else:
-        problem, begin = axis.parametrisation(), [np.concatenate([curves, start]) for start in starts(axis)]
-    trials = list(forked(lambda i: minimise(windows, problem, begin[i], nuisance=options.nuisance, passes=3), len(begin)))
+        problem, begin = axis.parametrization(), [np.concatenate([curves, start]) for start in starts(axis)]
+    trials = list(
+        forked(lambda i: minimize_simulation_error(windows, problem, begin[i], nuisance=options.nuisance, passes=3), len(begin))
+    )
     whole = replace(axis, curves=options.curves)
     followed = candidates(trials, -2 - axis.structure.size)[: 2 if thorough else 1]
 
     def pursued(index: int) -> Solution:
         solution = followed[index]
-        further = minimise(windows, problem, solution.parameters, nuisance=options.nuisance, passes=15)
+        further = minimize_simulation_error(windows, problem, solution.parameters, nuisance=options.nuisance, passes=15)
         vector = further.parameters if not held else np.concatenate([curves, further.parameters])
         n = axis.curves.size
         full = vector[:n] if held else options.curves.like(axis.curves, vector[:n])
         start = np.concatenate([full, vector[n:]])
         passes = 25 if thorough else 6
-        return minimise(windows, whole.parametrisation(), start, nuisance=options.nuisance, passes=passes)
+        return minimize_simulation_error(windows, whole.parametrization(), start, nuisance=options.nuisance, passes=passes)
 
     return whole, min(forked(pursued, len(followed)), key=lambda solution: solution.fitted)
 
@@ -268,8 +274,8 @@ def extended(
 
     def grown(index: int) -> Solution:
         structure, start = begin[index]
-        problem = replace(axis, structure=structure).parametrisation()
-        return minimise(windows, problem, np.concatenate([before, start]), nuisance=options.nuisance, passes=12)
+        problem = replace(axis, structure=structure).parametrization()
+        return minimize_simulation_error(windows, problem, np.concatenate([before, start]), nuisance=options.nuisance, passes=12)
 
     solutions = list(forked(grown, len(begin)))
     found = []
@@ -310,13 +316,13 @@ def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: AxisFit, 
     turned = [replace(window, measurement=axis.sign * window.measurement) for window in axis_windows(datasets, index)]
     # Short stretches would miss the moment at which a sweep passes the frequency.
     many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
-    plain = minimise(many, axis.parametrisation(), found.vector, nuisance=nuisance, passes=3)
+    plain = minimize_simulation_error(many, axis.parametrization(), found.vector, nuisance=nuisance, passes=3)
     best: Solution | None = None
     for damping in PAIR_DAMPINGS:
         structure, upon = parted_pair(axis.structure, dynamics, frequency, damping)
         richer = replace(axis, structure=structure)
         start = np.concatenate([found.vector[: axis.curves.size + 2], upon])
-        trial = minimise(many, richer.parametrisation(), start, nuisance=nuisance, passes=12)
+        trial = minimize_simulation_error(many, richer.parametrization(), start, nuisance=nuisance, passes=12)
         best = trial if best is None or trial.fitted < best.fitted else best
     if best is None or not best.held_out < (1.0 - WORTHWHILE) * plain.held_out:
         return found
@@ -394,7 +400,7 @@ def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], 
         noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
     )
     travel = [max(float(data.range[i]) for data in datasets) for i in range(len(axes))]
-    notes = range_notes(datasets, axes) + told_apart(parameters)
+    notes = range_notes(datasets, axes) + unresolved_parameters(parameters)
     report: Report = {
         "family": "mhl",
         "method": method,
@@ -445,7 +451,7 @@ def other_rows(axis: AxisFit, unit: str, relative: dict[str, list[float]]) -> li
     return rows
 
 
-def told_apart(parameters: Sequence[ParameterRow]) -> list[str]:
+def unresolved_parameters(parameters: Sequence[ParameterRow]) -> list[str]:
     """Name the parameters that the data cannot tell, with the excitation that would."""
     remedies = {
         "k1": "record loops of full amplitude between 20 and 200 Hz",
@@ -458,5 +464,5 @@ def told_apart(parameters: Sequence[ParameterRow]) -> list[str]:
     for row in parameters:
         error = row["standard_error"]
         if row["name"] in remedies and error is not None and error > 0.5 * abs(row["value"]):
-            notes.append(f"axis {row['axis']}: {row['name']} cannot be told from these data: {remedies[row['name']]}")
+            notes.append(f"axis {row['axis']}: {row['name']} cannot be determined from these data: {remedies[row['name']]}")
     return notes

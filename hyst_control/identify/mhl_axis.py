@@ -1,4 +1,4 @@
-"""One axis of the modified Hammerstein-like model as a parameter vector, and the choices of its fit."""
+"""One axis of the modified Hammerstein-like model as a parameter vector, and the options of its fit."""
 
 from __future__ import annotations
 
@@ -14,16 +14,28 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify.madelung import CurveOptions, Curves
 from hyst_control.identify.options import TRUTH, methods_option, option
 from hyst_control.identify.shared_options import nuisance_option, structure_option
-from hyst_control.identify.simulation_error import Parametrisation
+from hyst_control.identify.simulation_error import Parametrization
 from hyst_control.identify.stable_dynamics import Structure
 
 K2_UNIT = 1e-3
-"""The unit (s) of k2 in the parameter vector, which holds its logarithm."""
+"""Unit (s) of k2 in the parameter vector, which holds its logarithm."""
 
 
 @dataclass(frozen=True)
 class MhlOptions(CurveOptions):
-    """Choices of a fit of the modified Hammerstein-like model."""
+    """Options of a fit of the modified Hammerstein-like model.
+
+    Parameters
+    ----------
+    method
+        "joint" or "paper".
+    nuisance
+        Offset or drift that each record may add.
+    structure
+        Factors of G(s); None: chosen on held-out stretches.
+    cross_coupling
+        Look for cross-coupling between several axes.
+    """
 
     method: str = methods_option("joint", "paper")
     nuisance: str = nuisance_option("linear")
@@ -33,7 +45,23 @@ class MhlOptions(CurveOptions):
 
 @dataclass(frozen=True)
 class Axis:
-    """The model of one axis as a parameter vector: curves, rate part (k1 relative to the slope, log k2), dynamics with delay."""
+    """Model of one axis as a parameter vector (P,): curves, rate part (k1 relative to the slope, log k2), dynamics with delay.
+
+    Parameters
+    ----------
+    curves
+        Form of the curves.
+    structure
+        Factors of G(s).
+    input_scale
+        Command at the upper end of the curves, V.
+    output_scale
+        Scale of the output (measurement unit).
+    sign
+        Sign of the response, 1 or -1.
+    sample_time
+        Sample time, s.
+    """
 
     curves: Curves
     structure: Structure
@@ -48,18 +76,59 @@ class Axis:
         return self.curves.size + 2 + self.structure.size
 
     def split(self, vector: Array) -> tuple[Array, Array, Array]:
-        """Curves, rate part, dynamics."""
+        """Split a parameter vector by part.
+
+        Parameters
+        ----------
+        vector
+            Parameters (P,).
+
+        Returns
+        -------
+        curves : Array
+            Parameters of the curves.
+        rate : Array
+            Rate part (2,).
+        dynamics : Array
+            Parameters of G(s) and delay.
+        """
         n = self.curves.size
         return vector[:n], vector[n : n + 2], vector[n + 2 :]
 
     def rate(self, vector: Array) -> tuple[float, float]:
-        """k1 (measurement unit s/V) and k2 (s)."""
+        """Parameters of the rate correction.
+
+        Parameters
+        ----------
+        vector
+            Parameters (P,).
+
+        Returns
+        -------
+        k1 : float
+            Measurement unit s/V.
+        k2 : float
+            s.
+        """
         share, log_k2 = self.split(vector)[1]
         k2 = K2_UNIT * float(np.exp(log_k2))
         return float(share) * self.output_scale / self.input_scale * k2, k2
 
     def stages(self, vector: Array, b1: float = 0.0) -> list[Stage]:
-        """The chain: delay, hysteresis and rate correction in parallel, G(s), and the response's sign."""
+        """Construct the chain: delay, hysteresis and rate correction in parallel, G(s), and the response's sign.
+
+        Parameters
+        ----------
+        vector
+            Parameters (P,).
+        b1
+            Offset of the rate correction (measurement unit).
+
+        Returns
+        -------
+        list[Stage]
+            The stages.
+        """
         curves, _, dynamics = self.split(vector)
         k1, k2 = self.rate(vector)
         linear = _dynamics_stages(self.structure, dynamics.tobytes())
@@ -69,19 +138,30 @@ class Axis:
         return [*delays, hysteresis, *(stage for stage in linear if not isinstance(stage, Delay))]
 
     def limit(self, vector: Array) -> Array:
-        """The vector held where the data can tell something."""
+        """Move a parameter vector into the range that data can resolve.
+
+        Parameters
+        ----------
+        vector
+            Parameters (P,).
+
+        Returns
+        -------
+        Array
+            Parameters (P,) within it.
+        """
         curves, rate, dynamics = self.split(vector)
         rate = np.clip(rate, [-5.0, np.log(0.02)], [5.0, np.log(200.0)])
         return np.concatenate([curves, rate, self.structure.limit(dynamics, self.sample_time)])
 
-    def parametrisation(self) -> Parametrisation:
+    def parametrization(self) -> Parametrization:
         """Chains, constraints and bounds of the search."""
         lhs = np.zeros((len(self.curves.constraints()), self.size))
         lhs[:, : self.curves.size] = self.curves.constraints()
-        return Parametrisation(self.stages, lhs, np.zeros(len(lhs)), self.limit)
+        return Parametrization(self.stages, lhs, np.zeros(len(lhs)), self.limit)
 
 
-# A neighbouring vector differs in one parameter: most stages of its chain have been made, and checked, before.
+# A neighboring vector differs in one parameter: most stages of its chain have been constructed and checked before.
 @lru_cache(256)
 def _curve_stage(curves: Curves, vector: bytes, input_scale: float, output_scale: float) -> Stage:
     return curves.stage(np.frombuffer(vector), input_scale, output_scale)
@@ -94,7 +174,23 @@ def _dynamics_stages(structure: Structure, vector: bytes) -> tuple[Stage, ...]:
 
 @dataclass(frozen=True)
 class AxisFit:
-    """One axis: its parameters with their covariance, the sensor's zero, and the mean square error on the rows held out."""
+    """Fit of one axis.
+
+    Parameters
+    ----------
+    axis
+        Model of the axis.
+    vector
+        Parameters (P,).
+    covariance
+        Their covariance (P, P).
+    offset
+        Zero of the sensor (measurement unit).
+    held_out
+        Mean square error on the rows held out.
+    extra
+        Results of the paper's sequence, by step.
+    """
 
     axis: Axis
     vector: Array

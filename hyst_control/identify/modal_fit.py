@@ -6,13 +6,13 @@ Time is counted in samples here (sample time 1), poles accordingly: λ = p · sa
 
 with one term per real pole and two, conjugate to each other, per complex pair. Each pole carries a residue matrix c bᵀ
 of rank one, so n poles are n states. φ_j is the exact response of a mode to the held command, late by τ_j samples
-(`hyst_control.chain.linear.discretise` realises the same), and t_i, d_o are the transient of a record that is not
+(`hyst_control.chain.linear.discretise` computes the same), and t_i, d_o are the transient of a record that is not
 periodic: its discrete Fourier transform obeys the same equations with one more input of constant spectrum (Pintelon &
 Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., 2012, section 6.3).
 
 Two steps: a frequency-domain subspace estimate (McKelvey, Akçay, Ljung, IEEE Trans. Automatic Control 41 (1996)
 960-979) on a warped unit circle that gives the excited band the whole circle, then Levenberg-Marquardt on the output
-error, which for spectra of whole records is the simulation error in the time domain (Parseval). Poles are parametrised
+error, which for spectra of whole records is the simulation error in the time domain (Parseval). Poles are parametrized
 as λ = -e^a + j w, so every iterate is stable.
 """
 
@@ -34,7 +34,7 @@ SLOWEST = {True: 1.0, False: 0.05}
 """Least decay of a pole, in line spacings, for periodic records and for others.
 
 A resonance narrower than the spacing falls between the lines of a periodic record, and would fit the noise of a single
-one; other records tell time constants of a few times their length.
+one; other records show time constants of a few times their length.
 """
 
 
@@ -98,7 +98,18 @@ class ModalModel:
         return count
 
     def response(self, angle: Array) -> np.ndarray:
-        """Frequency response (F, p, m) of the sampled system at `angle` (F,), radian per sample."""
+        """Frequency response of the sampled system.
+
+        Parameters
+        ----------
+        angle
+            Frequencies (F,), radian per sample.
+
+        Returns
+        -------
+        np.ndarray
+            Response (F, p, m).
+        """
         z = np.exp(1j * np.asarray(angle, dtype=float))
         total: np.ndarray = np.einsum("kj,oj->koj", self._direct(z), self.feedthrough.astype(complex))
         for pole, c, b in zip(self.poles, self.outputs, self.inputs, strict=True):
@@ -143,8 +154,27 @@ class Transients:
     edge: list[Array] = field(default_factory=list)
 
 
-def taps(pole: complex, late: float, hold: str) -> tuple[complex, complex, complex]:
-    """Input taps of dx/dt = λ x + u sampled at 1, u held and late by 0 <= late < 1: x[k] = e^λ x[k-1] + Σ taps[i] w[k-i]."""
+def input_taps(pole: complex, late: float, hold: str) -> tuple[complex, complex, complex]:
+    """Input taps of dx/dt = λ x + u sampled at 1: x[k] = e^λ x[k-1] + Σ taps[i] w[k-i].
+
+    Parameters
+    ----------
+    pole
+        Pole λ, per sample.
+    late
+        Delay of the input, 0 <= late < 1 sample.
+    hold
+        Hold of the input, "zoh" or "foh".
+
+    Returns
+    -------
+    first : complex
+        Tap of w[k].
+    second : complex
+        Tap of w[k-1].
+    third : complex
+        Tap of w[k-2].
+    """
 
     def step(time: float) -> complex:
         value: complex = np.expm1(pole * time) / pole
@@ -169,19 +199,51 @@ def taps(pole: complex, late: float, hold: str) -> tuple[complex, complex, compl
 
 
 def mode_response(pole: complex, delay: Array, hold: str, z: np.ndarray) -> np.ndarray:
-    """φ (F, m) of the module's docstring."""
+    """Response φ of a mode to every input, as in the module's docstring.
+
+    Parameters
+    ----------
+    pole
+        Pole λ, per sample.
+    delay
+        Delays (m,), samples.
+    hold
+        Hold of the inputs.
+    z
+        Points (F,) on the unit circle.
+
+    Returns
+    -------
+    np.ndarray
+        φ (F, m).
+    """
     back = 1.0 / z
     columns = []
     for late in delay:
         whole = int(np.floor(late + 1e-12))
-        t0, t1, t2 = taps(pole, late - whole, hold)
+        t0, t1, t2 = input_taps(pole, late - whole, hold)
         columns.append((t0 + back * (t1 + back * t2)) * back ** (whole + (hold == "zoh")))
     found: np.ndarray = np.stack(columns, axis=-1) / (1.0 - np.exp(pole) * back)[:, None]
     return found
 
 
 def direct_response(delay: Array, hold: str, z: np.ndarray) -> np.ndarray:
-    """δ (F, m) of the module's docstring: what the direct path makes of the held command."""
+    """Response δ of the direct path to the held command, as in the module's docstring.
+
+    Parameters
+    ----------
+    delay
+        Delays (m,), samples.
+    hold
+        Hold of the inputs.
+    z
+        Points (F,) on the unit circle.
+
+    Returns
+    -------
+    np.ndarray
+        δ (F, m).
+    """
     back = 1.0 / z
     columns = []
     for late in delay:
@@ -273,8 +335,15 @@ def subspace(data: Sequence[Spectra], orders: Sequence[int], delay: Array, hold:
 class Layout:
     """Places of each kind of parameter in the vector: n poles, m inputs, p outputs, `records` with transients.
 
-    Complex parameters have their real parts first, then their imaginary ones: "c" (2, n, p), "b" (2, n, m), "t"
-    (records, 2, n). "pole" (n, 2) is a and w of λ = -e^a + j w.
+    Complex parameters have their real parts first, then their imaginary ones: "c" (2, n, p), "b" (2, n, m), "t" (records, 2, n).
+    "pole" (n, 2) is a and w of λ = -e^a + j w.
+
+    Parameters
+    ----------
+    slices
+        Place of every kind.
+    size
+        Length P of the vector.
     """
 
     slices: dict[str, slice]
@@ -282,7 +351,26 @@ class Layout:
 
     @classmethod
     def of(cls, n: int, m: int, p: int, records: int, edges: int, direct: bool, free_delay: bool) -> Layout:
-        """The layout for these sizes."""
+        """Lay out the parameters of these sizes.
+
+        Parameters
+        ----------
+        n, m, p
+            Numbers of poles, inputs and outputs.
+        records
+            Number of records with transients.
+        edges
+            Number of coefficients of the direct path's transient per record.
+        direct
+            There is a direct path.
+        free_delay
+            The delay is estimated.
+
+        Returns
+        -------
+        Layout
+            The layout.
+        """
         sizes = {
             "pole": 2 * n,
             "c": 2 * n * p,
@@ -299,7 +387,20 @@ class Layout:
         )
 
     def indices(self, name: str, *shape: int) -> Array:
-        """Positions of a kind of parameter, in its shape."""
+        """Return the positions of a kind of parameter.
+
+        Parameters
+        ----------
+        name
+            The kind.
+        *shape
+            Shape of the result.
+
+        Returns
+        -------
+        Array
+            Positions in the vector, in that shape.
+        """
         part = self.slices[name]
         return np.arange(part.start, part.stop).reshape(shape)
 
@@ -371,7 +472,18 @@ class Problem:
         )
 
     def fit_linear(self, *names: str) -> ModalModel:
-        """The model whose parameters of these kinds, in which the output is linear, minimise the error; the others stay."""
+        """Minimize the error over parameters in which the output is linear; the others stay.
+
+        Parameters
+        ----------
+        *names
+            Kinds of parameters.
+
+        Returns
+        -------
+        ModalModel
+            The model, which is the present one from now on.
+        """
         matrix, vector, _ = self.normal_equations()
         chosen = np.zeros(self.layout.size, dtype=bool)
         for name in names:
@@ -380,7 +492,13 @@ class Problem:
         return self.model
 
     def apply(self, change: Array) -> None:
-        """Move the present model along a step in the parameters."""
+        """Move the present model along a step in the parameters.
+
+        Parameters
+        ----------
+        change
+            Step (P,) of the parameters.
+        """
         model, part = self.model, self.layout.slices
         n, p, m = len(model.poles), *model.feedthrough.shape
         pole = change[part["pole"]].reshape(n, 2)
@@ -404,7 +522,18 @@ class Problem:
         )
 
     def movable(self, vector: Array) -> np.ndarray:
-        """The parameters (P,) that a step may change: not the decay of a pole that is at its bound and would go beyond."""
+        """Select the parameters that a step may change: not the decay of a pole that is at its bound and would go beyond.
+
+        Parameters
+        ----------
+        vector
+            Right side Jᵀr (P,) of the normal equations.
+
+        Returns
+        -------
+        np.ndarray
+            Mask (P,).
+        """
         movable = self.free.copy()
         at = self.layout.indices("pole", len(self.model.poles), 2)[:, 0]
         movable[at] &= (np.log(-self.model.poles.real) > self.slowest + 1e-9) | (vector[at] > 0)
@@ -465,7 +594,7 @@ class Problem:
         return functions
 
     def _output_weights(self) -> np.ndarray:
-        """The matrix (K, p) that makes the model's output of W."""
+        """Matrix (K, p) that maps W to the model's output."""
         model = self.model
         p, m = model.feedthrough.shape
         weights = np.zeros((self.columns, p), dtype=complex)
@@ -481,7 +610,7 @@ class Problem:
         return weights
 
     def _jacobian_weights(self) -> np.ndarray:
-        """The matrices (p, K, P) that make each output's derivatives of W."""
+        """Matrices (p, K, P) that map W to the derivatives of each output."""
         model, layout = self.model, self.layout
         n, p, m = len(model.poles), *model.feedthrough.shape
         weights = np.zeros((p, self.columns, layout.size), dtype=complex)

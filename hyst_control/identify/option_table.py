@@ -1,6 +1,6 @@
-"""The families and their options as Markdown tables: what `docs/identification.md` shows, made from the estimators themselves.
+"""The families and their options as Markdown tables: the tables of `docs/identification.md`, from the estimators themselves.
 
-`python -m hyst_control.identify.option_table docs/identification.md` puts them into the document anew.
+`python -m hyst_control.identify.option_table docs/identification.md` updates them in the document.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def tables() -> str:
         for family, each in families.items():
             having.setdefault(_default(each), []).append(f"`{family}`")
         defaults = "; ".join(f"{', '.join(each)}: {default}" for default, each in having.items())
-        value = first.due().replace(f" in {first.unit}", "") if first.unit else first.due()
+        value = first.requirement().replace(f" in {first.unit}", "") if first.unit else first.requirement()
         rows.append(f"| {flag} | {_escaped(first.meaning)} | {_escaped(value)} | {first.unit} | {defaults} |")
     return "\n".join(rows)
 
@@ -46,14 +46,30 @@ def _escaped(text: str) -> str:
     return text.replace("|", "\\|")
 
 
-def renewed(document: str) -> str:
-    """Return a document with the tables between its two marks made anew. Raises `InputError` where it has no such marks."""
-    made, count = re.subn(f"{BEGIN}.*?{END}", lambda _: f"{BEGIN}\n{tables()}\n{END}", document, flags=re.DOTALL)
+def with_present_tables(document: str) -> str:
+    """Replace the tables between a document's two marks with present ones.
+
+    Parameters
+    ----------
+    document
+        The document.
+
+    Returns
+    -------
+    str
+        The document with present tables.
+
+    Raises
+    ------
+    InputError
+        It does not have exactly one pair of marks.
+    """
+    updated, count = re.subn(f"{BEGIN}.*?{END}", lambda _: f"{BEGIN}\n{tables()}\n{END}", document, flags=re.DOTALL)
     if count != 1:
         raise InputError(f"document: must have one pair of the marks {BEGIN} and {END}, has {count}")
-    return made
+    return updated
 
 
 if __name__ == "__main__":
     page = Path(sys.argv[1])
-    write_text(page, renewed(page.read_text(encoding="utf-8")))
+    write_text(page, with_present_tables(page.read_text(encoding="utf-8")))

@@ -19,7 +19,15 @@ METHODS = {
 
 @dataclass(frozen=True)
 class Kind(Generic[T]):
-    """Type of an option: its name in a message, and the conversion from a text or a value of Python, `ValueError` where it fails."""
+    """Type of an option.
+
+    Parameters
+    ----------
+    name
+        Its name in a message.
+    convert
+        Conversion of a text or a Python value, which raises `ValueError` where it fails.
+    """
 
     name: str
     convert: Callable[[object], T]
@@ -32,17 +40,19 @@ class Option:
     Parameters
     ----------
     name
-        Its name: the field's, the keyword's, the parameter's; the command line has `--` before it and hyphens in it.
+        Name of the field, the keyword and the node's parameter; on the command line with `--` before it and hyphens in it.
     default
-        Its value where none is given; None where the estimator chooses.
+        Value where none is given; None where the estimator chooses.
     meaning
-        What it is, in a few words.
+        Meaning in a few words.
+    kind
+        Type of the values.
     unit
         Unit, empty for numbers without one.
     lower, upper
-        Range, both ends included; None where there is no end.
+        Range, both ends included; None where there is no bound.
     choices
-        All that a text may be, or the words that may stand for a number.
+        All texts allowed, or the words allowed in place of a number.
     methods
         Methods that have this option; empty: all.
     """
@@ -58,7 +68,23 @@ class Option:
     methods: tuple[str, ...] = ()
 
     def checked(self, value: object) -> object:
-        """Return a value or its text in the option's type. Raises `InputError` naming the option and what it must be."""
+        """Convert a value or its text to the option's type and check it.
+
+        Parameters
+        ----------
+        value
+            Value or text; None where the default is None.
+
+        Returns
+        -------
+        object
+            The value in the option's type.
+
+        Raises
+        ------
+        InputError
+            The value is of another type or out of range; the message names the option and the values allowed.
+        """
         if value is None and self.default is None:
             return None
         if isinstance(value, str) and value in self.choices:
@@ -66,18 +92,18 @@ class Option:
         try:
             converted = self.kind.convert(value)
         except (TypeError, ValueError):
-            raise InputError(f"{self.name}: must be {self.due()}, got {value!r}") from None
+            raise InputError(f"{self.name}: must be {self.requirement()}, got {value!r}") from None
         if isinstance(converted, str) and self.choices:
-            raise InputError(f"{self.name}: must be {self.due()}, got {value!r}")
+            raise InputError(f"{self.name}: must be {self.requirement()}, got {value!r}")
         for number in converted if isinstance(converted, tuple) else (converted,):
             if isinstance(number, (int, float)) and not self._within(number):
-                raise InputError(f"{self.name}: must be {self.due()}, got {number!r}")
+                raise InputError(f"{self.name}: must be {self.requirement()}, got {number!r}")
         return converted
 
     def _within(self, number: float) -> bool:
         return (self.lower is None or number >= self.lower) and (self.upper is None or number <= self.upper)
 
-    def due(self) -> str:
+    def requirement(self) -> str:
         """Return in words what a value must be."""
         if self.kind is TEXT and self.choices:
             return f"one of {', '.join(self.choices)}" if len(self.choices) > 1 else self.choices[0]
@@ -179,20 +205,47 @@ class Options:
             object.__setattr__(self, each.name, each.checked(getattr(self, each.name)))
         for each in declared(type(self)):
             if each.methods and self.method not in each.methods and getattr(self, each.name) != each.default:
-                raise InputError(f"{each.name}: method {self.method} has no such option: leave it out")
+                raise InputError(f"{each.name}: method {self.method} does not have this option: omit it")
         self.check()
 
     def check(self) -> None:
-        """Raise `InputError` for values that do not fit together."""
+        """Raise `InputError` for inconsistent values."""
 
 
 def methods_option(*methods: str) -> str:
-    """Declare the field `method` of an estimator that has several."""
+    """Declare the field `method` of an estimator that has several methods.
+
+    Parameters
+    ----------
+    *methods
+        The methods, the default first.
+
+    Returns
+    -------
+    str
+        The dataclass field.
+    """
     return option(methods[0], TEXT, "; ".join(f"{name}: {METHODS[name]}" for name in methods), choices=methods)
 
 
 def declared(options: type[Options]) -> tuple[Option, ...]:
-    """Return the options that a class declares, in order."""
+    """Return the options that a class declares, in order.
+
+    Parameters
+    ----------
+    options
+        The class.
+
+    Returns
+    -------
+    tuple[Option, ...]
+        An option a field.
+
+    Raises
+    ------
+    TypeError
+        A field is not declared by `option`.
+    """
     found = []
     for each in fields(options):
         described = each.metadata.get("option")

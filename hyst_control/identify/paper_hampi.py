@@ -18,7 +18,7 @@ from hyst_control.identify.fit_windows import whole_records
 from hyst_control.identify.gram_sums import Operators, Window, gram_matrices
 from hyst_control.identify.hammerstein import HammersteinOptions, default_operators
 from hyst_control.identify.prandtl_ishlinskii_model import AxisFit, assemble
-from hyst_control.identify.record_segmentation import Stretch, pick
+from hyst_control.identify.record_segmentation import Stretch, select_stretches
 from hyst_control.identify.reversal_points import turning_points
 from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.identify.variable_projection import Problem, Solution, solve
@@ -98,7 +98,7 @@ def _dynamic_weights(windows: Sequence[Window], operators: Operators, static: So
 
 
 def _windows(datasets: Sequence[Dataset], axis: int, kind: str, words: str, frequency: float | None = None) -> list[Window]:
-    chosen = pick(datasets, axis, kind, frequency)
+    chosen = select_stretches(datasets, axis, kind, frequency)
     if not chosen:
         raise InputError(
             f"{', '.join(data.name for data in datasets)}: the paper's sequence needs {words}: add such a record or "

@@ -33,10 +33,10 @@ from hyst_control.identify.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
 from hyst_control.identify.parted_pair import PAIR_DAMPINGS, WORTHWHILE, parted_pair, unexplained_frequency
 from hyst_control.identify.reversal_points import turning_points
 from hyst_control.identify.simulation_error import (
-    Parametrisation,
+    Parametrization,
     Solution,
     driving_signal,
-    minimise,
+    minimize_simulation_error,
     short_stretches,
     surviving_turns,
 )
@@ -87,7 +87,7 @@ def _with_pair(
     own = [replace(window, group=groups[window.group]) for window in windows]
     best = plain
 
-    def problem_of(richer: Structure, size: int) -> Parametrisation:
+    def problem_of(richer: Structure, size: int) -> Parametrization:
         tried = replace(axis, structure=replace(richer, delay=True))
 
         def stages(vector: Array) -> list[Stage]:
@@ -96,12 +96,12 @@ def _with_pair(
         def limit(vector: Array) -> Array:
             return richer.limit(vector, axis.sample_time)
 
-        return Parametrisation(stages, np.zeros((0, size)), np.zeros(0), limit)
+        return Parametrization(stages, np.zeros((0, size)), np.zeros(0), limit)
 
     for damping in PAIR_DAMPINGS:
         richer, start = parted_pair(smaller, plain.parameters, frequency, damping)
         problem = problem_of(richer, len(start))
-        found = minimise(own, problem, start, nuisance=nuisance, passes=30, tolerance=1e-6, everything=True)
+        found = minimize_simulation_error(own, problem, start, nuisance=nuisance, passes=30, tolerance=1e-6, everything=True)
         if found.held_out < (1.0 - WORTHWHILE) * best.held_out:
             best, structure = found, richer
     return best, structure
@@ -372,7 +372,7 @@ def _best(
     groups = {group: number for number, group in enumerate(sorted({window.group for window in windows}))}
     own = [replace(window, group=groups[window.group]) for window in windows]
     size = len(starts[0])
-    problem = Parametrisation(stages, np.zeros((0, size)), np.zeros(0), limit)
-    trials = [minimise(own, problem, start, nuisance=nuisance, passes=5, everything=True) for start in starts]
+    problem = Parametrization(stages, np.zeros((0, size)), np.zeros(0), limit)
+    trials = [minimize_simulation_error(own, problem, start, nuisance=nuisance, passes=5, everything=True) for start in starts]
     best = min(trials, key=lambda solution: solution.fitted)
-    return minimise(own, problem, best.parameters, nuisance=nuisance, passes=30, tolerance=1e-6, everything=True)
+    return minimize_simulation_error(own, problem, best.parameters, nuisance=nuisance, passes=30, tolerance=1e-6, everything=True)

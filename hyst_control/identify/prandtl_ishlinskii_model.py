@@ -1,9 +1,10 @@
-"""From the numbers of a Prandtl-Ishlinskii fit to a model file and a report."""
+"""Model and report of a Prandtl-Ishlinskii fit."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -22,19 +23,46 @@ from hyst_control.model_file import Model
 
 @dataclass(frozen=True)
 class AxisFit:
-    """One axis: the solution on everything, its operators, and the mean square error on the stretches held out."""
+    """Fit of one axis.
+
+    Parameters
+    ----------
+    solution
+        Solution on all rows.
+    operators
+        The play operators.
+    held_out
+        Mean square error on the stretches held out.
+    rate_dependent
+        Thresholds that widen with the command's rate.
+    dynamics
+        Dynamics behind the operators were looked for.
+    """
 
     solution: Solution
     operators: Operators
     held_out: float
     rate_dependent: bool = False
-    """Thresholds that widen with the command's rate."""
     dynamics: bool = True
-    """Dynamics behind the operators were looked for."""
 
 
 def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequence[AxisFit]) -> Fit:
-    """The model of all axes, with standard errors as tolerances, and its report."""
+    """Assemble the model of all axes, with standard errors as tolerances, and its report.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+    family, method
+        Model family, and "joint" or "paper".
+    axes
+        A fit an axis.
+
+    Returns
+    -------
+    Fit
+        Model and report.
+    """
     first = datasets[0]
     chains = [axis_stages(axis) for axis in axes]
     lower = min(float(data.command.min()) for data in datasets)
@@ -59,7 +87,7 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
             key = row["name"].split("[")[0]
             if row["standard_error"] is not None and row["value"]:
                 relative.setdefault(key, []).append(abs(row["standard_error"] / row["value"]))
-        notes += told_apart(axis, name, parameters)
+        notes += unresolved_parameters(axis, name, parameters)
     tolerance = {key: float(np.round(np.median(values), 6)) for key, values in relative.items()}
     sigma = noise_sigma(residuals)
     model = Model(**{**model.__dict__, "tolerance": tolerance, "noise": {"sigma": sigma if len(sigma) > 1 else sigma[0]}})
@@ -78,12 +106,23 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
 
 
 def axis_stages(axis: AxisFit) -> list[Stage]:
-    """The chain of one axis: hysteresis, then its delay and dynamics."""
+    """Construct the chain of one axis: hysteresis, then its delay and dynamics.
+
+    Parameters
+    ----------
+    axis
+        Fit of the axis.
+
+    Returns
+    -------
+    list[Stage]
+        The stages.
+    """
     operators, theta = axis.operators, axis.solution.theta
     thresholds, weights = operators.thresholds, theta[: len(operators.thresholds)]
     if axis.operators.dynamic:
         m1, m2, k = theta[len(thresholds) :]
-        # b adds to every weight alike, so the data cannot tell it from them: it is set so that k u + b vanishes at mid-drive,
+        # b adds to every weight alike, so the data cannot separate it from them: it is set so that k u + b vanishes at mid-drive,
         # where the weights then are the static ones.
         hysteresis: Stage = ModifiedPrandtlIshlinskii(
             thresholds, weights, m1=m1, m2=m2, k=k, b=-k * operators.center, one_sided=operators.one_sided
@@ -103,7 +142,18 @@ def axis_stages(axis: AxisFit) -> list[Stage]:
 
 
 def merge_axes(chains: Sequence[Sequence[Stage]]) -> tuple[Stage, ...]:
-    """Chains of single axes as one chain with per-axis parameters; missing delays are 0, missing dynamics 1."""
+    """Merge chains of single axes into one with per-axis parameters; missing delays are 0, missing dynamics 1.
+
+    Parameters
+    ----------
+    chains
+        A chain an axis.
+
+    Returns
+    -------
+    tuple[Stage, ...]
+        The stages of all axes.
+    """
     if len(chains) == 1:
         return tuple(chains[0])
     merged: list[Stage] = []
@@ -114,19 +164,34 @@ def merge_axes(chains: Sequence[Sequence[Stage]]) -> tuple[Stage, ...]:
     }
     shared = {key: value for key, value in hysteresis[0].parameters().items() if key == "one_sided"}
     merged.append(type(hysteresis[0])(**values, **shared))
-    delays = [next((stage.tau for stage in chain if isinstance(stage, Delay)), 0.0) for chain in chains]
+    delays = [next((cast(float, stage.tau) for stage in chain if isinstance(stage, Delay)), 0.0) for chain in chains]
     if any(delays):
         merged.append(Delay(delays))
     dynamics = [
         next((stage for stage in chain if isinstance(stage, TransferFunction)), TransferFunction([1.0], [1.0])) for chain in chains
     ]
-    if any(len(stage.den) > 1 for stage in dynamics):
-        merged.append(TransferFunction([stage.num for stage in dynamics], [stage.den for stage in dynamics]))
+    num = [cast(Sequence[float], stage.num) for stage in dynamics]
+    den = [cast(Sequence[float], stage.den) for stage in dynamics]
+    if any(len(each) > 1 for each in den):
+        merged.append(TransferFunction(num, den))
     return tuple(merged)
 
 
 def parameter_rows(axis: AxisFit, data: Dataset) -> list[ParameterRow]:
-    """Every parameter with its value, unit and standard error (None where the data cannot give one)."""
+    """List every parameter with its value, unit and standard error (None where the data cannot give one).
+
+    Parameters
+    ----------
+    axis
+        Fit of the axis.
+    data
+        A record, for the unit.
+
+    Returns
+    -------
+    list[ParameterRow]
+        A row a parameter.
+    """
     solution, operators = axis.solution, axis.operators
     size = solution.structure.size
     spread = covariance(solution.grams.blocks, np.concatenate([solution.theta, np.zeros(size), solution.nuisances]))
@@ -169,7 +234,20 @@ def parameter_rows(axis: AxisFit, data: Dataset) -> list[ParameterRow]:
 
 
 def dynamics_rows(solution: Solution, spread: Array) -> list[ParameterRow]:
-    """Coefficients of G and the delay with errors carried over from the parameters of the search."""
+    """List the coefficients of G and the delay, with errors propagated from the parameters of the search.
+
+    Parameters
+    ----------
+    solution
+        Solution of the fit.
+    spread
+        Covariance (P, P) of the parameters of the search.
+
+    Returns
+    -------
+    list[ParameterRow]
+        A row a coefficient.
+    """
     structure, parameters = solution.structure, solution.parameters
 
     def coefficients(vector: Array) -> Array:
@@ -192,8 +270,23 @@ def dynamics_rows(solution: Solution, spread: Array) -> list[ParameterRow]:
     ]
 
 
-def told_apart(axis: AxisFit, name: str, parameters: Sequence[ParameterRow]) -> list[str]:
-    """Name the parameters that the data cannot tell, with the excitation that would."""
+def unresolved_parameters(axis: AxisFit, name: str, parameters: Sequence[ParameterRow]) -> list[str]:
+    """Name the parameters that the data cannot determine, with the excitation that would.
+
+    Parameters
+    ----------
+    axis
+        Fit of the axis.
+    name
+        Name of the axis.
+    parameters
+        Rows of the parameters of all axes.
+
+    Returns
+    -------
+    list[str]
+        A sentence a group of such parameters.
+    """
     notes = []
     own = [row for row in parameters if row["axis"] == name]
     unsure = [
@@ -205,13 +298,13 @@ def told_apart(axis: AxisFit, name: str, parameters: Sequence[ParameterRow]) -> 
     ]
     if unsure:
         notes.append(
-            f"axis {name}: {', '.join(unsure)} cannot be told from these data: record slow loops of several amplitudes "
+            f"axis {name}: {', '.join(unsure)} cannot be determined from these data: record slow loops of several amplitudes "
             "that begin at 0 V"
         )
     structure = axis.solution.structure
     if axis.dynamics and not structure.modes:
         notes.append(
-            f"axis {name}: the dynamics G(s) cannot be told from these data ({structure.describe()}): record a step or a "
+            f"axis {name}: the dynamics G(s) cannot be determined from these data ({structure.describe()}): record a step or a "
             "sweep up to beyond the resonance"
         )
     if axis.operators.dynamic:
@@ -219,5 +312,5 @@ def told_apart(axis: AxisFit, name: str, parameters: Sequence[ParameterRow]) -> 
         for key, row in rates.items():
             error = row["standard_error"]
             if row["value"] == 0.0 or (error is not None and error > abs(row["value"])):
-                notes.append(f"axis {name}: {key} cannot be told from 0: record loops at 100 Hz and above")
+                notes.append(f"axis {name}: {key} cannot be distinguished from 0: record loops at 100 Hz and above")
     return notes

@@ -1,4 +1,4 @@
-"""Finding the papers' experiments in records: the step, the quasi-static loops and the loops at a given rate."""
+"""Segmentation of records into the papers' experiments: the step, the quasi-static loops and the loops at a given rate."""
 
 from __future__ import annotations
 
@@ -18,7 +18,21 @@ REST_TIME = 5e-3
 
 @dataclass(frozen=True)
 class Stretch:
-    """Rows begin…end of a record between two rests. kind: "step", or "motion" with its main frequency (Hz)."""
+    """Rows of a record between two rests.
+
+    Parameters
+    ----------
+    record
+        Index of the record.
+    begin, end
+        First row, and the row behind the last one.
+    kind
+        "step" or "motion".
+    frequency
+        Main frequency of a motion, Hz.
+    amplitude
+        Height of the step or motion, V.
+    """
 
     record: int
     begin: int
@@ -29,9 +43,23 @@ class Stretch:
 
 
 def stretches_between_rests(data: Dataset, record: int, axis: int) -> list[Stretch]:
-    """The motions of one axis of a record, each with the rest that follows it.
+    """Find the motions of one axis of a record, each with the rest that follows it.
 
-    Where motions join without a rest they are cut where their frequency changes: at returns to the lowest command.
+    Motions that join without a rest are cut where their frequency changes: at returns to the lowest command.
+
+    Parameters
+    ----------
+    data
+        The record.
+    record
+        Index of the record.
+    axis
+        Index of the axis.
+
+    Returns
+    -------
+    list[Stretch]
+        The stretches in order.
     """
     command = data.command[:, axis]
     span = float(np.ptp(command))
@@ -64,8 +92,21 @@ def _runs(moving: NDArray[np.bool_], rest: int) -> list[tuple[int, int]]:
     return list(zip(begins.tolist(), ends.tolist(), strict=True))
 
 
-def still(command: Array, least: int) -> list[tuple[int, int]]:
-    """Begins and ends of the stretches over which a command (N,) holds still for at least so many samples."""
+def resting_stretches(command: Array, least: int) -> list[tuple[int, int]]:
+    """Find the stretches over which a command holds still.
+
+    Parameters
+    ----------
+    command
+        Command (N,).
+    least
+        Fewest samples of a stretch.
+
+    Returns
+    -------
+    list[tuple[int, int]]
+        First row, and the row behind the last one, of every stretch.
+    """
     moving = np.flatnonzero(np.abs(np.diff(command)) > 1e-6 * np.ptp(command))
     edges = np.concatenate([[-1], moving, [len(command) - 1]])
     return [(int(begin) + 1, int(end) + 1) for begin, end in zip(edges, edges[1:], strict=False) if end - begin >= least]
@@ -96,10 +137,24 @@ def _motions(command: Array, sample_time: float) -> list[tuple[int, int, float, 
     return runs
 
 
-def pick(datasets: Sequence[Dataset], axis: int, kind: str, frequency: float | None = None) -> list[Stretch]:
-    """Stretches for a role: every "step"; "quasi_static" motions up to 5 Hz; "dynamic" motions nearest to `frequency` (Hz).
+def select_stretches(datasets: Sequence[Dataset], axis: int, kind: str, frequency: float | None = None) -> list[Stretch]:
+    """Select stretches for a role; of the motions those of the largest amplitude, as in the papers.
 
-    Of the motions those of the largest amplitude are kept, as the papers' are.
+    Parameters
+    ----------
+    datasets
+        The records.
+    axis
+        Index of the axis.
+    kind
+        "step"; "quasi_static": motions up to 5 Hz; "dynamic": motions nearest to `frequency`.
+    frequency
+        Frequency of dynamic motions, Hz.
+
+    Returns
+    -------
+    list[Stretch]
+        The stretches.
     """
     everything = [stretch for number, data in enumerate(datasets) for stretch in stretches_between_rests(data, number, axis)]
     if kind == "step":

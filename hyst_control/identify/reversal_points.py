@@ -8,7 +8,18 @@ from hyst_control.chain.stage import Array
 
 
 def turning_points(command: Array) -> Array:
-    """Indices of the samples at which a signal (N,) turns; play operators remember nothing else."""
+    """Find the samples at which a signal turns; play operators remember no others.
+
+    Parameters
+    ----------
+    command
+        Signal (N,).
+
+    Returns
+    -------
+    Array
+        Indices of the samples, 0 first.
+    """
     slope = np.sign(np.diff(command))
     moving = np.flatnonzero(slope)
     turns = moving[1:][slope[moving[1:]] != slope[moving[:-1]]]

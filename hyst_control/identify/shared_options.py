@@ -8,7 +8,20 @@ from hyst_control.identify.stable_dynamics import Structure
 
 
 def nuisance_option(default: str, methods: tuple[str, ...] = ()) -> str:
-    """Declare what each record may add to the model."""
+    """Declare the option `nuisance`: the offset or drift that each record may add to the model.
+
+    Parameters
+    ----------
+    default
+        The default.
+    methods
+        Methods that have it; empty: all.
+
+    Returns
+    -------
+    str
+        The dataclass field.
+    """
     return option(
         default,
         TEXT,

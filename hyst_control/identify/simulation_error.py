@@ -1,7 +1,7 @@
 """Least squares on the simulation error of any chain, with linear inequality constraints on its parameters.
 
-The chain itself is run, so what is fitted is what the model file will do. Derivatives are differences between chains of
-neighbouring parameters, streamed side by side over the records block by block; what a step needs is kept as Gram matrices.
+The chain itself is run, so the fit is to the output of the model file. Derivatives are differences between chains of
+neighboring parameters, streamed side by side over the records block by block; the data for a step are kept as Gram matrices.
 """
 
 from __future__ import annotations
@@ -25,18 +25,27 @@ from hyst_control.identify.gram_sums import HELD_OUT_BLOCKS, NUISANCES, Grams, W
 from hyst_control.identify.reversal_points import turning_points
 
 BLOCK, CHUNK = 4096, 32768
-"""Rows of a Gram matrix of its own, at most, and rows simulated at a time."""
+"""Largest number of rows of one block's Gram matrix, and rows simulated at a time."""
 STEP = 1e-5
-"""Difference of neighbouring parameters, which are all of order one."""
+"""Difference of neighboring parameters, which are all of order one."""
 PRIOR = 1e-10
-"""Weight of the prior on every parameter relative to the strongest one: decides only what the data do not show at all."""
+"""Weight of the prior on every parameter relative to the strongest one: determines only directions that the data do not show at all."""
 
 
 @dataclass(frozen=True)
-class Parametrisation:
+class Parametrization:
     """Chain of a parameter vector (P,) of order one, and the constraints lhs · parameters >= rhs.
 
-    `limit` moves a vector to the nearest one that makes sense, for bounds that are not linear.
+    Parameters
+    ----------
+    stages
+        Chain of a parameter vector.
+    lhs
+        Left sides (C, P) of the constraints.
+    rhs
+        Right sides (C,).
+    limit
+        Nearest admissible vector to a vector, for bounds that are not linear.
     """
 
     stages: Callable[[Array], Sequence[Stage]]
@@ -47,7 +56,23 @@ class Parametrisation:
 
 @dataclass(frozen=True)
 class Solution:
-    """Parameters (P,), nuisances, mean square errors fitted and held out, Gram matrices of [derivatives, nuisances, error]."""
+    """Solution of a simulation-error fit.
+
+    Parameters
+    ----------
+    parameters
+        Parameters (P,).
+    nuisances
+        Nuisances of the records.
+    fitted, held_out
+        Mean square errors on the rows fitted and held out.
+    grams
+        Gram matrices of [derivatives, nuisances, error].
+    passes
+        Number of passes over the records.
+    linearized
+        Parameters (P,) at which the derivatives in `grams` were taken: these, or those one step before.
+    """
 
     parameters: Array
     nuisances: Array
@@ -55,19 +80,18 @@ class Solution:
     held_out: float
     grams: Grams
     passes: int
-    linearised: Array
-    """The parameters (P,) at which the derivatives in `grams` were taken: these, or those one step before."""
+    linearized: Array
 
     @property
     def covariance(self) -> Array:
         """Covariance (P, P) of the parameters, errors of the model included."""
         size = len(self.parameters)
-        return covariance(self.grams.blocks, np.concatenate([self.parameters - self.linearised, self.nuisances]))[:size, :size]
+        return covariance(self.grams.blocks, np.concatenate([self.parameters - self.linearized, self.nuisances]))[:size, :size]
 
 
-def minimise(
+def minimize_simulation_error(
     windows: Sequence[Window],
-    parametrisation: Parametrisation,
+    parametrization: Parametrization,
     start: Array,
     *,
     nuisance: str = "linear",
@@ -77,14 +101,14 @@ def minimise(
 ) -> Solution:
     """Fit a chain's parameters to records by damped Gauss-Newton. Never worse than the start.
 
-    A pass with derivatives is made at every parameter vector that lowered the cost, but for the last; whether one does is tried by a
+    A pass with derivatives is done at every parameter vector that lowered the cost, but for the last; whether one does is tried by a
     pass without.
 
     Parameters
     ----------
     windows
         Stretches of the records of one axis.
-    parametrisation
+    parametrization
         Chain and constraints of a parameter vector.
     start
         Parameters (P,) to begin with, which satisfy the constraints.
@@ -102,8 +126,8 @@ def minimise(
     Solution
         Parameters, nuisances, errors, and the Gram matrices that the covariance comes from.
     """
-    origin = parametrisation.limit(np.asarray(start, dtype=float))
-    search = _Search(windows, parametrisation, origin, nuisance, everything)
+    origin = parametrization.limit(np.asarray(start, dtype=float))
+    search = _Search(windows, parametrization, origin, nuisance, everything)
     rules = Rules(
         damping=1e-3,
         raised=lambda damping: damping * 10.0,
@@ -121,17 +145,17 @@ def minimise(
 
 @dataclass(frozen=True)
 class _Search:
-    """The least-squares problem of `minimise`; a point is a `Solution`, whose Gram matrices hold the derivatives."""
+    """The least-squares problem of `minimize_simulation_error`; a point is a `Solution`, whose Gram matrices hold the derivatives."""
 
     windows: Sequence[Window]
-    parametrisation: Parametrisation
+    parametrization: Parametrization
     origin: Array
     nuisance: str
     everything: bool
 
     def grams(self, parameters: Array, *, derivatives: bool) -> Grams:
         groups = max(window.group for window in self.windows) + 1
-        return gram_matrices(self.windows, self.parametrisation, parameters, self.nuisance, groups, derivatives=derivatives)
+        return gram_matrices(self.windows, self.parametrization, parameters, self.nuisance, groups, derivatives=derivatives)
 
     def start(self) -> Solution:
         return _solution(self.origin, self.grams(self.origin, derivatives=True), self.everything, 1, derivatives=True)
@@ -140,28 +164,49 @@ class _Search:
         return point.fitted
 
     def linearize(self, point: Solution) -> Solution:
-        return replace(point, grams=self.grams(point.parameters, derivatives=True), linearised=point.parameters)
+        return replace(point, grams=self.grams(point.parameters, derivatives=True), linearized=point.parameters)
 
     def step(self, point: Solution, damping: float) -> Trial[Solution]:
         grams = point.grams
         gram = grams.fitted + grams.held_out if self.everything else grams.fitted
-        step = _step(gram, self.parametrisation, point.parameters, self.origin, damping)
+        step = _step(gram, self.parametrization, point.parameters, self.origin, damping)
         # Shortened as a whole, so that it stays between two vectors that satisfy the constraints.
         step /= max(1.0, float(np.max(np.abs(step))))
-        parameters = self.parametrisation.limit(point.parameters + step)
+        parameters = self.parametrization.limit(point.parameters + step)
         found = _solution(parameters, self.grams(parameters, derivatives=False), self.everything, point.passes, derivatives=False)
-        return Trial(replace(found, grams=grams, linearised=point.parameters), float(np.max(np.abs(step))))
+        return Trial(replace(found, grams=grams, linearized=point.parameters), float(np.max(np.abs(step))))
 
 
 def gram_matrices(
-    windows: Sequence[Window], parametrisation: Parametrisation, parameters: Array, nuisance: str, groups: int, *, derivatives: bool
+    windows: Sequence[Window], parametrization: Parametrization, parameters: Array, nuisance: str, groups: int, *, derivatives: bool
 ) -> Grams:
-    """Gram matrices of [derivatives (P), nuisances per record, error], fitted and held out; every third block is held out."""
+    """Form the Gram matrices of [derivatives (P), nuisances per record, error]; every third block is held out.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records.
+    parametrization
+        Chain of a parameter vector.
+    parameters
+        Parameters (P,).
+    nuisance
+        Nuisance of each record, one of `NUISANCES`.
+    groups
+        Number of records.
+    derivatives
+        Include the derivatives.
+
+    Returns
+    -------
+    Grams
+        Gram matrices of the rows fitted and held out.
+    """
     size, extra = len(parameters) * derivatives, NUISANCES[nuisance]
     total = size + extra * groups + 1
     grams, rows, blocks = np.zeros((2, total, total)), [0, 0], []
     vectors = [parameters, *(parameters + STEP * unit for unit in np.eye(len(parameters))[:size])]
-    chains = [tuple(parametrisation.stages(vector)) for vector in vectors]
+    chains = [tuple(parametrization.stages(vector)) for vector in vectors]
     clocks: dict[Sampling, Bundle] = {}
     length = int(np.clip(sum(len(window.command) for window in windows) // HELD_OUT_BLOCKS, 1, BLOCK))
     for window in windows:
@@ -197,9 +242,21 @@ def gram_matrices(
 
 
 def driving_signal(window: Window) -> tuple[Array, int]:
-    """Return the input of a chain (M, 1), memory first, whose output row for row is the measurement, and the window's first row.
+    """Construct the input of a chain whose output is the measurement, row for row.
 
     Under zoh the measurement at a tick answers the command of the interval before, under foh that of the same instant.
+
+    Parameters
+    ----------
+    window
+        A stretch of a record.
+
+    Returns
+    -------
+    signal : Array
+        Input (M, 1), the memory first.
+    first : int
+        Row at which the window begins.
     """
     before = np.zeros(0) if window.memory is None else window.memory
     signal = np.concatenate([before, window.command])
@@ -209,7 +266,7 @@ def driving_signal(window: Window) -> tuple[Array, int]:
 
 
 def _solution(parameters: Array, grams: Grams, everything: bool, passes: int, *, derivatives: bool) -> Solution:
-    """The nuisances that suit the error best, and the mean squares that are left."""
+    """Nuisances that reduce the error most, and the remaining mean squares."""
     first = len(parameters) if derivatives else 0
     chosen = grams.fitted + grams.held_out if everything else grams.fitted
     inner = chosen[first:-1, first:-1]
@@ -226,7 +283,7 @@ def _solution(parameters: Array, grams: Grams, everything: bool, passes: int, *,
     return Solution(parameters, nuisances, mean_square(chosen, rows), held_out, grams, passes, parameters)
 
 
-def _step(gram: Array, parametrisation: Parametrisation, present: Array, origin: Array, damping: float) -> Array:
+def _step(gram: Array, parametrization: Parametrization, present: Array, origin: Array, damping: float) -> Array:
     size = len(present)
     normal, gradient = gram[:-1, :-1].copy(), gram[:-1, -1].copy()
     diagonal = np.diag(normal).copy()
@@ -236,16 +293,32 @@ def _step(gram: Array, parametrisation: Parametrisation, present: Array, origin:
     gradient[:size] += PRIOR * strongest * (origin - present)
     others = np.arange(size, len(normal))
     normal[others, others] += 1e-12 * diagonal[others] + 1e-300
-    lhs = np.zeros((len(parametrisation.lhs), len(normal)))
-    lhs[:, :size] = parametrisation.lhs
-    return constrained_minimum(normal, gradient, lhs, parametrisation.rhs - parametrisation.lhs @ present)[:size]
+    lhs = np.zeros((len(parametrization.lhs), len(normal)))
+    lhs[:, :size] = parametrization.lhs
+    return constrained_minimum(normal, gradient, lhs, parametrization.rhs - parametrization.lhs @ present)[:size]
 
 
 def constrained_minimum(normal: Array, gradient: Array, lhs: Array, rhs: Array) -> Array:
-    """The x (K,) that minimises x' normal x / 2 - gradient' x with lhs x >= rhs; normal (K, K) positive definite.
+    """Minimize x' normal x / 2 - gradient' x with lhs x >= rhs.
 
-    Turned into a least distance problem and solved by nonnegative least squares (Lawson & Hanson, Solving Least Squares
-    Problems, 1974, chapter 23).
+    Converted to a least distance problem and solved by nonnegative least squares (Lawson & Hanson, Solving Least Squares Problems,
+    1974, chapter 23).
+
+    Parameters
+    ----------
+    normal
+        Positive definite matrix (K, K).
+    gradient
+        Vector (K,).
+    lhs
+        Left sides (C, K) of the constraints.
+    rhs
+        Right sides (C,).
+
+    Returns
+    -------
+    Array
+        The minimum x (K,).
     """
     scale = 1.0 / np.sqrt(np.diag(normal))
     normal, gradient, lhs = normal * scale[:, None] * scale, gradient * scale, lhs * scale
@@ -269,7 +342,18 @@ def constrained_minimum(normal: Array, gradient: Array, lhs: Array, rhs: Array) 
 
 @njit(cache=True)
 def surviving_turns(values: Array) -> NDArray[np.int64]:
-    """Return the indices of the turning points of a signal (N,) that no later excursion has passed: Madelung's rules remember no other."""
+    """Find the turning points that no later excursion has passed: Madelung's rules remember no others.
+
+    Parameters
+    ----------
+    values
+        Signal (N,).
+
+    Returns
+    -------
+    NDArray[np.int64]
+        Indices of the turning points.
+    """
     kept = np.empty(values.size, dtype=np.int64)
     count = 0
     for k in range(values.size):
@@ -284,10 +368,20 @@ def surviving_turns(values: Array) -> NDArray[np.int64]:
     return kept[:count]
 
 
-def coarse(window: Window) -> Window:
-    """The window itself, or every n-th row of one whose command creeps: its motion there is straight between such rows.
+def thinned(window: Window) -> Window:
+    """Thin a window whose command creeps to every n-th row, between which its motion is straight.
 
-    A held command is, seen from afar, the mean of the values before and after the tick.
+    A held command is, at the coarse sample time, the mean of the values before and after the tick.
+
+    Parameters
+    ----------
+    window
+        A stretch of a record.
+
+    Returns
+    -------
+    Window
+        The thinned window, or the window itself.
     """
     steps = np.abs(np.diff(window.command))
     largest = float(steps.max()) if len(steps) else 0.0
@@ -308,14 +402,29 @@ def coarse(window: Window) -> Window:
 
 
 def short_stretches(windows: Sequence[Window], rows: int, length: float, settle: float) -> list[Window]:
-    """About `rows` rows in stretches of `length` s spread evenly over the windows; the windows themselves if they have no more.
+    """Choose short stretches that are spread evenly over the windows.
 
-    Creeping records stay whole, but coarser (`coarse`). A stretch knows the turning points before it that still matter; its first
-    `settle` s, the transients, do not count.
+    Creeping records stay whole, but coarser (`thinned`). A stretch includes the turning points before it that still matter.
+
+    Parameters
+    ----------
+    windows
+        The records.
+    rows
+        Approximate number of rows to choose.
+    length
+        Length of a stretch, s.
+    settle
+        Time at the begin of a stretch, the transients, that does not count, s.
+
+    Returns
+    -------
+    list[Window]
+        The stretches; the windows themselves if they have no more rows than that.
     """
     if sum(len(window.command) for window in windows) <= rows:
         return list(windows)
-    whole = [(window, coarse(window)) for window in windows]
+    whole = [(window, thinned(window)) for window in windows]
     chosen = [thin for window, thin in whole if thin is not window]
     quick = [window for window, thin in whole if thin is window]
     rows -= sum(len(window.command) for window in chosen)

@@ -2,8 +2,8 @@
 
 Two fits, both Levenberg-Marquardt on the output error of all levels together, each level weighing the same: first the
 poles and input gains as functions of the slow amplitude, which is constant within a record; then, with the softening
-force computed from the first model's elongation, that force as further inputs of the same modes. Nothing but the
-command enters either.
+force computed from the first model's elongation, that force as further inputs of the same modes. The only input of both
+is the command.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,26 +26,45 @@ from hyst_control.identify.modal_fit import Layout, ModalModel, Problem, Spectra
 
 @dataclass(frozen=True)
 class Level:
-    """One level: steady periods of command (N, m, R) in V and measurement (N, p, R) for R realisations."""
+    """One level: steady periods of command (N, m, R) in V and measurement (N, p, R) for R realizations."""
 
     command: Array
     measurement: Array
 
     @property
     def amplitude(self) -> float:
-        """Rms of the command over samples, axes and realisations, V."""
+        """Rms of the command over samples, axes and realizations, V."""
         return float(np.sqrt(np.mean(self.command**2)))
 
 
 @dataclass(frozen=True)
 class Scheduled:
-    """Modal parameters that move along one direction with g: θ = centre + g · change, in the layout of `modal_fit.Problem`."""
+    """Modal parameters that move along one direction with g: θ = centre + g · change.
+
+    Parameters
+    ----------
+    centre
+        The model at g = 0.
+    change
+        Change (P,) of the parameters with g, in the layout of `modal_fit.Problem`.
+    """
 
     centre: ModalModel
     change: Array
 
     def at(self, g: float) -> ModalModel:
-        """The linear model at this g."""
+        """Return the linear model at a value of the schedule.
+
+        Parameters
+        ----------
+        g
+            Value of the schedule.
+
+        Returns
+        -------
+        ModalModel
+            The model.
+        """
         problem = Problem([_empty(self.centre)], self.centre)
         problem.apply(g * self.change)
         return problem.model
@@ -52,10 +72,20 @@ class Scheduled:
 
 @dataclass(frozen=True)
 class SofteningFit:
-    """The stage and how it was found.
+    """A softening stage and its fit.
 
-    The parameters it was made of, how many of them are free, the seconds it took, and the standard deviations (M, 2) of the poles' decay
-    and frequency, as far as the fit's residual tells.
+    Parameters
+    ----------
+    stage
+        The stage.
+    scheduled
+        The parameters of the stage.
+    parameters
+        Number of free parameters.
+    seconds
+        Time that the fit took, s.
+    sigma
+        Standard deviations (M, 2) of the poles' decay and frequency, as far as the residual shows them.
     """
 
     stage: SofteningModal
@@ -66,14 +96,27 @@ class SofteningFit:
 
     @property
     def tolerance(self) -> dict[str, float]:
-        """Median relative standard deviations of the stage's decays and frequencies: the least due in a model file."""
+        """Median relative standard deviations of the stage's decays and frequencies: the smallest tolerance of a model file."""
         pairs = np.asarray(self.stage.frequency) > 0
         relative = self.sigma[pairs] / np.abs(np.stack([self.stage.decay, self.stage.frequency], axis=1)[pairs])
         return {"decay": float(np.median(relative[:, 0])), "frequency": float(np.median(relative[:, 1]))}
 
 
 def schedule(amplitude: float, reference: float) -> float:
-    """g of `SofteningModal`: 0 at the reference amplitude, -1 at half of it."""
+    """Schedule g of `SofteningModal`: 0 at the reference amplitude, -1 at half of it.
+
+    Parameters
+    ----------
+    amplitude
+        The amplitude.
+    reference
+        The reference amplitude.
+
+    Returns
+    -------
+    float
+        g.
+    """
     return float((np.sqrt(amplitude / reference) - 1.0) / (1.0 - np.sqrt(0.5)))
 
 
@@ -115,7 +158,7 @@ def fit_softening(
     Returns
     -------
     SofteningFit
-        The stage, how it was found, and how sure its poles are.
+        The stage, its fit, and the standard deviations of its poles.
     """
     began = time.perf_counter()
     g = [schedule(level.amplitude, reference) for level in levels]
@@ -131,12 +174,12 @@ def fit_softening(
     if not force:
         stage = stage_of(scheduled, reference, sample_time, memory=memory)
         return SofteningFit(stage, scheduled, parameters, time.perf_counter() - began, _per_second(sigma, sample_time))
-    # The elongation in volts of a slow command: what the low lines' gain makes of the output.
+    # The elongation in volts of a slow command: the output divided by the gain of the low lines.
     low = linear.response(2 * np.pi * np.linspace(80.0, 230.0, 50) * sample_time).mean(axis=0).real
     elongation = np.linalg.inv(low)
     exponents = np.atleast_1d(np.asarray(exponent, dtype=float))
     point = _widened(scheduled, inputs * len(exponents))
-    # The force follows the elongation that the commands alone cause in the model, so each fit moves it a little: fit
+    # The force follows the elongation that the commands alone cause in the model, so each fit changes it a little: fit
     # again.
     for _ in range(rounds):
         strains = [_strain(point.at(value), level, elongation, inputs) for level, value in zip(levels, g, strict=True)]
@@ -237,7 +280,7 @@ class _Point:
 
 @dataclass(frozen=True)
 class _Search:
-    """The least-squares problem of all levels: parameters of the centre (P,), then the changes of those that are `moving`."""
+    """The least-squares problem of all levels: parameters of the center (P,), then the changes of those that are `moving`."""
 
     problems: Sequence[Problem]
     g: Sequence[float]
@@ -297,7 +340,24 @@ def _per_second(sigma: Array, sample_time: float) -> Array:
 
 
 def spectra(command: Array, measurement: Array, weight: float, every_line: bool = False) -> Spectra:
-    """Excited lines of periodic records, scaled so that sums of squares are those of the samples times weight²."""
+    """Transform periodic records at their excited lines; sums of squares are those of the samples times weight².
+
+    Parameters
+    ----------
+    command
+        Commands (N, m, records).
+    measurement
+        Measurements (N, p, records).
+    weight
+        Weight of the records.
+    every_line
+        Take all lines.
+
+    Returns
+    -------
+    Spectra
+        The spectra.
+    """
     u, y = np.fft.rfft(command, axis=0), np.fft.rfft(measurement, axis=0)
     lines = np.arange(1, (len(command) + 1) // 2) if every_line else excited_lines(np.sum(np.abs(u) ** 2, axis=(1, 2)))
     scale = weight * np.sqrt(2.0 / len(command))
@@ -314,7 +374,30 @@ def stage_of(
     elongation: Array | None = None,
     mean: Array | None = None,
 ) -> SofteningModal:
-    """The stage; inputs beyond the number of outputs are the softening force's."""
+    """Construct the stage; inputs beyond the number of outputs are those of the softening force.
+
+    Parameters
+    ----------
+    scheduled
+        Linear models along the schedule.
+    reference
+        Reference amplitude.
+    sample_time
+        Sample time, s.
+    memory
+        Time constant of the amplitude, s.
+    exponent
+        Exponent of the schedule, one or one an axis.
+    elongation
+        Map from the states to the elongation.
+    mean
+        Mean amplitude.
+
+    Returns
+    -------
+    SofteningModal
+        The stage.
+    """
     model = scheduled.centre
     n, m = model.inputs.shape
     outputs = model.feedthrough.shape[0]
@@ -329,8 +412,8 @@ def stage_of(
         {
             "force_inputs": pair(model.inputs[:, outputs:] / sample_time),
             "force_feedthrough": model.feedthrough[:, outputs:],
-            "elongation": elongation,
-            "force_mean": mean,
+            "elongation": cast(Array, elongation),  # given with the inputs of the force
+            "force_mean": cast(Array, mean),
         }
         if m > outputs
         else {}

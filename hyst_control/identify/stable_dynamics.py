@@ -1,9 +1,9 @@
-"""A linear dynamics G(s) of unit static gain, parametrised so that it is stable for every parameter vector.
+"""Linear dynamics G(s) of unit static gain, parametrized so that it is stable for every parameter vector.
 
     G(s) = e^(-tau s) · Π_i (1 + b_i-polynomial) / Π (s²/ω² + 2ζ s/ω + 1) · Π 1/(s/ω_f + 1) · (s/z + 1)/(s/p + 1)
 
-The factors are optional; together they are the structure. The static gain is left to the weights of the hysteresis, from which
-it could not be told apart.
+The factors are optional; together they are the structure. The static gain is part of the weights of the hysteresis, from which
+it could not be separated.
 """
 
 from __future__ import annotations
@@ -28,7 +28,21 @@ TAU_UNIT = 1e-4
 
 @dataclass(frozen=True)
 class Structure:
-    """Factors of G(s): modes (second order), lags (first order), zeros of the numerator, a slow pair, a delay."""
+    """Factors of G(s).
+
+    Parameters
+    ----------
+    modes
+        Number of second-order modes.
+    lags
+        Number of first-order lags.
+    zeros
+        Number of zeros of the numerator.
+    slow_pair
+        A slow pole and zero, for creep.
+    delay
+        A delay.
+    """
 
     modes: int = 0
     lags: int = 0
@@ -59,7 +73,23 @@ class Structure:
 
     @classmethod
     def parse(cls, text: object) -> Structure:
-        """Read a structure from a text such as "modes=1,zeros=2,delay". Raises `ValueError` for any other; a structure stays itself."""
+        """Parse a text such as "modes=1,zeros=2,delay"; a structure stays itself.
+
+        Parameters
+        ----------
+        text
+            Text or structure.
+
+        Returns
+        -------
+        Structure
+            The structure.
+
+        Raises
+        ------
+        ValueError
+            The text is of another form.
+        """
         if isinstance(text, Structure):
             return text
         if not isinstance(text, str):
@@ -98,7 +128,18 @@ class Structure:
         return options
 
     def start(self, frequency: float) -> Array:
-        """A parameter vector to begin with: modes and lags near `frequency` (Hz), everything else neutral."""
+        """Initial parameters: modes and lags near a frequency, all other factors neutral.
+
+        Parameters
+        ----------
+        frequency
+            The frequency, Hz.
+
+        Returns
+        -------
+        Array
+            Parameters (P,).
+        """
         w = 2 * np.pi * frequency
         values: list[float] = []
         for mode in range(self.modes):
@@ -109,7 +150,22 @@ class Structure:
         return np.array(values + [0.3] * self.delay)
 
     def grow(self, smaller: Structure, parameters: Array, frequency: float) -> Array:
-        """The parameters of a smaller structure carried over to this one, new factors neutral."""
+        """Convert the parameters of a smaller structure to this one, new factors neutral.
+
+        Parameters
+        ----------
+        smaller
+            The smaller structure.
+        parameters
+            Its parameters.
+        frequency
+            Frequency near which new factors begin, Hz.
+
+        Returns
+        -------
+        Array
+            Parameters (P,).
+        """
         old, new = smaller.split(parameters), self.split(self.start(frequency))
         for name, values in old.items():
             if name == "modes" and len(values) < len(new[name]):
@@ -120,13 +176,37 @@ class Structure:
         return np.concatenate([part.ravel() for part in new.values()])
 
     def split(self, parameters: Array) -> dict[str, Array]:
-        """The parameter vector by factor; modes (n, 2)."""
+        """Split a parameter vector by factor.
+
+        Parameters
+        ----------
+        parameters
+            Parameters (P,).
+
+        Returns
+        -------
+        dict[str, Array]
+            Parameters by the factor's name; modes (n, 2).
+        """
         counts = [2 * self.modes, self.lags, self.zeros, 2 * self.slow_pair, int(self.delay)]
         parts = np.split(np.array(parameters, dtype=float), np.cumsum(counts)[:-1])
         return dict(zip(("modes", "lags", "zeros", "slow_pair", "delay"), (parts[0].reshape(-1, 2), *parts[1:]), strict=True))
 
     def rational(self, parameters: Array) -> tuple[Array, Array]:
-        """num and den, descending powers of s, unit static gain."""
+        """Rational part of G(s), with unit static gain.
+
+        Parameters
+        ----------
+        parameters
+            Parameters (P,).
+
+        Returns
+        -------
+        num : Array
+            Numerator in descending powers of s.
+        den : Array
+            Denominator in descending powers of s.
+        """
         parts = self.split(parameters)
         den, num = np.ones(1), np.ones(1)
         scale = np.inf
@@ -146,11 +226,33 @@ class Structure:
         return num / den[0], den / den[0]
 
     def tau(self, parameters: Array) -> float:
-        """Delay in s, never negative."""
+        """Delay of G(s), never negative.
+
+        Parameters
+        ----------
+        parameters
+            Parameters (P,).
+
+        Returns
+        -------
+        float
+            Delay, s.
+        """
         return TAU_UNIT * max(float(parameters[-1]), 0.0) if self.delay else 0.0
 
     def stages(self, parameters: Array) -> list[Stage]:
-        """The dynamics as stages of a chain: the delay, then the rest."""
+        """Construct the stages of the dynamics: the delay, then the rational part.
+
+        Parameters
+        ----------
+        parameters
+            Parameters (P,).
+
+        Returns
+        -------
+        list[Stage]
+            The stages.
+        """
         stages: list[Stage] = []
         if self.delay and self.tau(parameters) > 0:
             stages.append(Delay(self.tau(parameters)))
@@ -159,8 +261,23 @@ class Structure:
             stages.append(TransferFunction(num, den))
         return stages
 
-    def discretised(self, parameters: Array, sampling: Sampling) -> tuple[Discretised, int]:
-        """One exact step of the sampled dynamics, and its delay in whole samples."""
+    def discretized(self, parameters: Array, sampling: Sampling) -> tuple[Discretised, int]:
+        """Discretize the dynamics exactly.
+
+        Parameters
+        ----------
+        parameters
+            Parameters (P,).
+        sampling
+            Sample time and hold.
+
+        Returns
+        -------
+        system : Discretised
+            One step of the sampled dynamics.
+        whole : int
+            Their delay, whole samples.
+        """
         samples = self.tau(parameters) / sampling.sample_time
         whole = int(np.floor(samples + 1e-9))
         if self.modes + self.lags + self.slow_pair:
@@ -170,9 +287,21 @@ class Structure:
         return discretise(system, np.array([max(samples - whole, 0.0)]), sampling), whole
 
     def limit(self, parameters: Array, sample_time: float) -> Array:
-        """The parameters held where the data can tell something: rates below the sampling rate, damping 0.002…5.
+        """Move parameters into the range that data can resolve: rates below the sampling rate, damping 0.002 ... 5.
 
         A slow pair moves a tenth of the stroke at most: it stands for creep, not for a hysteresis that the operators miss.
+
+        Parameters
+        ----------
+        parameters
+            Parameters (P,).
+        sample_time
+            Sample time, s.
+
+        Returns
+        -------
+        Array
+            Parameters (P,) within the range.
         """
         parts = self.split(parameters)
         fastest = np.log(2 * np.pi * 1.5 / sample_time)

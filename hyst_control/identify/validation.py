@@ -63,7 +63,22 @@ def validate_bags(
 
 
 def check_pair(name: str, model: Model, data: Dataset) -> None:
-    """Raise `InputError` unless model and record have the same axes and unit."""
+    """Check that model and record have the same axes and unit.
+
+    Parameters
+    ----------
+    name
+        Name of the model.
+    model
+        The model.
+    data
+        The record.
+
+    Raises
+    ------
+    InputError
+        They do not.
+    """
     if model.axes != data.axes or model.units["measurement"] != data.unit:
         raise InputError(
             f"{name}: has axes {', '.join(model.axes)} in {model.units['measurement']}, the record {data.name} has "
@@ -72,7 +87,19 @@ def check_pair(name: str, model: Model, data: Dataset) -> None:
 
 
 def add_rows(table: Table, name: str, model: Model, data: Dataset) -> None:
-    """Figures of one model on one record: the whole of it, then each motion between rests by frequency and height."""
+    """Add the figures of one model on one record: the whole record, then each motion between rests by frequency and height.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    name
+        Name of the model.
+    model
+        The model.
+    data
+        The record.
+    """
     error = residual(model, data)
     skipped = len(data.command) - len(error)
     for axis, label in enumerate(data.axes):
@@ -87,7 +114,7 @@ def add_rows(table: Table, name: str, model: Model, data: Dataset) -> None:
             ("rmse", rmse, data.unit),
         ):
             table.add("validation", where, name, quantity, symbol, value, n=len(e))
-        outside = share_outside(model, data, axis)
+        outside = fraction_outside(model, data, axis)
         if outside > 0:
             table.add("validation", where, name, "outside_valid_command", "%", 100 * outside, n=len(e))
         for stretch in stretches_between_rests(data, 0, axis):
@@ -107,8 +134,23 @@ def add_rows(table: Table, name: str, model: Model, data: Dataset) -> None:
             )
 
 
-def share_outside(model: Model, data: Dataset, axis: int) -> float:
-    """Share of the record's command outside the range that the model was fitted over."""
+def fraction_outside(model: Model, data: Dataset, axis: int) -> float:
+    """Fraction of a record's command outside the range over which the model was fitted.
+
+    Parameters
+    ----------
+    model
+        The model.
+    data
+        The record.
+    axis
+        Index of the axis.
+
+    Returns
+    -------
+    float
+        Fraction, 0 to 1.
+    """
     valid = model.valid.get("command")
     if valid is None:
         return 0.0

@@ -25,8 +25,23 @@ LEAST_SLOPE = 1e-3
 class Problem:
     """One axis of all records, the operators, and the bounds of the linear parameters.
 
-    The bounds are those of the *slopes*, the cumulative sums of the weights: a loop whose every branch rises has positive
-    slopes, and only then an inverse.
+    The bounds are those of the *slopes*, the cumulative sums of the weights: a loop whose every branch rises has positive slopes,
+    and only then an inverse.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records.
+    operators
+        The play operators.
+    nuisance
+        Nuisance of each record, one of `NUISANCES`.
+    groups
+        Number of records.
+    mean_slope
+        Range of the measurement / range of the command.
+    drift
+        Largest drift of each record (measurement unit), where the nuisance is linear; no bound where there is none.
     """
 
     windows: Sequence[Window]
@@ -35,7 +50,6 @@ class Problem:
     groups: int
     mean_slope: float
     drift: Sequence[float] = ()
-    """Largest drift of each record (measurement unit), where the nuisance is linear; no bound where there is none."""
 
     @property
     def to_weights(self) -> Array:
@@ -46,7 +60,20 @@ class Problem:
         return matrix
 
     def bounds(self, free: int) -> tuple[Array, Array]:
-        """Bounds of the bounded coordinates followed by the `free` nuisances, of which only drifts are bounded."""
+        """Bounds of the bounded coordinates and of the nuisances, of which only drifts are bounded.
+
+        Parameters
+        ----------
+        free
+            Number of nuisances.
+
+        Returns
+        -------
+        lower : Array
+            Lower bounds (J + free,).
+        upper : Array
+            Upper bounds (J + free,).
+        """
         n, dynamic = len(self.operators.thresholds), self.operators.dynamic
         lower = np.concatenate([np.full(n, LEAST_SLOPE * self.mean_slope), [0.0, 0.0, -np.inf] * dynamic, np.full(free, -np.inf)])
         upper = np.full(len(lower), np.inf)
@@ -57,7 +84,25 @@ class Problem:
 
 @dataclass(frozen=True)
 class Solution:
-    """Parameters of G, linear parameters (J,), nuisances, the mean square errors fitted and held out, and the Gram matrices."""
+    """Solution of a variable-projection fit.
+
+    Parameters
+    ----------
+    structure
+        Factors of G(s).
+    parameters
+        Parameters (P,) of G.
+    theta
+        Linear parameters (J,).
+    nuisances
+        Nuisances of the records.
+    fitted, held_out
+        Mean square errors on the rows fitted and held out.
+    grams
+        Gram matrices of the last pass.
+    passes
+        Number of passes over the records.
+    """
 
     structure: Structure
     parameters: Array
@@ -70,7 +115,24 @@ class Solution:
 
 
 def linear_solution(problem: Problem, gram: Array, size: int) -> tuple[Array, Array]:
-    """θ (J,) and nuisances for the G at which `gram` was formed; `size` dynamics columns are left out."""
+    """Solve for the linear parameters of the G at which a Gram matrix was formed.
+
+    Parameters
+    ----------
+    problem
+        One axis of all records.
+    gram
+        Gram matrix (K, K).
+    size
+        Number of its dynamics columns, which are left out.
+
+    Returns
+    -------
+    theta : Array
+        Linear parameters (J,).
+    nuisances : Array
+        Nuisances of the records.
+    """
     columns = problem.operators.columns
     total = len(gram) - 1
     keep = np.r_[0:columns, columns + size : total]
@@ -186,7 +248,7 @@ class _Search:
 
 
 def _limited_step(problem: Problem, at: Solution, everything: bool, damping: float, sample_time: float) -> Array:
-    """The damped Gauss-Newton step; parameters that it would push out of bounds at which they stand are held there."""
+    """The damped Gauss-Newton step; parameters at a bound that it would cross are held there."""
     gram = at.grams.fitted + at.grams.held_out if everything else at.grams.fitted
     free = np.ones(at.structure.size, dtype=bool)
     while True:

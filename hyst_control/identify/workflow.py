@@ -1,4 +1,4 @@
-"""From bags to a model file and a fit report: the one path of the command line, the identification node and scripts."""
+"""Identification from bags to a model file and a fit report, as used by the command line, the identification node and scripts."""
 
 from __future__ import annotations
 
@@ -20,18 +20,26 @@ from hyst_control.records.record import Record
 from hyst_control.records.record_validity import Trial, refuse_invalid
 from hyst_control.records.session_zero import without_zero
 
-NEED = ("command", "measurement")
+TOPICS = ("command", "measurement")
 
 
 @dataclass(frozen=True)
 class Result:
-    """Identified model and the file it was written to."""
+    """An identified model and its file.
+
+    Parameters
+    ----------
+    fit
+        Model and report.
+    output
+        The file it was written to.
+    """
 
     fit: Fit
     output: Path
 
     def text(self) -> str:
-        """The fit in a few lines."""
+        """Summarize the fit in a few lines."""
         report = self.fit.report
         lines = [", ".join([f"{report['family']} ({report['method']})", *report.get("structure", [])])]
         for row in report["records"]:
@@ -149,19 +157,38 @@ def discrepancy(model: Model, datasets: Sequence[Dataset]) -> dict[str, Any]:
 
 
 def chosen_families(family: str | None, method: str, options: Mapping[str, object]) -> list[str]:
-    """Return the families to identify: the one named, or all that are compared and have the options given.
+    """Choose the families to identify: the one named, or all that are compared and have the options given.
 
-    Raises `InputError` for a family, a method or an option that does not exist or has no such value.
+    Parameters
+    ----------
+    family
+        Model family; None: those that are compared.
+    method
+        Method of the fit.
+    options
+        Options by name.
+
+    Returns
+    -------
+    list[str]
+        Names of families.
+
+    Raises
+    ------
+    InputError
+        A family, a method or an option does not exist, or an option has no such value.
     """
     if family is not None:
         estimator_of(family).options(method=method, **options)
         return [family]
     compared = {name: each for name, each in estimators().items() if each.suggested}
     if method != "joint":
-        raise InputError(f"method: the best family is chosen by the joint method: name a model for {method}")
+        raise InputError(f"method: must be joint where no model is named, got {method}: name a model")
     having = [name for name, each in compared.items() if each.has(options)]
     if not having:
-        raise InputError(f"{', '.join(options)}: none of {', '.join(compared)}, of which the best is chosen, has it: name a model")
+        raise InputError(
+            f"{', '.join(options)}: not an option of any of {', '.join(compared)}, of which the best is chosen: name a model"
+        )
     for name in having:
         compared[name].options(method=method, **options)
     return having
@@ -173,13 +200,13 @@ def datasets_of(record: Record, hold: str | None = None, start: str = "settled",
     Parameters
     ----------
     record
-        Command and measurement, and whatever else.
+        Command and measurement, and possibly other signals.
     hold
-        "zoh" or "foh"; None: what the record says.
+        "zoh" or "foh"; None: that of the record.
     start
         "settled" at the first command, reached from 0 V on the virgin curve, or "unknown"; what follows a gap is unknown.
     allow_gaps
-        Use the stretches between lost samples in place of refusing them.
+        Use the stretches between lost samples instead of raising an error.
 
     Returns
     -------
@@ -191,23 +218,23 @@ def datasets_of(record: Record, hold: str | None = None, start: str = "settled",
     InputError
         Topics, units or samples are unusable: names the record and the remedy.
     """
-    command, measurement = (record.signal(topic) for topic in NEED)
+    command, measurement = (record.signal(topic) for topic in TOPICS)
     if command.unit not in COMMAND_UNITS:
         raise InputError(
-            f"{record.source}: command: unit {command.unit!r}, {' or '.join(COMMAND_UNITS)} is needed: import it with its unit"
+            f"{record.source}: command: unit must be {' or '.join(COMMAND_UNITS)}, got {command.unit!r}: import it with its unit"
         )
     if measurement.unit not in MEASUREMENT_UNITS:
         raise InputError(
-            f"{record.source}: measurement: unit {measurement.unit!r}, {' or '.join(MEASUREMENT_UNITS)} is needed: import it "
+            f"{record.source}: measurement: unit must be {' or '.join(MEASUREMENT_UNITS)}, got {measurement.unit!r}: import it "
             "with its unit, or name the unit of a bag without a layout"
         )
     if command.axes != measurement.axes:
         raise InputError(
-            f"{record.source}: command has axes {', '.join(command.axes)}, measurement {', '.join(measurement.axes)}: "
-            "both need the same axes in the same order"
+            f"{record.source}: command has axes {', '.join(command.axes)}, measurement has {', '.join(measurement.axes)}: "
+            "record both with the same axes in the same order"
         )
     datasets = []
-    for index, part in enumerate(record.aligned(NEED, allow_gaps)):
+    for index, part in enumerate(record.aligned(TOPICS, allow_gaps)):
         name = Path(record.source).name + (f"[{index}]" if index else "")
         data = Dataset(
             name,

@@ -1,4 +1,4 @@
-"""Artifacts of a command: its files with their sizes and hashes, and what is in them, as JSON and as lines."""
+"""Artifacts of a command: its files with their sizes and hashes, and facts on their content, as JSON and as lines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,19 @@ MOST_NAMED = 4
 
 @dataclass(frozen=True)
 class Fact:
-    """One number on what was made; case: the topic or file it is about, "" for the whole."""
+    """One number on an artifact.
+
+    Parameters
+    ----------
+    case
+        Topic or file it is about, "" for the whole.
+    quantity
+        Name of the quantity.
+    unit
+        Unit of the value.
+    value
+        The value.
+    """
 
     case: str
     quantity: str
@@ -24,8 +36,20 @@ class Fact:
 
 
 @dataclass
-class Made:
-    """Files (or folders) of one source ("simulate"), facts on them, and the lines that tell a person of it."""
+class Artifacts:
+    """Artifacts of one command.
+
+    Parameters
+    ----------
+    source
+        The command, such as "simulate".
+    files
+        Files or folders written.
+    facts
+        Numbers on them.
+    lines
+        Lines of the summary.
+    """
 
     source: str
     files: Sequence[str | Path]
@@ -33,21 +57,27 @@ class Made:
     lines: list[str] = field(default_factory=list)
 
     def add(self, case: str, quantity: str, unit: str, value: float) -> None:
-        """Append one fact; numpy numbers become Python ones."""
+        """Append one fact; numpy numbers become Python ones.
+
+        Parameters
+        ----------
+        case, quantity, unit, value
+            As in `Fact`.
+        """
         self.facts.append(Fact(case, quantity, unit, value if isinstance(value, int) else float(value)))
 
     def document(self) -> dict[str, Any]:
-        """Content as plain JSON types; the hashes are computed now."""
+        """Convert to plain JSON types; the hashes are computed now."""
         return {
             "schema": SCHEMA,
             "version": VERSION,
             "source": self.source,
-            "files": [described(path) for path in self.files],
+            "files": [file_description(path) for path in self.files],
             "rows": [vars(fact).copy() for fact in self.facts],
         }
 
     def text(self) -> str:
-        """The lines, and where everything is."""
+        """The lines, and the paths of the files."""
         files = list(self.files)
         where = [f"written: {path}" for path in files]
         if len(files) > MOST_NAMED:
@@ -55,11 +85,21 @@ class Made:
         return "\n".join([*self.lines, *where])
 
 
-def described(path: str | Path) -> dict[str, Any]:
-    """path, kind (file or folder), bytes, sha256.
+def file_description(path: str | Path) -> dict[str, Any]:
+    """Describe a file or folder: path, kind, bytes, sha256.
 
-    A folder's hash is that of its files' names and hashes, in the names' order: for every file a line "SHA-256  NAME", as
-    sha256sum prints it.
+    A folder's hash is that of its files' names and hashes, in the names' order: for every file a line "SHA-256  NAME", as sha256sum
+    prints it.
+
+    Parameters
+    ----------
+    path
+        File or folder.
+
+    Returns
+    -------
+    dict[str, Any]
+        The description, JSON types.
     """
     path = Path(path)
     if not path.is_dir():

@@ -12,10 +12,10 @@ from plotly.offline import get_plotlyjs
 from hyst_control.files import write_text
 from hyst_control.reporting.templates import render
 
-COLOURS = ("#1c2430", "#c2542d", "#2a6f97", "#5b8e3e", "#8a5aa8", "#b08a1e")
+COLORS = ("#1c2430", "#c2542d", "#2a6f97", "#5b8e3e", "#8a5aa8", "#b08a1e")
 LAYOUT: Mapping[str, object] = {
     "template": "plotly_white",
-    "colorway": COLOURS,
+    "colorway": COLORS,
     "margin": {"l": 60, "r": 20, "t": 40, "b": 50},
     "font": {"family": "system-ui, sans-serif", "size": 13},
     "legend": {"orientation": "h", "y": 0.0, "yref": "container", "yanchor": "bottom"},
@@ -23,7 +23,20 @@ LAYOUT: Mapping[str, object] = {
 
 
 def figure_markup(figure: go.Figure, height: int = 420) -> Markup:
-    """A zoomable figure of a height in pixels, as markup for a template; the page must hold the plotting library."""
+    """Convert a zoomable figure to markup for a template; the page must hold the plotting library.
+
+    Parameters
+    ----------
+    figure
+        The figure.
+    height
+        Height, pixels.
+
+    Returns
+    -------
+    Markup
+        The markup.
+    """
     figure.update_layout(**LAYOUT, height=height)
     return Markup(figure.to_html(full_html=False, include_plotlyjs=False, config={"displaylogo": False, "responsive": True}))
 
@@ -34,7 +47,7 @@ def write_page(path: Path, template: str, title: str, summary: str, **values: ob
     Parameters
     ----------
     path
-        File to write, in a folder that exists; a reader never meets half of it.
+        File to write, in an existing folder; it is replaced as a whole.
     template
         Path of the template within the package.
     title
@@ -42,7 +55,7 @@ def write_page(path: Path, template: str, title: str, summary: str, **values: ob
     summary
         First paragraph.
     **values
-        What the template names besides.
+        Further values that the template names.
 
     Raises
     ------
@@ -53,7 +66,7 @@ def write_page(path: Path, template: str, title: str, summary: str, **values: ob
 
 
 class Page:
-    """A page without a template of its own: sections, tables and figures in the order of the calls.
+    """A page in the common template: sections, tables and figures in the order of the calls.
 
     Parameters
     ----------
@@ -69,21 +82,57 @@ class Page:
         self._content: list[dict[str, object]] = []
 
     def section(self, heading: str, text: str = "") -> None:
-        """Begin a section: a heading, and a paragraph under it."""
+        """Begin a section: a heading, and a paragraph under it.
+
+        Parameters
+        ----------
+        heading
+            The heading.
+        text
+            The paragraph.
+        """
         self._content.append({"kind": "section", "heading": heading, "text": text})
 
     def table(self, headers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Add a table of ready texts, each row as long as the headers."""
+        """Add a table of texts.
+
+        Parameters
+        ----------
+        headers
+            Headers of the columns.
+        rows
+            Rows, each as long as the headers.
+        """
         self._content.append({"kind": "table", "headers": headers, "rows": rows})
 
     def figure(self, figure: go.Figure, height: int = 420) -> None:
-        """Add a zoomable figure of a height in pixels."""
+        """Add a zoomable figure.
+
+        Parameters
+        ----------
+        figure
+            The figure.
+        height
+            Height, pixels.
+        """
         self._content.append({"kind": "figure", "drawing": figure_markup(figure, height)})
 
     def note(self, text: str) -> None:
-        """Add a small paragraph."""
+        """Add a small paragraph.
+
+        Parameters
+        ----------
+        text
+            The paragraph.
+        """
         self._content.append({"kind": "note", "text": text})
 
     def write(self, path: Path) -> None:
-        """Write the page; see `write_page`."""
+        """Write the page; see `write_page`.
+
+        Parameters
+        ----------
+        path
+            File to write.
+        """
         write_page(path, "reporting/templates/page.html", self.title, self.summary, content=self._content)

@@ -20,9 +20,24 @@ VERSION = 1
 class Row:
     """One figure.
 
-    table: where it belongs ("HAMPI Table 5"); case: operating point ("100 Hz"); subject: model, controller, executor
-    or effect it is about; quantity and unit; value; published: the figure to compare with; n: how many repetitions
-    stand behind it; ci95: its 95 % confidence interval [lower, upper].
+    Parameters
+    ----------
+    table
+        Table it belongs to, such as "HAMPI Table 5".
+    case
+        Operating point, such as "100 Hz".
+    subject
+        Model, controller, executor or effect it is about.
+    quantity, unit
+        Quantity and unit of the value.
+    value
+        The value.
+    published
+        Published value to compare with.
+    n
+        Number of repetitions.
+    ci95
+        95 % confidence interval [lower, upper].
     """
 
     table: str
@@ -38,7 +53,19 @@ class Row:
 
 @dataclass
 class Table:
-    """Rows of one source ("reproduce hampi"), in the order in which they are printed; notes: sentences on what they cannot show."""
+    """Rows of one source, in the order in which they are printed.
+
+    Parameters
+    ----------
+    source
+        The source, such as "reproduce hampi".
+    rows
+        The rows.
+    machine
+        Description of the machine, where the figures depend on it.
+    notes
+        Sentences on the limits of the figures.
+    """
 
     source: str
     rows: list[Row] = field(default_factory=list)
@@ -58,7 +85,13 @@ class Table:
         n: int | None = None,
         ci95: tuple[float, float] | None = None,
     ) -> None:
-        """Append one row; numpy numbers become Python ones."""
+        """Append one row; numpy numbers become Python ones.
+
+        Parameters
+        ----------
+        table, case, subject, quantity, unit, value, published, n, ci95
+            As in `Row`.
+        """
         self.rows.append(
             Row(
                 table,
@@ -74,7 +107,23 @@ class Table:
         )
 
     def value(self, case: str, subject: str, quantity: str) -> float:
-        """The value of the one row with these three. Raises `KeyError` when there is none or more than one."""
+        """Return the value of the one row with these three.
+
+        Parameters
+        ----------
+        case, subject, quantity
+            As in `Row`.
+
+        Returns
+        -------
+        float
+            The value.
+
+        Raises
+        ------
+        KeyError
+            There is no such row, or more than one.
+        """
         found = [row.value for row in self.rows if (row.case, row.subject, row.quantity) == (case, subject, quantity)]
         if len(found) != 1:
             raise KeyError(f"{len(found)} rows for {case}, {subject}, {quantity}")
@@ -125,12 +174,38 @@ class Table:
         return "\n".join([*lines, *([""] if self.notes else []), *self.notes])
 
     def write(self, path: str | Path) -> None:
-        """Write the JSON. Raises `InputError` where that is not possible."""
+        """Write the table as JSON.
+
+        Parameters
+        ----------
+        path
+            File to write.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
         write_json(path, self.document())
 
 
 def aligned(headers: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[str] = ()) -> list[str]:
-    """Text lines of a table with columns as wide as their widest cell; the columns named in `right` are flush right."""
+    """Format a table with columns as wide as their widest cell.
+
+    Parameters
+    ----------
+    headers
+        Headers of the columns.
+    rows
+        Rows, each as long as the headers.
+    right
+        Headers of the columns that are flush right.
+
+    Returns
+    -------
+    list[str]
+        Lines of text.
+    """
     widths = [max(len(header), *(len(row[i]) for row in rows), 0) for i, header in enumerate(headers)]
 
     def line(cells: Sequence[str]) -> str:
@@ -148,7 +223,7 @@ def machine() -> str:
     return f"{platform.machine()} {platform.system()}, {os.cpu_count()} cores, Python {platform.python_version()}"
 
 
-def _number(value: Any) -> Any:
+def _number(value: object) -> object:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return [_number(item) for item in value] if isinstance(value, tuple) else value

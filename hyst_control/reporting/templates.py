@@ -1,4 +1,4 @@
-"""Pages and drawings from templates: data goes in, and no markup stands in Python.
+"""Pages and drawings from templates, so that Python code has no markup.
 
 A template lies in the folder `templates` of its room: `reporting/templates/page.html`. In `.html` and `.svg` every value is escaped,
 unless it is `markupsafe.Markup`; in `.md` none is.
@@ -31,7 +31,20 @@ def render(template: str, **values: object) -> str:
 
 
 def render_markup(template: str, **values: object) -> Markup:
-    """Fill in a template whose result goes into another one as it is; see `render`."""
+    """Fill in a template whose result is inserted unchanged into another one; see `render`.
+
+    Parameters
+    ----------
+    template
+        Path of the template within the package.
+    **values
+        Values that the template names.
+
+    Returns
+    -------
+    Markup
+        The markup.
+    """
     return Markup(render(template, **values))
 
 

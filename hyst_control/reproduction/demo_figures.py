@@ -16,7 +16,7 @@ from hyst_control.identify.record_segmentation import stretches_between_rests
 from hyst_control.identify.workflow import datasets_of
 from hyst_control.model_file import simulate
 from hyst_control.records.bag_reader import read_bag
-from hyst_control.reporting.html_page import COLOURS, Page
+from hyst_control.reporting.html_page import COLORS, Page
 from hyst_control.reporting.tables import Table
 
 matplotlib.use("Agg")
@@ -138,14 +138,14 @@ def _tracking_figure(
                 x=time,
                 y=reference[begin:end, 0],
                 name="reference",
-                line={"color": COLOURS[0], "dash": "dot"},
+                line={"color": COLORS[0], "dash": "dot"},
                 legendgroup="reference",
                 showlegend=index == 1,
             ),
             index,
             1,
         )
-        for colour, (name, signals) in zip(COLOURS[1:], measured.items(), strict=False):
+        for colour, (name, signals) in zip(COLORS[1:], measured.items(), strict=False):
             y = signals["measurement"][begin:end, 0]
             look = {"name": name, "line": {"color": colour, "width": 1.3}, "legendgroup": name}
             figure.add_trace(go.Scatter(x=time, y=y, showlegend=index == 1, **look), index, 1)
@@ -157,7 +157,7 @@ def _tracking_figure(
 def _loop_figure(loops: Mapping[float, Mapping[str, tuple[Array, Array]]]) -> go.Figure:
     figure = make_subplots(rows=1, cols=len(loops), subplot_titles=[f"{frequency:g} Hz" for frequency in loops])
     for column, (_, sources) in enumerate(loops.items(), start=1):
-        for colour, (name, (u, y)) in zip(COLOURS, sources.items(), strict=False):
+        for colour, (name, (u, y)) in zip(COLORS, sources.items(), strict=False):
             figure.add_trace(
                 go.Scatter(
                     x=u,
@@ -178,7 +178,7 @@ def _loop_figure(loops: Mapping[float, Mapping[str, tuple[Array, Array]]]) -> go
 def _draw_loops(path: Path, loops: Mapping[float, Mapping[str, tuple[Array, Array]]]) -> None:
     figure, axes = pyplot.subplots(1, len(loops), figsize=(3.2 * len(loops), 3.4), sharey=True, squeeze=False)
     for axis, (frequency, sources) in zip(axes[0], loops.items(), strict=True):
-        for colour, (name, (u, y)) in zip(COLOURS, sources.items(), strict=False):
+        for colour, (name, (u, y)) in zip(COLORS, sources.items(), strict=False):
             axis.plot(u, y, color=colour, linewidth=1.1, linestyle="-" if name == "measured" else "--", label=name)
         axis.set(title=f"{frequency:g} Hz", xlabel="command [V]")
     axes[0][0].set_ylabel("displacement [um]")
@@ -198,8 +198,8 @@ def _draw_tracking(
     for axis, (frequency, begin, end) in zip(axes[0], stretches, strict=True):
         time = 1e3 * sample_time * np.arange(end - begin)
         if not error:
-            axis.plot(time, reference[begin:end], color=COLOURS[0], linestyle=":", label="reference")
-        for colour, (name, signals) in zip(COLOURS[1:], measured.items(), strict=False):
+            axis.plot(time, reference[begin:end], color=COLORS[0], linestyle=":", label="reference")
+        for colour, (name, signals) in zip(COLORS[1:], measured.items(), strict=False):
             y = signals["measurement"][begin:end, 0] - (reference[begin:end, 0] if error else 0.0)
             axis.plot(time, y, color=colour, linewidth=1.0, label=name)
         axis.set(title=f"{frequency:g} Hz", xlabel="time [ms]")

@@ -14,7 +14,7 @@ from hyst_control.control.inverse_dynamics import METHODS, Complex, invert_dynam
 from hyst_control.control.linearization import sampled_response
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.fit_report import residual
-from hyst_control.identify.record_segmentation import pick
+from hyst_control.identify.record_segmentation import select_stretches
 from hyst_control.model_file import Model, simulate
 from hyst_control.reporting.tables import Table
 from hyst_control.reproduction.hampi_published import FIGURE_2, FREQUENCIES, TABLE_1, TABLE_2, TABLE_4, TABLE_4_RMSE, TABLE_5
@@ -88,7 +88,7 @@ def phase_lags(table: Table, model: Model, data: Dataset, places: Sequence[Place
 
 def step_response(model: Model, data: Dataset) -> tuple[Array, Array, Array]:
     """Time (s), measured step (N,) and G(s)'s, with the gain that fits best."""
-    step = pick([data], 0, "step")[0]
+    step = select_stretches([data], 0, "step")[0]
     rows = slice(max(step.begin - 20, 0), step.end)
     answer = simulate(model.with_stages(dynamics(model)), data.command[rows], data.sample_time, data.hold)[:, 0]
     measured = data.measurement[rows, 0]
@@ -101,7 +101,7 @@ def step_fit(table: Table, model: Model, data: Dataset) -> None:
     fit = 100.0 * (1.0 - np.linalg.norm(measured - answer) / np.linalg.norm(measured - measured.mean()))
     table.add("HAMPI Fig. 2", "step of 10 V", "LTI model", "fit", "%", fit, published=FIGURE_2)
     # The record begins at rest: what it scatters there no model can fit.
-    begin = pick([data], 0, "step")[0].begin
+    begin = select_stretches([data], 0, "step")[0].begin
     noise = float(np.std(data.measurement[: begin - 1, 0])) * np.sqrt(len(measured))
     best = 100.0 * (1.0 - noise / np.linalg.norm(measured - measured.mean()))
     table.add("HAMPI Fig. 2", "step of 10 V", "noise at rest alone", "fit", "%", best)

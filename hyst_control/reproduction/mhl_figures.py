@@ -13,7 +13,7 @@ from plotly.subplots import make_subplots
 from hyst_control.chain.stage import Array
 from hyst_control.identify.dataset import Dataset, Fit
 from hyst_control.model_file import simulate
-from hyst_control.reporting.html_page import COLOURS, Page
+from hyst_control.reporting.html_page import COLORS, Page
 from hyst_control.reporting.table_page import add_tables
 from hyst_control.reporting.tables import Table
 from hyst_control.reproduction import mhl_tables
@@ -71,7 +71,7 @@ def line(x: Array, y: Array, name: str, colour: int, *, legend: bool = True, das
         name=name,
         legendgroup=name,
         showlegend=legend,
-        line={"color": COLOURS[colour % len(COLOURS)], "width": 1.3, "dash": dash},
+        line={"color": COLORS[colour % len(COLORS)], "width": 1.3, "dash": dash},
     )
 
 

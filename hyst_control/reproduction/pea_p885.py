@@ -23,7 +23,7 @@ from hyst_control.errors import InputError
 from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.fit_report import record_rows
-from hyst_control.identify.fit_windows import turning_points
+from hyst_control.identify.reversal_points import turning_points
 from hyst_control.model_file import Model, simulate
 from hyst_control.reporting.tables import Table
 from hyst_control.reproduction.measured_data import data_folder

@@ -1,4 +1,4 @@
-"""Truth plants: physics to judge simulators by. Imports nothing of the package under test and shares no code with it."""
+"""Truth plants: physics against which simulators are judged. Imports nothing of the package under test and shares no code with it."""
 
 from hyst_plant_sim.physics.effects import EFFECTS
 from hyst_plant_sim.physics.plant_files import PLANTS, load_plant

@@ -15,7 +15,23 @@ Array = NDArray[np.float64]
 
 
 class Slip:
-    """Polarisation or free stroke for a voltage; slopes in output unit / V, range and decay in V, curvature in 1 / output unit."""
+    """Polarization or free stroke for a voltage.
+
+    Parameters
+    ----------
+    elastic_slope, slip_slope
+        Slope right after a reversal, and slope added once every element moves, output unit / V.
+    elements
+        Number of elements.
+    slip_range
+        Largest half-width of a slack, V.
+    slip_decay
+        Voltage over which the density of the elements falls to 1/e, V.
+    curvature
+        Saturation, 1 / output unit.
+    width
+        Relative change of the memory.
+    """
 
     def __init__(
         self,
@@ -54,6 +70,15 @@ class PushPull:
     """Two stacks that tilt a mirror: one driven by v, the other by bias - v; tilt is half the difference of their strokes.
 
     The second stack was taken from 0 V up to the bias before the drive left 0; the tilt counts from there.
+
+    Parameters
+    ----------
+    first, second
+        The stacks.
+    bias
+        Voltage that the pair shares, V.
+    offset
+        Zero of the tilt (output unit).
     """
 
     def __init__(self, first: Slip, second: Slip, bias: float, offset: float) -> None:
@@ -70,14 +95,14 @@ class PushPull:
 
 @njit(cache=True, error_model="numpy")
 def _slip(block: Array, slack: Array, weights: Array, sums: Array, law: Array, slip: Array, state: Array, output: Array) -> None:
-    """Elements of little slack move first: those that move are the first few, and their sum is known without a look at each.
+    """Move the elements. Those of little slack move first, so that the sum of the moving ones is known without a loop.
 
-    state: last voltage, its direction (0: settled), how many elements move with it, sum of the others, last output.
+    state: last voltage, its direction (0: settled), number of elements that move with it, sum of the others, last output.
     slip: places of the others.
     """
     last, direction, moving, resting, value = state[0], state[1], int(state[2]), state[3], state[4]
     elastic, curvature, count = law[0], law[1], slack.size
-    slope, held, goal = 0.0, 0.0, -np.inf  # of the elements that move: output per volt, rest; how far until another one moves
+    slope, held, goal = 0.0, 0.0, -np.inf  # of the elements that move: output per volt, rest; voltage at which another one moves
     for k in range(block.size):
         voltage = block[k]
         if voltage != last:

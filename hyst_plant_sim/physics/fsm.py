@@ -37,7 +37,47 @@ PER_AXIS = {"delay": 2, "elastic_slope": 2, "slip_slope": 2, "mode_frequency": 2
 
 @dataclass(frozen=True)
 class FsmParameters:
-    """Physical parameters of the truth FSM; units in the comments of config/plants/fsm.yaml."""
+    """Physical parameters of the truth FSM; values in config/plants/fsm.yaml.
+
+    Parameters
+    ----------
+    delay
+        Input delay per axis, s.
+    notch_frequency, pole_frequency
+        Frequencies of the notch against the mode, and of the poles that come with it, Hz.
+    notch_damping, pole_damping
+        Their damping ratios.
+    amplifier_cutoff
+        First-order cutoff, Hz.
+    bias
+        Voltage shared by a pair of stacks, V.
+    elastic_slope
+        Slope of a stack right after a reversal per axis, mrad/V.
+    slip_slope
+        Slope added once every slip element moves per axis, mrad/V.
+    slip_elements
+        Number of elements of a stack.
+    slip_range
+        Largest half-width of a slack, V.
+    slip_decay
+        Voltage over which the density of the elements falls to 1/e, V.
+    saturation
+        Curvature of a stack's stroke, 1/mrad.
+    relaxation_share
+        Fraction of the tilt that arrives late.
+    relaxation_time
+        Time constant of its arrival, s.
+    mode_frequency
+        Frequency of the mode per axis, Hz.
+    mode_damping
+        Its damping ratio per axis.
+    coupling
+        Fraction of one axis' tilt that the other makes, of opposite signs.
+    sensor_cutoff
+        First-order cutoff, Hz.
+    noise
+        White noise, mrad rms.
+    """
 
     axes: ClassVar[tuple[str, ...]] = ("x", "y")
     unit: ClassVar[str] = "mrad"
@@ -83,7 +123,24 @@ class FsmParameters:
         )
 
     def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
-        """The parts of an axis by place, with what is changed in the hysteresis and in the mechanics."""
+        """Construct the parts of an axis by place.
+
+        Parameters
+        ----------
+        axis
+            Index of the axis.
+        frame
+            Common data of the plant.
+        hysteresis
+            Changes of the hysteresis by name: "width", "rate".
+        moving
+            Changes of the delay and the mechanics; see `mechanics`.
+
+        Returns
+        -------
+        dict[str, list[Part]]
+            Parts by place.
+        """
         stacks = [
             Slip(
                 self.elastic_slope[axis],
@@ -110,13 +167,13 @@ class FsmParameters:
         return {
             "drive": [delay, Clip(*frame.rating)],
             "amplifier": [Held(exact_discretization.lag(2 * np.pi * self.amplifier_cutoff), frame.step)],
-            "hysteresis": [Chain(PushPull(*stacks, self.bias, rest), late)],
+            "hysteresis": [Chain(PushPull(stacks[0], stacks[1], self.bias, rest), late)],
             "mechanics": [Chain(Held(self._notch(), frame.step), mode)],
             "sensor": [Straight(exact_discretization.lag(2 * np.pi * self.sensor_cutoff), frame.step)],
         }
 
     def mixing(self) -> Mixing | None:
-        """How the axes move each other."""
+        """Coupling of the axes; None without it."""
         return Mixing(np.array([[1.0, self.coupling], [-self.coupling, 1.0]])) if self.coupling else None
 
     def _notch(self) -> System:

@@ -1,4 +1,4 @@
-"""The mechanics of a plant: a linear system, and what can be wrong with it (mass, spring, friction, a mode that moves).
+"""The mechanics of a plant: a linear system, and its possible faults (mass, spring, friction, a moving mode).
 
 A plant gives its mechanics as a function `system(mass_ratio, frequency_ratio)`: the main mode with its mass times
 1 + mass_ratio, stiffness and damping constant kept, then its frequency times frequency_ratio at the same damping ratio.
@@ -24,15 +24,46 @@ GRID = 201
 
 
 def oscillator(frequency: float, damping: float, mass_ratio: float = 0.0, frequency_ratio: float = 1.0) -> System:
-    """A mode of unit static gain; frequency Hz of the bare mode."""
+    """Mode of unit static gain.
+
+    Parameters
+    ----------
+    frequency
+        Frequency of the bare mode, Hz.
+    damping
+        Damping ratio of the bare mode.
+    mass_ratio
+        Added mass / mass.
+    frequency_ratio
+        Factor of the frequency, at the same damping ratio.
+
+    Returns
+    -------
+    System
+        (a, b, c, d) of the mode.
+    """
     heavier = np.sqrt(1.0 + mass_ratio)
     return exact_discretization.oscillator(2 * np.pi * frequency * frequency_ratio / heavier, damping / heavier)
 
 
 def mechanics(system: Callable[[float, float], System], frame: Frame, changes: Mapping[str, Any], late: float) -> Part:
-    """The part for a set of changes: added_mass, modes (see `beside`), duffing, friction, wander, period (s; see `Irregular`).
+    """Construct the mechanics for a set of changes.
 
-    Read `late` s before the end of a step (see `Delay`).
+    Parameters
+    ----------
+    system
+        The plant's mechanics as a function of mass_ratio and frequency_ratio.
+    frame
+        Common data of the plant.
+    changes
+        added_mass, modes (see `beside`), duffing, friction, wander, period in s, phase (see `Irregular`).
+    late
+        Time before the end of a step at which the output is read (see `Delay`), s.
+
+    Returns
+    -------
+    Part
+        The part.
     """
     if "modes" in changes:
         others = {name: value for name, value in changes.items() if name != "modes"}
@@ -48,7 +79,24 @@ def mechanics(system: Callable[[float, float], System], frame: Frame, changes: M
 
 
 def beside(main: System, mode: tuple[float, float, float], step: float, late: float) -> Held:
-    """A further mode fed like the main system: frequency (Hz), damping, share of the main system's static gain."""
+    """Construct a further mode with the main system's input.
+
+    Parameters
+    ----------
+    main
+        (a, b, c, d) of the main system.
+    mode
+        Frequency (Hz), damping ratio, and static gain as a fraction of the main system's.
+    step
+        Internal step, s.
+    late
+        Time before the end of a step at which the output is read, s.
+
+    Returns
+    -------
+    Held
+        The part.
+    """
     frequency, damping, share = mode
     a, b, c, _ = main
     static = float(c @ exact_discretization.rest(a, b, 1.0))
@@ -59,10 +107,26 @@ def beside(main: System, mode: tuple[float, float, float], step: float, late: fl
 class Irregular:
     """Mechanics that are not a fixed linear system.
 
-    duffing: a spring force growing with the cube of the displacement: at the full stroke it takes this share of the drive.
-    friction: a guide that holds back with a slip force worth `friction` of the stroke, reached over as long a way.
-    wander: the main mode's frequency moves by ± this share, as a sine with `period` s.
     The forces are those of the displacement in the middle of a step, on the straight line through the ends of the last two.
+
+    Parameters
+    ----------
+    system
+        The plant's mechanics as a function of mass_ratio and frequency_ratio.
+    frame
+        Common data of the plant.
+    late
+        Time before the end of a step at which the output is read, s.
+    mass_ratio
+        Added mass / mass.
+    duffing
+        Fraction of the drive that a spring force takes at full stroke; it grows with the cube of the displacement.
+    friction
+        Fraction of the stroke by which a guide's slip force holds back, reached over as long a way.
+    wander
+        Relative amplitude of the sine in which the main mode's frequency moves.
+    period, phase
+        Period (s) and phase (rad) of that sine.
     """
 
     def __init__(
@@ -95,7 +159,7 @@ class Irregular:
     def settle(self, value: float) -> float:
         spring = self._force[0]
         drive = value
-        for _ in range(200):  # the spring takes its share: a contraction for any share below one third
+        for _ in range(200):  # the spring takes a part of the drive: a contraction for any part below one third
             drive = value - spring * (self._gain * drive) ** 3
         self._x = exact_discretization.rest(self._a, self._b, drive)
         y = float(self._c @ self._x)

@@ -1,4 +1,4 @@
-"""Parts that every plant is made of: exact linear dynamics, delay, clipping, white noise."""
+"""Parts of every plant: exact linear dynamics, delay, clipping, white noise."""
 
 from __future__ import annotations
 
@@ -14,9 +14,15 @@ System = tuple[Array, Array, Array, float]
 
 
 class Linear:
-    """x' = a x + b u, y = c x + d u, stepped exactly: a base.
+    """Base of linear parts x' = a x + b u, y = c x + d u, stepped exactly.
 
-    rows (n + 1, n + 2): what the new state and, in the last row, the output are made of: the old state, the last input, this one.
+    Parameters
+    ----------
+    system
+        (a, b, c, d).
+    rows
+        Matrix (n + 1, n + 2) that gives the new state and, in the last row, the output from the old state, the last input and the
+        present one.
     """
 
     def __init__(self, system: System, rows: Array) -> None:
@@ -35,10 +41,18 @@ class Linear:
 
 
 class Held(Linear):
-    """For an input that holds over a step of `step` s.
+    """Linear part whose input holds over a step.
 
-    The output is the mean of y over the step, right for a part that takes it as held; or (`late`) y that many s, less than a
-    step, before the end of the step.
+    The output is the mean of y over the step, right for a part that takes it as held; or, with `late`, y at that time.
+
+    Parameters
+    ----------
+    system
+        (a, b, c, d).
+    step
+        The step, s.
+    late
+        Time before the end of the step at which y is read, less than a step, s.
     """
 
     def __init__(self, system: System, step: float, late: float | None = None) -> None:
@@ -52,7 +66,15 @@ class Held(Linear):
 
 
 class Straight(Linear):
-    """For an input that runs straight through a step of `step` s; the output is y at its end."""
+    """Linear part whose input runs straight through a step; the output is y at its end.
+
+    Parameters
+    ----------
+    system
+        (a, b, c, d).
+    step
+        The step, s.
+    """
 
     def __init__(self, system: System, step: float) -> None:
         a, b, c, d = system
@@ -61,11 +83,18 @@ class Straight(Linear):
 
 
 class Delay:
-    """A transport delay (s) of as many whole steps as go into it; `rest` (s) is what remains to be taken elsewhere.
+    """A transport delay of whole steps; `rest` (s) is the remainder, which another part must apply.
 
-    A held value that changes within a step can not be told by one number. What follows the drive therefore runs ahead by the
-    rest, and the mechanics, which are smooth, are read that much before the end of a step: exact, for a delay may be moved
-    along a line that does not change with time.
+    A held value that changes within a step cannot be described by one number. What follows the drive therefore runs ahead by the
+    rest, and the mechanics, which are smooth, are read that much before the end of a step: exact, since a delay may be moved along
+    a line that does not change with time.
+
+    Parameters
+    ----------
+    delay
+        The delay, s.
+    step
+        The step, s.
     """
 
     def __init__(self, delay: float, step: float) -> None:
@@ -85,7 +114,15 @@ class Delay:
 
 
 class LateReading:
-    """A transport delay (s) of values at the ends of steps, between which they run straight."""
+    """A transport delay of values at the ends of steps, between which they run straight.
+
+    Parameters
+    ----------
+    delay
+        The delay, s.
+    step
+        The step, s.
+    """
 
     def __init__(self, delay: float, step: float) -> None:
         self._whole = Delay(delay, step)
@@ -103,7 +140,13 @@ class LateReading:
 
 
 class Clip:
-    """The value within lower … upper."""
+    """Limits of a value.
+
+    Parameters
+    ----------
+    lower, upper
+        The limits.
+    """
 
     def __init__(self, lower: float, upper: float) -> None:
         self._lower, self._upper = lower, upper
@@ -116,7 +159,15 @@ class Clip:
 
 
 class WhiteNoise:
-    """White noise of all axes, rms (A,); (A, M) in and out."""
+    """White noise of all axes; (A, M) in and out.
+
+    Parameters
+    ----------
+    rms
+        Noise (A,), rms.
+    seed
+        Seed of the noise.
+    """
 
     def __init__(self, rms: Array, seed: int) -> None:
         self._rms, self._seed = rms, seed
@@ -131,7 +182,13 @@ class WhiteNoise:
 
 
 class Mixing:
-    """(A, M) times a matrix (A, A)."""
+    """Product of a matrix and the axes' values (A, M).
+
+    Parameters
+    ----------
+    matrix
+        Matrix (A, A).
+    """
 
     def __init__(self, matrix: Array) -> None:
         self._matrix = matrix
@@ -145,7 +202,13 @@ class Mixing:
 
 
 class Chain:
-    """Parts in a row, as one."""
+    """Parts in series.
+
+    Parameters
+    ----------
+    *parts
+        The parts in signal order.
+    """
 
     def __init__(self, *parts: Part) -> None:
         self._parts = parts
@@ -162,7 +225,13 @@ class Chain:
 
 
 class Sum:
-    """Parts fed alike, their outputs added."""
+    """Parts in parallel.
+
+    Parameters
+    ----------
+    *parts
+        Parts with a common input, whose outputs are added.
+    """
 
     def __init__(self, *parts: Part) -> None:
         self._parts = parts

@@ -1,14 +1,14 @@
-"""The truth PEA: amplifier, polarisation with hysteresis and drag, flexure mechanics, capacitive sensor.
+"""The truth PEA: amplifier, polarization with hysteresis and drag, flexure mechanics, capacitive sensor.
 
 The path of a command, each part in continuous time, stepped at 400 kHz or finer:
 
 1. drive: a transport delay (converter, isolation), then the amplifier, a first-order low-pass; its output is the voltage v.
-2. hysteresis: an elastic slope and an ensemble of elastic-slip elements (see `slip`), whose sum Y0 is bent by a single-valued
+2. hysteresis: an elastic slope and an ensemble of elastic-slip elements (see `elastic_slip`), whose sum Y0 is bent by a single-valued
    saturation Y = Y0 - β Y0² / stroke.
-3. drag: domain walls move against viscous drag that grows with the polarisation P already reached, more while it rises than
+3. drag: domain walls move against viscous drag that grows with the polarization P already reached, more while it rises than
    while it falls: P' = (Y - P) / T(Y), T = T_rise or T_fall times Y / (Y + drag_level). Slow loops do not show it; fast ones
    turn and widen, the more the higher the drive.
-4. mechanics: one flexure mode, and a viscoelastic share that arrives late (the slow pole-zero pair of HAMPI paper Eq. 7).
+4. mechanics: one flexure mode, and a viscoelastic part that arrives late (the slow pole-zero pair of HAMPI paper Eq. 7).
 5. sensor: first-order low-pass, white noise.
 """
 
@@ -34,7 +34,45 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PeaParameters:
-    """Physical parameters of the truth PEA; units in the comments of config/plants/pea.yaml."""
+    """Physical parameters of the truth PEA; values in config/plants/pea.yaml.
+
+    Parameters
+    ----------
+    delay
+        Delay of the drive's electronics, s.
+    amplifier_cutoff
+        First-order cutoff, Hz.
+    elastic_slope
+        Slope right after a reversal, um/V.
+    slip_slope
+        Slope added once every slip element moves, um/V.
+    slip_elements
+        Number of elements.
+    slip_range
+        Largest half-width of a slack, V.
+    slip_decay
+        Voltage over which the density of the elements falls to 1/e, V.
+    stroke
+        Stroke to which saturation refers, um.
+    saturation
+        Fraction of the stroke by which the curve is bent down at full stroke.
+    drag_rise, drag_fall
+        Relaxation times at high polarization while it rises and falls, s.
+    drag_level
+        Polarization at which half of that is reached, um.
+    mode_frequency
+        Frequency of the flexure mode, Hz.
+    mode_damping
+        Its damping ratio.
+    slow_share
+        Fraction of the stroke that arrives late.
+    slow_time
+        Time constant of its arrival, s.
+    sensor_cutoff
+        First-order cutoff, Hz.
+    noise
+        White noise, um rms.
+    """
 
     axes: ClassVar[tuple[str, ...]] = ("x",)
     unit: ClassVar[str] = "um"
@@ -76,7 +114,24 @@ class PeaParameters:
         )
 
     def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
-        """The parts of an axis by place, with what is changed in the hysteresis and in the mechanics."""
+        """Construct the parts of an axis by place.
+
+        Parameters
+        ----------
+        axis
+            Index of the axis.
+        frame
+            Common data of the plant.
+        hysteresis
+            Changes of the hysteresis by name: "width", "rate".
+        moving
+            Changes of the delay and the mechanics; see `mechanics`.
+
+        Returns
+        -------
+        dict[str, list[Part]]
+            Parts by place.
+        """
         slip = Slip(
             self.elastic_slope,
             self.slip_slope,
@@ -104,7 +159,19 @@ class PeaParameters:
 
 
 class Drag:
-    """P' = (Y - P) / T(Y), Y held over a step, its mean over the step; rise, fall in s, times `factor`; level in the unit of Y."""
+    """Viscous drag P' = (Y - P) / T(Y), with Y held over a step; the output is the mean of P over the step.
+
+    Parameters
+    ----------
+    rise, fall
+        Relaxation times at high polarization while it rises and falls, s.
+    level
+        Polarization at which half of that is reached (unit of Y).
+    factor
+        Factor of the relaxation times.
+    step
+        The step, s.
+    """
 
     def __init__(self, rise: float, fall: float, level: float, factor: float, step: float) -> None:
         self._law = np.array([rise * factor, fall * factor, level, step])
@@ -123,15 +190,15 @@ class Drag:
 @njit(cache=True, error_model="numpy")
 def _drag(block: Array, law: Array, state: Array, output: Array) -> None:
     rise, fall, level, step = law
-    polarisation = state[0]
+    polarization = state[0]
     for k in range(block.size):
         wanted = block[k]
-        time = (rise if wanted > polarisation else fall) * abs(wanted) / (abs(wanted) + level)
+        time = (rise if wanted > polarization else fall) * abs(wanted) / (abs(wanted) + level)
         gone = 0.0
         if time > 1e-3 * step:
-            gone = (polarisation - wanted) * (1.0 - np.exp(-step / time))
-            polarisation -= gone
+            gone = (polarization - wanted) * (1.0 - np.exp(-step / time))
+            polarization -= gone
         else:
-            polarisation = wanted
+            polarization = wanted
         output[k] = wanted + gone * time / step
-    state[0] = polarisation
+    state[0] = polarization

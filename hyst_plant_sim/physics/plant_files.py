@@ -1,4 +1,4 @@
-"""From a plant file, a name in config/plants, or a case, to a running plant."""
+"""Running plants from a plant file, a name in config/plants, or a case."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from hyst_plant_sim.physics.plant_text import read_plant_text
 from hyst_plant_sim.physics.published_fsm import PublishedFsmParameters
 from hyst_plant_sim.physics.published_pea import PublishedPeaParameters
 from hyst_plant_sim.physics.signal_path import PLACES, Frame, Line, Plant, PlantError
-from hyst_plant_sim.physics.viscoelastic_bouc_wen import ThirdParameters
+from hyst_plant_sim.physics.viscoelastic_bouc_wen import ViscoelasticBoucWenParameters
 
 PLANTS: dict[str, type] = {
     "pea": PeaParameters,
     "pea_published": PublishedPeaParameters,
     "fsm": FsmParameters,
     "fsm_published": PublishedFsmParameters,
-    "third": ThirdParameters,
+    "third": ViscoelasticBoucWenParameters,
 }
 """Parameters, and with them the physics, of every kind of plant."""
 
@@ -42,13 +42,35 @@ def load_plant(
     parameters: Mapping[str, Any] | None = None,
     **changes: Any,
 ) -> Plant:
-    """A running plant from a YAML file, the name of a shipped one, or a mapping of the same form.
+    """Construct a running plant from a YAML file, the name of a shipped one, or a mapping of the same form.
 
-    A mapping without `parameters` is a case: {plant: NAME, effects: [{name: delay, tau: 1e-4, axis: x, from: 0.5}, …], seed: 7}
-    on top of the shipped file of that name (see `effects` for what they mean). seed, sample_time, effects, and single parameters,
-    as a mapping or by name, come before what the file says; refinement divides the internal step further.
+    A mapping without `parameters` is a case: {plant: NAME, effects: [{name: delay, tau: 1e-4, axis: x, from: 0.5}, …], seed: 7} on
+    top of the shipped file of that name (see `effects` for their meaning).
 
-    Raises `PlantError` naming file, field and remedy.
+    Parameters
+    ----------
+    source
+        File, name or mapping.
+    seed
+        Seed, in place of the source's.
+    sample_time
+        Sample time in place of the source's, s.
+    refinement
+        Further division of the internal step.
+    effects
+        Effects, in place of the source's.
+    parameters, **changes
+        Single parameters, in place of the source's.
+
+    Returns
+    -------
+    Plant
+        The plant.
+
+    Raises
+    ------
+    PlantError
+        The source is unusable; the message names file, field and remedy.
     """
     where = "plant" if isinstance(source, Mapping) else str(source)
     try:
@@ -63,7 +85,18 @@ def load_plant(
 
 
 def shipped(name: str) -> Path | None:
-    """The file of a plant in config/plants: in the source tree, else in an installed package."""
+    """Find the file of a plant in config/plants: in the source tree, otherwise in an installed package.
+
+    Parameters
+    ----------
+    name
+        Name of the plant.
+
+    Returns
+    -------
+    Path | None
+        Path of the file; None without one.
+    """
     prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
     folders = [Path(__file__).resolve().parents[2], *(Path(prefix) / "share" / "hyst_control" for prefix in prefixes)]
     return next((path for folder in folders if (path := folder / "config" / "plants" / f"{name}.yaml").is_file()), None)

@@ -1,4 +1,4 @@
-"""The published MHL model (fast steering mirror, two axes) as a plant of its own code.
+"""The published MHL model (fast steering mirror, two axes) as a plant, independent of the simulator's code.
 
 Delay, Madelung hysteresis between the published major branches (MHL paper Eq. 2, Table 1), rate part
 Ψ = (k1 v̇ + b1) / (k2 s + b2) in parallel (Eq. 4), dynamics G(s) (Eq. 12), stepped exactly.
@@ -32,10 +32,28 @@ DEPTH = 512
 
 @dataclass(frozen=True)
 class PublishedFsmParameters:
-    """The published mirror's figures, one entry per axis.
+    """Figures of the published mirror, one entry per axis.
 
-    delay s, ascending and descending p5 … p1 over the input / span (V), scale mrad, k1 mrad s/V, k2 s, b2, num and den of G(s); noise
-    mrad rms for both.
+    Parameters
+    ----------
+    delay
+        Input delay, s.
+    ascending, descending
+        Polynomials p5 … p1 of the major branches over input / span.
+    span
+        Input span, V.
+    scale
+        Scale of the output, mrad.
+    k1
+        Rate gain, mrad s/V.
+    k2
+        Time constant of the rate part, s.
+    b2
+        Constant of the rate part's denominator.
+    num, den
+        Polynomials of G(s).
+    noise
+        White noise of both axes, mrad rms.
     """
 
     axes: ClassVar[tuple[str, ...]] = ("x", "y")
@@ -66,7 +84,24 @@ class PublishedFsmParameters:
                 )
 
     def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
-        """The parts of an axis by place, with what is changed in the hysteresis and in the mechanics."""
+        """Construct the parts of an axis by place.
+
+        Parameters
+        ----------
+        axis
+            Index of the axis.
+        frame
+            Common data of the plant.
+        hysteresis
+            Changes of the hysteresis by name: "width", "rate".
+        moving
+            Changes of the delay and the mechanics; see `mechanics`.
+
+        Returns
+        -------
+        dict[str, list[Part]]
+            Parts by place.
+        """
         static = Madelung(
             self.ascending[axis], self.descending[axis], self.span[axis], self.scale[axis], hysteresis.get("width", 0.0)
         )
@@ -82,7 +117,19 @@ class PublishedFsmParameters:
 
 
 class Madelung:
-    """V to mrad. The memory, which `width` scales, is the deviation from the mean of the two major branches."""
+    """Madelung hysteresis, V to mrad. The memory is the deviation from the mean of the two major branches.
+
+    Parameters
+    ----------
+    ascending, descending
+        Polynomials p5 … p1 of the major branches over input / span.
+    span
+        Input span, V.
+    scale
+        Scale of the output, mrad.
+    width
+        Relative change of the memory.
+    """
 
     def __init__(self, ascending: Sequence[float], descending: Sequence[float], span: float, scale: float, width: float) -> None:
         self._up, self._down = np.array(ascending, dtype=float), np.array(descending, dtype=float)

@@ -1,4 +1,4 @@
-"""The published HAMPI model as a plant of its own code: what the simulator's chain is held against.
+"""The published HAMPI model as a plant, independent of the simulator's code, with which the simulator's chain is compared.
 
 Play operators in the form of HAMPI paper Eq. 3, dynamic weights of Eq. 4-6, the dynamics G(s) of Eq. 7 with the slow
 pole-zero pair, stepped exactly. The rate is the difference over one sample time of the voltage, as a held command has it.
@@ -25,7 +25,25 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PublishedPeaParameters:
-    """thresholds V, weights um/V per unit of G's static gain, m1 and m2 s/V, k 1/V, b, num and den of G(s), noise um rms."""
+    """Figures of the published HAMPI model.
+
+    Parameters
+    ----------
+    thresholds
+        Thresholds of the play operators, V.
+    weights
+        Weights, um/V per unit of G's static gain.
+    m1, m2
+        Rate gains of the weights, s/V.
+    k
+        Level gain of the weights, 1/V.
+    b
+        Constant of the weights.
+    num, den
+        Polynomials of G(s).
+    noise
+        White noise, um rms.
+    """
 
     axes: ClassVar[tuple[str, ...]] = ("x",)
     unit: ClassVar[str] = "um"
@@ -46,7 +64,24 @@ class PublishedPeaParameters:
             raise PlantError(f"weights: {len(self.weights)} for {len(self.thresholds)} thresholds: give one each")
 
     def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
-        """The parts of an axis by place, with what is changed in the hysteresis and in the mechanics."""
+        """Construct the parts of an axis by place.
+
+        Parameters
+        ----------
+        axis
+            Index of the axis.
+        frame
+            Common data of the plant.
+        hysteresis
+            Changes of the hysteresis by name: "width", "rate".
+        moving
+            Changes of the delay and the mechanics; see `mechanics`.
+
+        Returns
+        -------
+        dict[str, list[Part]]
+            Parts by place.
+        """
         delay = Delay(moving.get("delay", 0.0), frame.step)
         return {
             "drive": [delay],
@@ -56,7 +91,19 @@ class PublishedPeaParameters:
 
 
 class DynamicWeights:
-    """Σ (w_i + k u + b - m1 u̇ or + m2 u̇) H_i; width scales H_i - u, rate scales m1 and m2."""
+    """Play operators with dynamic weights: Σ (w_i + k u + b - m1 u̇ or + m2 u̇) H_i.
+
+    Parameters
+    ----------
+    parameters
+        Figures of the model.
+    frame
+        Common data of the plant.
+    width
+        Relative change of the memory H_i - u.
+    rate
+        Factor of m1 and m2.
+    """
 
     def __init__(self, parameters: PublishedPeaParameters, frame: Frame, width: float, rate: float) -> None:
         p = parameters

@@ -1,10 +1,10 @@
-"""The line of a plant: what a command goes through on its way to the measurement, place by place, and the plant that runs it.
+"""Signal path of a plant from the command to the measurement, place by place, and the plant that runs it.
 
 A part is one axis' element at one place: `settle(value)` brings it to rest at a constant input and returns its first output,
 `process(block (M,))` returns as many outputs and carries its state on, so that cutting a signal changes no bit. A part that
 mixes axes is entered for axis None and gets (A, M).
 
-What a value between the samples stands for: from the drive up to the mechanics for the whole internal step, held there or the
+Meaning of a value between the samples: from the drive up to the mechanics for the whole internal step, held there or the
 mean over it, which the next part takes as held; from the mechanics on for the end of the step, up to which the next part takes
 it as running straight. Both are of second order in the step, also where a command jumps.
 """
@@ -30,20 +30,68 @@ BLOCK = 1024
 
 
 class PlantError(ValueError):
-    """A plant description that makes no sense: one line with field and remedy."""
+    """Unusable plant description: one line with field and remedy."""
 
 
 class Part(Protocol):
     """An element of the line; see the module."""
 
-    def settle(self, value: Any) -> Any: ...
+    def settle(self, value: Any) -> Any:
+        """Come to rest at a constant input.
 
-    def process(self, block: Array) -> Array: ...
+        Parameters
+        ----------
+        value
+            The input; (A,) for a part that mixes axes.
+
+        Returns
+        -------
+        Any
+            First output.
+        """
+        ...
+
+    def process(self, block: Array) -> Array:
+        """Compute the output for the next block of the input.
+
+        Parameters
+        ----------
+        block
+            Input (M,), or (A, M) for a part that mixes axes.
+
+        Returns
+        -------
+        Array
+            Output of the same shape.
+        """
+        ...
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Common data of all parts of a plant: axes, sample time (s), internal steps a sample, rating (V), stroke (measurement unit), seed."""
+    """Common data of all parts of a plant.
+
+    Parameters
+    ----------
+    name
+        Name of the plant.
+    axes
+        Names of the axes.
+    units
+        Units by signal.
+    sample_time
+        Sample time, s.
+    substeps
+        Internal steps per sample.
+    rating
+        Range of the command, V.
+    slew_limit
+        Slew rate of the amplifier, V/s.
+    stroke
+        Range to which the effects refer (measurement unit).
+    seed
+        Seed of all random numbers.
+    """
 
     name: str
     axes: tuple[str, ...]
@@ -61,11 +109,35 @@ class Frame:
         return self.sample_time / self.substeps
 
     def period(self, place: str) -> float:
-        """Time (s) from one value to the next at a place."""
+        """Time from one value to the next at a place.
+
+        Parameters
+        ----------
+        place
+            One of `PLACES`.
+
+        Returns
+        -------
+        float
+            Time, s.
+        """
         return self.sample_time if place in SAMPLED else self.step
 
     def stream(self, name: str, axis: int | None) -> np.random.Generator:
-        """Random numbers that belong to one effect on one axis, whatever else the plant draws."""
+        """Return the random numbers of one effect on one axis, independent of all others.
+
+        Parameters
+        ----------
+        name
+            Name of the effect.
+        axis
+            Index of the axis; None for all axes.
+
+        Returns
+        -------
+        np.random.Generator
+            The generator.
+        """
         return np.random.default_rng([self.seed, crc32(name.encode()), 0 if axis is None else axis + 1])
 
 
@@ -74,7 +146,15 @@ Line = dict[str, list[Entry]]
 
 
 class Plant:
-    """A running truth plant: `reset` it, then `step` it with commands in V."""
+    """A running truth plant: `reset` it, then `step` it with commands in V.
+
+    Parameters
+    ----------
+    frame
+        Common data of its parts.
+    line
+        Parts by place, each with its axis (None for all axes).
+    """
 
     def __init__(self, frame: Frame, line: Line) -> None:
         self.frame, self._line = frame, line
@@ -87,7 +167,18 @@ class Plant:
         self.reset(np.zeros(len(self.axes)))
 
     def reset(self, command: Array) -> Array:
-        """Settle at the command (A,) V, reached from 0 V on the virgin curve; measurement[0] (A,)."""
+        """Settle at a command that is reached from 0 V on the virgin curve.
+
+        Parameters
+        ----------
+        command
+            Command (A,), V.
+
+        Returns
+        -------
+        Array
+            First measurement (A,).
+        """
         values = np.array(np.broadcast_to(np.asarray(command, dtype=float), len(self.axes)))
         for axis, part in (*self._before, *self._between, *self._after):
             if axis is None:
@@ -97,7 +188,18 @@ class Plant:
         return values
 
     def step(self, commands: Array) -> Array:
-        """Commands (N, A) V, each held for one sample; measurements (N, A) at the ticks that follow them."""
+        """Apply commands, each held for one sample.
+
+        Parameters
+        ----------
+        commands
+            Commands (N, A), V.
+
+        Returns
+        -------
+        Array
+            Measurements (N, A) at the ticks that follow them.
+        """
         commands = np.asarray(commands, dtype=float)
         output = np.empty((len(commands), len(self.axes)))
         for start in range(0, len(commands), BLOCK):

@@ -2,7 +2,7 @@
 
 The path of a command, stepped at 200 kHz or finer: amplifier (second order); free stroke Y = d u - z with
 dz/du = α - (β sgn(u̇ z) + γ) |z|^n, α growing with the voltage from one end of the rating to the other: the memory z holds the
-stroke back, on the way up as on the way down; a Zener ladder, branches each of which lets a share of the stroke arrive late; one
+stroke back, on the way up as on the way down; a Zener ladder, each of whose branches delays a part of the stroke; one
 mode; sensor (first-order low-pass, white noise).
 """
 
@@ -32,8 +32,40 @@ SHORT = 0.2
 
 
 @dataclass(frozen=True)
-class ThirdParameters:
-    """Physical parameters; units in the comments of config/plants/third.yaml."""
+class ViscoelasticBoucWenParameters:
+    """Physical parameters of the third plant; values in config/plants/third.yaml.
+
+    Parameters
+    ----------
+    amplifier_frequency
+        Second-order cutoff, Hz.
+    amplifier_damping
+        Its damping ratio.
+    slope
+        Slope without memory, um/V.
+    alpha
+        Growth of the memory from rest, um/V.
+    alpha_growth
+        Relative growth of alpha from one end of the rating to the other.
+    beta
+        Approach to saturation, 1/V um^(1 - exponent).
+    gamma
+        The same, for either direction of the drive.
+    exponent
+        Exponent n of |z|.
+    ladder_shares
+        Fractions of the stroke that arrive late.
+    ladder_times
+        Time constants of their arrival, s.
+    mode_frequency
+        Frequency of the mode, Hz.
+    mode_damping
+        Its damping ratio.
+    sensor_cutoff
+        First-order cutoff, Hz.
+    noise
+        White noise, um rms.
+    """
 
     axes: ClassVar[tuple[str, ...]] = ("x",)
     unit: ClassVar[str] = "um"
@@ -66,7 +98,24 @@ class ThirdParameters:
             )
 
     def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
-        """The parts of an axis by place, with what is changed in the hysteresis and in the mechanics."""
+        """Construct the parts of an axis by place.
+
+        Parameters
+        ----------
+        axis
+            Index of the axis.
+        frame
+            Common data of the plant.
+        hysteresis
+            Changes of the hysteresis by name: "width", "rate".
+        moving
+            Changes of the delay and the mechanics; see `mechanics`.
+
+        Returns
+        -------
+        dict[str, list[Part]]
+            Parts by place.
+        """
         rate = hysteresis.get("rate", 1.0)
         delay = Delay(moving.get("delay", 0.0), frame.step)
         return {
@@ -92,9 +141,19 @@ class ThirdParameters:
 
 
 class BoucWen:
-    """Y (um) for a voltage; the memory z is scaled by `memory`."""
+    """Bouc-Wen hysteresis: free stroke Y (um) for a voltage.
 
-    def __init__(self, p: ThirdParameters, rating: tuple[float, float], memory: float) -> None:
+    Parameters
+    ----------
+    p
+        Physical parameters.
+    rating
+        Range of the voltage, V.
+    memory
+        Factor of the memory z.
+    """
+
+    def __init__(self, p: ViscoelasticBoucWenParameters, rating: tuple[float, float], memory: float) -> None:
         self._law = np.array(
             [p.slope, p.alpha, p.alpha_growth / (rating[1] - rating[0]), p.beta, p.gamma, p.exponent, memory, rating[0]]
         )

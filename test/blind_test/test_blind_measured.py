@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from hyst_control.blind_test import measured
-from hyst_control.blind_test.measured import Withheld, oscillating, report_on, uncoupled, without
+from hyst_control.blind_test.measured import Withheld, oscillating, report_on, uncoupled, without_states
 from hyst_control.chain import Chain
 from hyst_control.chain.linear import StateSpace
 from hyst_control.model_file import Model
@@ -46,15 +46,15 @@ def test_a_mode_is_found_and_taken_away_whole():
     whole = modal(np.random.default_rng(2))
     found = list(oscillating(whole))
     np.testing.assert_allclose([frequency for _, frequency in found], np.array(FREQUENCIES) * np.sqrt(1 + 1e-4), rtol=1e-9)
-    left = without(whole, found[0][0])
+    left = without_states(whole, found[0][0])
     assert len(left.A) == 3
     # What is gone has one residue: its difference is of rank two at most, and largest at the mode.
     gone = response(whole, FREQUENCIES[0]) - response(left, FREQUENCIES[0])
     assert np.linalg.svd(gone, compute_uv=False)[2] < 1e-9 * np.abs(gone).max()
     assert np.abs(gone).max() > 20 * np.abs(response(whole, 3000.0) - response(left, 3000.0)).max()
-    other = response(without(left, slice(0, 2)), 50.0)
+    other = response(without_states(left, slice(0, 2)), 50.0)
     np.testing.assert_allclose(
-        response(whole, 50.0) - response(without(whole, found[1][0]), 50.0) + other, response(left, 50.0), atol=1e-9
+        response(whole, 50.0) - response(without_states(whole, found[1][0]), 50.0) + other, response(left, 50.0), atol=1e-9
     )
 
 

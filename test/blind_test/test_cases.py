@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from hyst_control.blind_test.case import EXCITATIONS, KINDS, Case
-from hyst_control.blind_test.case_drawing import BEGIN, draw
-from hyst_control.blind_test.case_labels import LEAST, labelled
+from hyst_control.blind_test.case_drawing import SWITCH_FRACTION, draw
+from hyst_control.blind_test.case_labels import LEAST_VISIBILITY, with_label
 from hyst_control.blind_test.case_records import commands, run_case
 from hyst_control.blind_test.effect_sizes import SEVERITIES
 from hyst_control.blind_test.plant_setups import SETUPS
@@ -38,10 +38,10 @@ def test_labels_state_the_true_gap_and_hide_what_nobody_could_see():
         for case in draw(3, 60, plants=("pea_published",))
         if case.kind == "single" and case.excitation == "rich" and case.names[0] not in ("sensor_noise", "held_samples")
     )
-    label = labelled(case).label
+    label = with_label(case).label
     difference = run_case(case, noisy=False)["measurement"] - run_case(case, effects=False, noisy=False)["measurement"]
     assert label["gap_rms"] == pytest.approx(np.sqrt(np.mean(difference**2)))
-    assert label["kind"] == ("single" if label["distance"] >= LEAST else "none")
+    assert label["kind"] == ("single" if label["distance"] >= LEAST_VISIBILITY else "none")
 
 
 def test_effects_begin_within_the_record_where_asked_for():
@@ -53,7 +53,9 @@ def test_effects_begin_within_the_record_where_asked_for():
     assert [case.names for case in switched] == [case.names for case in always]
     for case in switched:
         length = len(commands(case)) * SETUPS[case.plant].sample_time
-        assert all(BEGIN[0] * length - 1e-3 < effect["from"] < BEGIN[1] * length + 1e-3 for effect in case.effects)
+        assert all(
+            SWITCH_FRACTION[0] * length - 1e-3 < effect["from"] < SWITCH_FRACTION[1] * length + 1e-3 for effect in case.effects
+        )
     assert 0.3 < np.mean(["from" in case.effects[0] for case in draw(5, 100, kinds=("single",), switched=0.5)]) < 0.7
     case = next(case for case in switched if case.plant == "fsm" and case.kind == "pair" and case.excitation == "rich")
     begin = round(min(effect["from"] for effect in case.effects) / SETUPS["fsm"].sample_time)
@@ -84,7 +86,7 @@ def test_a_gap_under_the_noise_is_labelled_none_whatever_its_kind():
     ]
     for kind, effects in small:
         case = Case("", "pea_published", kind, "multisine", 3e-3, 3, effects)
-        label = labelled(case).label
+        label = with_label(case).label
         assert label["kind"] == "none" and label["names"] == [] and label["hidden"] == list(case.names) and label["gap_rms"] > 0
         assert [dict(effect) for effect in label["effects"]] == [dict(effect) for effect in effects]
 
@@ -93,14 +95,14 @@ def test_a_gap_under_the_noise_is_labelled_none_whatever_its_kind():
 def test_of_a_pair_it_is_told_which_could_be_seen_beside_the_other(excitation):
     for gamma, shown in ((1e-7, ["delay"]), (0.05, ["creep", "delay"])):
         effects = ({"name": "creep", "gamma": gamma}, {"name": "delay", "tau": 5e-4})
-        label = labelled(Case("", "pea_published", "pair", excitation, 5e-4, 3, effects)).label
+        label = with_label(Case("", "pea_published", "pair", excitation, 5e-4, 3, effects)).label
         assert (label["kind"], label["names"], label["shown"]) == ("pair", ["creep", "delay"], shown)
 
 
 @pytest.mark.parametrize("off, kind", [(5.0, "parameters"), (0.02, "none")])
 def test_coefficients_that_are_off_count_by_their_gap(off, kind):
     case = Case("", "pea_published", "parameters", "multisine", 3e-3, 3, off=off)
-    label = labelled(case).label
+    label = with_label(case).label
     difference = run_case(case, noisy=False)["measurement"] - run_case(case, noisy=False, scattered=False)["measurement"]
     assert label["gap_rms"] == pytest.approx(np.sqrt(np.mean(difference**2)))
     assert label["kind"] == kind and label.get("hidden") == (["parameters"] if kind == "none" else None)
@@ -141,7 +143,7 @@ def test_unusable_requests_are_refused(tmp_path, capsys):
     for option, value in (("--kinds", "triple"), ("--excitations", "step"), ("--switched", "2")):
         assert main(["cases", "make", "--seed", "1", "--count", "2", "--output", str(tmp_path / "b"), option, value]) == 2
     error = capsys.readouterr().err
-    for words in ("--count 0", "--plants pear", "--kinds triple", "--excitations step", "--switched 2"):
+    for words in ("--count: must be >= 1, got 0", "got pear", "got triple", "got step", "--switched: must be from 0 to 1, got 2"):
         assert words in error
     assert error.count("\n") == 5 and not (tmp_path / "b").exists()
 

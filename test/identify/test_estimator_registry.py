@@ -13,7 +13,7 @@ from hyst_control.chain.memoryless import Gain
 from hyst_control.errors import InputError
 from hyst_control.identify import Dataset, Estimator, Fit, Options, estimator, estimators, identify, option, register
 from hyst_control.identify.estimator import every_option
-from hyst_control.identify.option_table import renewed
+from hyst_control.identify.option_table import with_present_tables
 from hyst_control.identify.options import INTEGER, NUMBER, TEXT, TRUTH, declared
 from hyst_control.model_file import Model
 
@@ -56,7 +56,7 @@ def test_a_registered_family_is_like_any_other(registry):
 
 @pytest.mark.parametrize("change", [{"name": ""}, {"sentence": ""}, {"name": "pi"}])
 def test_a_family_without_a_name_of_its_own_is_refused(registry, change):
-    with pytest.raises(InputError, match="needs name, sentence and Options|choose another"):
+    with pytest.raises(InputError, match="must have name, sentence and Options|choose another"):
         register(gain_family(**change))
 
 
@@ -91,8 +91,8 @@ def test_values_are_converted_and_kept_in_their_type():
 def test_the_document_shows_every_family_and_option():
     """Made anew by `python -m hyst_control.identify.option_table docs/identification.md`."""
     document = (Path(__file__).parents[2] / "docs/identification.md").read_text(encoding="utf-8")
-    assert renewed(document) == document
+    assert with_present_tables(document) == document
     for name, families in every_option().items():
         assert f"`--{name.replace('_', '-')}`" in document and all(f"| `{family}` |" in document for family in families)
     with pytest.raises(InputError, match="one pair of the marks"):
-        renewed("without")
+        with_present_tables("without")

@@ -181,10 +181,10 @@ def test_standard_errors_are_the_scatter_of_repeated_noise(name):
 @pytest.mark.parametrize(
     "change, words",
     [
-        (lambda data: data.rows(0, 10), "10 samples"),
+        (lambda data: data.rows(0, 10), "samples, got 10: record for longer"),
         (lambda data: replace(data, command=np.full_like(data.command, 3.0)), "command of axis x never moves"),
         (lambda data: replace(data, measurement=np.full_like(data.measurement, 3.0)), "measurement of axis x never moves"),
-        (lambda data: replace(data, measurement=np.where(data.command > 40.0, np.nan, data.measurement)), "not a finite number"),
+        (lambda data: replace(data, measurement=np.where(data.command > 40.0, np.nan, data.measurement)), "must be finite"),
     ],
     ids=["short", "constant command", "constant measurement", "not finite"],
 )

@@ -181,7 +181,7 @@ def test_what_the_data_cannot_tell_is_named():
     noise = np.random.default_rng(0).normal(0.0, SIGMA, command.shape)
     data = Dataset("slow", command, simulate(truth, command) + noise, SAMPLE_TIME, ("x",), "um")
     notes = " ".join(identify([data], "hampi", thresholds=THRESHOLDS).report["notes"])
-    assert "m1 cannot be told" in notes and "100 Hz" in notes and "G(s) cannot be told" in notes
+    assert "m1 cannot be distinguished" in notes and "100 Hz" in notes and "G(s) cannot be determined" in notes
 
 
 @pytest.mark.parametrize("count", [3, 4, 5])

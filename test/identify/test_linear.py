@@ -133,7 +133,7 @@ def test_the_report_of_a_record_with_nothing_to_hold_out_is_json():
         ([Dataset("still", np.zeros((100, 1)), np.zeros((100, 1)), 1e-3, ("x",), "um")], "never moves"),
         ([Dataset("short", np.ones((8, 1)), np.ones((8, 1)), 1e-3, ("x",), "um")], "at least 32"),
         ([dataset(step(100)), Dataset("slow", step(100), step(100), 1e-3, ("x",), "um")], "sample time"),
-        ([Dataset("broken", step(100) * np.nan, step(100), 1e-3, ("x",), "um")], "not a finite number in sample 0"),
+        ([Dataset("broken", step(100) * np.nan, step(100), 1e-3, ("x",), "um")], "command: must be finite, is not in sample 0"),
     ],
 )
 def test_unusable_records_are_refused_in_one_line(records, words):

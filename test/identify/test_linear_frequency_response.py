@@ -84,7 +84,7 @@ def test_a_step_that_settles_shows_the_response():
 
 def test_inputs_that_are_not_told_apart_are_refused():
     command = np.random.default_rng(3).normal(size=(500, 1)) * np.ones((1, 2))
-    with pytest.raises(InputError, match="apart"):
+    with pytest.raises(InputError, match="do not separate the"):
         local_polynomial([command], [command], 1.0)
     with pytest.raises(InputError, match="at least 2 periods"):
         robust_bla(np.zeros((64, 2, 3, 2)), np.zeros((64, 2, 3, 2)), 1.0)

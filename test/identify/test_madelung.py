@@ -111,7 +111,7 @@ def test_what_the_records_do_not_reach_is_said():
 @pytest.mark.parametrize(
     "change, options, word",
     [
-        (lambda u: u - 50.0, {}, "Madelung curves begin at 0 V"),
+        (lambda u: u - 50.0, {}, "command: must be >= 0 V for Madelung curves"),
         (lambda u: 0 * u + 3.0, {}, "never moves"),
         (lambda u: u, {"degree": 0}, "degree: must be an integer from 1 to 12, got 0"),
         (lambda u: u, {"knots": [0.0, 1.0]}, "knots: must be at least three"),

@@ -177,7 +177,7 @@ def test_a_response_that_falls_with_the_command_and_a_zero_of_the_sensor():
 
 def test_slow_loops_alone_say_what_they_cannot_tell():
     fit = identify([records()[1]], "mhl", structure=Structure(modes=1, delay=True))
-    assert any("k1 cannot be told" in note for note in fit.report["notes"])
+    assert any("k1 cannot be determined" in note for note in fit.report["notes"])
 
 
 @pytest.mark.parametrize(

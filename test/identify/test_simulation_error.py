@@ -17,10 +17,10 @@ from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.prandtl_ishlinskii import PlayOperator
 from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.simulation_error import (
-    Parametrisation,
+    Parametrization,
     constrained_minimum,
     gram_matrices,
-    minimise,
+    minimize_simulation_error,
     short_stretches,
     surviving_turns,
 )
@@ -83,13 +83,15 @@ def stages(vector):
     return [Gain(gain), TransferFunction([w**2], [1.0, 2 * damping * w, w**2])]
 
 
-FREE = Parametrisation(stages, np.zeros((0, 3)), np.zeros(0))
+FREE = Parametrization(stages, np.zeros((0, 3)), np.zeros(0))
 TRUTH = np.array([2.0, np.log(2.0), np.log(0.25)])
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
 def test_it_finds_the_parameters_and_the_nuisances(hold):
-    found = minimise([record(hold=hold)], FREE, np.array([1.0, 0.0, -1.0]), passes=40, tolerance=1e-12, everything=True)
+    found = minimize_simulation_error(
+        [record(hold=hold)], FREE, np.array([1.0, 0.0, -1.0]), passes=40, tolerance=1e-12, everything=True
+    )
     np.testing.assert_allclose(found.parameters, TRUTH, atol=1e-6)
     np.testing.assert_allclose(found.nuisances, [3.0, 0.5], atol=1e-4)
     assert found.fitted < 1e-10
@@ -97,12 +99,14 @@ def test_it_finds_the_parameters_and_the_nuisances(hold):
 
 def test_the_covariance_is_the_scatter_of_repeated_experiments():
     """Thirty records with noise of their own: the mean estimated standard error is the spread of the estimates."""
-    fits = [minimise([record(1500, seed=5, noise=0.0)], FREE, TRUTH, passes=2)]
+    fits = [minimize_simulation_error([record(1500, seed=5, noise=0.0)], FREE, TRUTH, passes=2)]
     estimates, errors = [], []
     clean = record(1500, seed=5)
     for seed in range(30):
         noise = 0.5 * np.random.default_rng(seed).normal(size=1500)
-        found = minimise([replace(clean, measurement=clean.measurement + noise)], FREE, TRUTH, passes=6, everything=True)
+        found = minimize_simulation_error(
+            [replace(clean, measurement=clean.measurement + noise)], FREE, TRUTH, passes=6, everything=True
+        )
         estimates.append(found.parameters)
         errors.append(np.sqrt(np.diag(found.covariance)))
     assert fits[0].fitted < 1e-12
@@ -112,10 +116,10 @@ def test_the_covariance_is_the_scatter_of_repeated_experiments():
 def test_it_is_never_worse_than_its_start_and_keeps_the_constraints():
     window = record(noise=0.1)
     start = np.array([1.5, 0.2, -0.5])
-    bound = Parametrisation(stages, np.array([[-1.0, 0.0, 0.0]]), np.array([-1.7]))  # gain <= 1.7
-    costs = [minimise([window], bound, start, passes=passes, everything=True).fitted for passes in (1, 3, 30)]
+    bound = Parametrization(stages, np.array([[-1.0, 0.0, 0.0]]), np.array([-1.7]))  # gain <= 1.7
+    costs = [minimize_simulation_error([window], bound, start, passes=passes, everything=True).fitted for passes in (1, 3, 30)]
     assert costs[0] >= costs[1] >= costs[2]
-    final = minimise([window], bound, start, passes=30, everything=True)
+    final = minimize_simulation_error([window], bound, start, passes=30, everything=True)
     np.testing.assert_allclose(final.parameters[0], 1.7, rtol=1e-6)
 
 

@@ -1,9 +1,9 @@
-"""Effects: what can be wrong with a plant, each at its physical place.
+"""Effects: possible faults of a plant, each at its physical place.
 
 An effect is a mapping {name: delay, tau: 1e-4, axis: x, from: 0.5}: its name, its parameters, the axis (left out: every axis)
-and the time in s from which it acts (left out: always). One that begins later has been running unheard before: the output
-changes over at once, without a transient of its own. `gain` and `delay` may be put elsewhere with `at`. An effect whose
-parameters say that it is not there (`absent`) is left out, so that it changes no bit.
+and the time in s from which it acts (left out: always). One that begins later has been running before without influence: the
+output changes over at once, without a transient. `gain` and `delay` may be placed elsewhere with `at`. An effect whose
+parameters make it absent (`absent`) is left out, so that it changes no bit.
 
 Parameters are those of the gap report's vocabulary; `EFFECTS` holds their meaning, units and defaults. Where a plant has
 several parts at a place, effects come after them, in the order of `EFFECTS`.
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from hyst_plant_sim.physics.effects import drive, motion, piezo, sensing
-from hyst_plant_sim.physics.effects.effect import Context, Effect, Switch, Through
+from hyst_plant_sim.physics.effects.effect import Context, Effect, PassThrough, Switch
 from hyst_plant_sim.physics.signal_path import Frame, Line, PlantError
 
 EFFECTS: dict[str, Effect] = {**drive.EFFECTS, **piezo.EFFECTS, **motion.EFFECTS, **sensing.EFFECTS}
@@ -27,14 +27,28 @@ EFFECTS: dict[str, Effect] = {**drive.EFFECTS, **piezo.EFFECTS, **motion.EFFECTS
 
 ELSEWHERE = {"gain": ("amplifier", "piezo", "sensor"), "delay": ("drive", "sensor")}
 ADDED = ("delay", "modes")
-"""Changes of a part of which several add up; of the others the newest counts."""
+"""Changes of a part that add up where there are several; of the others the newest is used."""
 
 KEYS = ("name", "axis", "from", "at")
 
 
 @dataclass(frozen=True)
 class Present:
-    """An effect that is there: its name and parameters, where, on which axis (None: all), from when (s)."""
+    """An effect that is present.
+
+    Parameters
+    ----------
+    name
+        Its name.
+    values
+        Its parameters.
+    place
+        One of `PLACES`.
+    axis
+        Index of the axis; None: all axes.
+    start
+        Time from which it acts, s.
+    """
 
     name: str
     values: Mapping[str, float]
@@ -50,7 +64,25 @@ class Present:
 
 
 def read_effects(given: Any, frame: Frame) -> list[Present]:
-    """The effects of a list of mappings that are there at all. Raises `PlantError` naming effect, field and remedy."""
+    """Read a list of effects, without those that are absent by their parameters.
+
+    Parameters
+    ----------
+    given
+        Mappings of effects.
+    frame
+        Common data of the plant.
+
+    Returns
+    -------
+    list[Present]
+        The effects, in signal order.
+
+    Raises
+    ------
+    PlantError
+        An effect is unusable; the message names effect, field and remedy.
+    """
     if not isinstance(given, Sequence) or isinstance(given, str) or not all(isinstance(item, Mapping) for item in given):
         raise PlantError("effects: must be a list of {name: …, parameters}")
     found = [_read(item, frame) for item in given]
@@ -86,9 +118,20 @@ def _read(item: Mapping[str, Any], frame: Frame) -> Present | None:
 
 
 def insert_effects(line: Line, axis: int | None, parts: Any, present: Sequence[Present], frame: Frame) -> None:
-    """Bring into the line the effects of one axis, or (None) those that mix axes.
+    """Insert the effects of one axis into the line, or those that mix axes.
 
-    parts(hysteresis changes, mechanics changes) builds the axis' own parts by place.
+    Parameters
+    ----------
+    line
+        Parts by place, changed in place.
+    axis
+        Index of the axis; None: the effects that mix axes.
+    parts
+        Constructor of the axis' own parts by place, from changes of the hysteresis and of the mechanics.
+    present
+        The effects.
+    frame
+        Common data of the plant.
     """
     for item in present:
         effect = EFFECTS[item.name]
@@ -98,7 +141,7 @@ def insert_effects(line: Line, axis: int | None, parts: Any, present: Sequence[P
         if item.kind in ("insert", "mixing"):
             part = effect.make(item.values, context)
             late = context.first > 0
-            line[item.place].append((axis, Switch([(0, Through()), (context.first, part)]) if late else part))
+            line[item.place].append((axis, Switch([(0, PassThrough()), (context.first, part)]) if late else part))
     if axis is not None:
         own = [item for item in present if item.axis in (None, axis)]
         _change(line, axis, "drive", ("delay",), own, frame, lambda changes: parts({}, changes)["drive"][0])
@@ -107,9 +150,9 @@ def insert_effects(line: Line, axis: int | None, parts: Any, present: Sequence[P
 
 
 def _change(line: Line, axis: int, place: str, kinds: Sequence[str], present: Sequence[Present], frame: Frame, build: Any) -> None:
-    """Put a part built with the changes in place of the plant's own first one there.
+    """Replace the plant's own first part at a place by one with changes.
 
-    One after the other when they begin at different times.
+    Changes that begin at different times give one part after the other.
     """
     own = sorted((item for item in present if item.kind in kinds), key=lambda item: item.start)
     if not own:

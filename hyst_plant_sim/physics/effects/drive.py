@@ -16,7 +16,15 @@ Array = NDArray[np.float64]
 
 
 class Hold:
-    """Every n-th command is taken and held; each is rounded to a multiple of `step` V (0: not)."""
+    """Every n-th command is taken and held.
+
+    Parameters
+    ----------
+    samples
+        n.
+    step
+        Step to whose multiples commands are rounded, V; 0: not rounded.
+    """
 
     def __init__(self, samples: int, step: float) -> None:
         self._samples, self._step = samples, step
@@ -37,7 +45,15 @@ class Hold:
 
 
 class Slew:
-    """The voltage follows no faster than `rate` V/s; its mean over a step."""
+    """Limit of the voltage's rate; the output is the mean over a step.
+
+    Parameters
+    ----------
+    rate
+        The limit, V/s.
+    step
+        The step, s.
+    """
 
     def __init__(self, rate: float, step: float) -> None:
         self._most, self._last = rate * step, np.zeros(1)
@@ -52,8 +68,16 @@ class Slew:
         return output
 
 
-class Stretch:
-    """The drive's clock runs slow by `share`: a command comes later and later (by share times the time since the start)."""
+class SlowClock:
+    """Slow clock of the drive: a command is late by a fraction of the time since the start.
+
+    Parameters
+    ----------
+    share
+        The fraction.
+    context
+        Location of the effect.
+    """
 
     def __init__(self, share: float, context: Context) -> None:
         self._share, self._context = share, context
@@ -63,7 +87,18 @@ class Stretch:
         return value
 
     def process(self, block: Array) -> Array:
-        """Fractions of a step between two held values are shared between them, as in a constant delay."""
+        """Divide fractions of a step between the two held values, as in a constant delay.
+
+        Parameters
+        ----------
+        block
+            Commands (M,), V.
+
+        Returns
+        -------
+        Array
+            Late commands (M,), V.
+        """
         known = np.concatenate([self._past, block])
         oldest = self._count - len(self._past)
         times = self._context.times(self._count, len(block))
@@ -97,25 +132,51 @@ def _slew(block: Array, most: float, last: Array, output: Array) -> None:
 
 
 def _dead_band(values: Mapping[str, float], context: Context) -> Pointwise:
-    centre, half = 0.5 * sum(context.frame.rating), values["half_width"]
+    center, half = 0.5 * sum(context.frame.rating), values["half_width"]
 
     def lost(voltage: Array) -> Array:
-        distance = voltage - centre
+        distance = voltage - center
         return voltage - np.clip(distance, -half, half)
 
     return Pointwise(lost)
 
 
 def low_pass(values: Mapping[str, float], context: Context) -> Held | Straight:
-    """`order` equal first-order low-passes in a row."""
+    """Construct equal first-order low-passes in series.
+
+    Parameters
+    ----------
+    values
+        "cutoff" in Hz, and "order", their number.
+    context
+        Location of the effect.
+
+    Returns
+    -------
+    Held | Straight
+        The part.
+    """
     system = single = exact_discretization.lag(2 * np.pi * values["cutoff"])
     for _ in range(int(values["order"]) - 1):
         system = exact_discretization.series(system, single)
     return (Straight if context.place == "sensor" else Held)(system, context.period)
 
 
-def factor(values: Mapping[str, float], context: Context) -> Pointwise:
-    """1 + gain."""
+def gain_factor(values: Mapping[str, float], context: Context) -> Pointwise:
+    """Construct the factor 1 + gain.
+
+    Parameters
+    ----------
+    values
+        "gain".
+    context
+        Location of the effect.
+
+    Returns
+    -------
+    Pointwise
+        The part.
+    """
     return Pointwise(lambda block: (1.0 + values["gain"]) * block)
 
 
@@ -136,7 +197,7 @@ EFFECTS = {
         "insert",
         "drive",
         {"share": 0.0},
-        lambda v, c: Stretch(v["share"], c),
+        lambda v, c: SlowClock(v["share"], c),
         "The drive's clock runs slow: commands come later and later.",
         {"share": ""},
     ),

@@ -14,12 +14,24 @@ from hyst_plant_sim.physics.signal_path import Frame, Part
 Array = NDArray[np.float64]
 
 SETTLED = ("motion", "sensor", "adc", "transport")
-"""Places whose settled value is the sample at t = 0; before them it is what was there until then."""
+"""Places whose settled value is the sample at t = 0; at earlier places it is the value before t = 0."""
 
 
 @dataclass(frozen=True)
 class Context:
-    """Location of an effect: the plant, the place, the axis (None: all), the time (s) from which it acts."""
+    """Location of an effect.
+
+    Parameters
+    ----------
+    frame
+        Common data of the plant.
+    place
+        One of `PLACES`.
+    axis
+        Index of the axis; None: all axes.
+    start
+        Time from which it acts, s.
+    """
 
     frame: Frame
     place: str
@@ -37,11 +49,35 @@ class Context:
         return max(int(np.ceil(self.start / self.period - 1e-9)) - (self.place in SETTLED), 0)
 
     def times(self, count: int, length: int) -> Array:
-        """Times (s) of `length` values, after `count` ones that `process` has seen."""
+        """Times of the next values of `process`.
+
+        Parameters
+        ----------
+        count
+            Number of values that `process` has seen.
+        length
+            Number of the next values.
+
+        Returns
+        -------
+        Array
+            Times (length,), s.
+        """
         return np.asarray((count + (self.place in SETTLED) + np.arange(length)) * self.period, dtype=np.float64)
 
     def stream(self, name: str) -> np.random.Generator:
-        """Random numbers of this effect on this axis."""
+        """Return the random numbers of this effect on this axis.
+
+        Parameters
+        ----------
+        name
+            Name of the effect.
+
+        Returns
+        -------
+        np.random.Generator
+            The generator.
+        """
         return self.frame.stream(name, self.axis)
 
 
@@ -49,10 +85,23 @@ class Context:
 class Effect:
     """An effect by name.
 
-    kind: "insert" (a part more at `place`), "mixing" (a part of all axes), "hysteresis" or "mechanics" (that part of the plant is
-    built with other parameters, which `make` returns), "delay" (as those, but of two parts: see `Delay`).
-    absent: the parameters that say how strong it is, at the values where it is not there; others: the rest and their defaults.
-    units: of the parameters; meaning: one sentence.
+    Parameters
+    ----------
+    kind
+        "insert" (an additional part at `place`), "mixing" (a part of all axes), "hysteresis" or "mechanics" (that part of the plant
+        is built with other parameters, which `make` returns), "delay" (as those, but of two parts: see `Delay`).
+    place
+        One of `PLACES`.
+    absent
+        Parameters that set its strength, at the values where it is absent.
+    make
+        Constructor from parameters and location.
+    meaning
+        One sentence.
+    units
+        Units of the parameters.
+    others
+        The other parameters with their defaults.
     """
 
     kind: str
@@ -64,8 +113,8 @@ class Effect:
     others: Mapping[str, float] = field(default_factory=dict)
 
 
-class Through:
-    """Nothing happens."""
+class PassThrough:
+    """Part that passes the signal through unchanged."""
 
     def settle(self, value: Any) -> Any:
         return value
@@ -75,7 +124,13 @@ class Through:
 
 
 class Switch:
-    """Several parts run alike; which one is heard depends on the time. parts: (first value from which it is heard, part)."""
+    """Parts that run alike, of which one at a time is the output.
+
+    Parameters
+    ----------
+    parts
+        First value from which a part is the output, and the part.
+    """
 
     def __init__(self, parts: Sequence[tuple[int, Part]]) -> None:
         self._first = [first for first, _ in parts]
@@ -99,7 +154,13 @@ class Switch:
 
 
 class Pointwise:
-    """A function of the value alone."""
+    """A function of the value alone.
+
+    Parameters
+    ----------
+    function
+        Function of values (M,).
+    """
 
     def __init__(self, function: Callable[[Array], Array]) -> None:
         self._function = function
@@ -112,7 +173,15 @@ class Pointwise:
 
 
 class Timed:
-    """A function of values and of the times (s) since the effect began, 0 before it."""
+    """A function of values and of the times since the effect began, 0 before it.
+
+    Parameters
+    ----------
+    function
+        Function of values (M,) and times (M,) in s.
+    context
+        Location of the effect.
+    """
 
     def __init__(self, function: Callable[[Array, Array], Array], context: Context) -> None:
         self._function, self._context, self._count = function, context, 0

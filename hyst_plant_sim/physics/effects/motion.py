@@ -16,7 +16,13 @@ Array = NDArray[np.float64]
 
 
 class Backlash:
-    """Follows its input with a play of `half_width` to either side."""
+    """Play between input and output.
+
+    Parameters
+    ----------
+    half_width
+        Half of the play, measurement unit.
+    """
 
     def __init__(self, half_width: float) -> None:
         self._half_width, self._place = half_width, np.zeros(1)
@@ -31,8 +37,22 @@ class Backlash:
         return output
 
 
-class FromOther:
-    """Onto one axis (None: each) comes `coupling` of the next one, through a first-order low-pass; (A, M)."""
+class AxisCoupling:
+    """Coupling from the next axis through a first-order low-pass; (A, M) in and out.
+
+    Parameters
+    ----------
+    coupling
+        Fraction of the next axis' motion.
+    corner
+        Cutoff of the low-pass, Hz.
+    axis
+        Index of the axis that is moved; None: each.
+    axes
+        Number of axes.
+    period
+        Time between values, s.
+    """
 
     def __init__(self, coupling: float, corner: float, axis: int | None, axes: int, period: float) -> None:
         self._coupling, self._onto = coupling, range(axes) if axis is None else (axis,)
@@ -53,7 +73,17 @@ class FromOther:
 
 
 class Vibration:
-    """A tone whose amplitude and phase wander over some hundred periods; its rms is that of a sine of `amplitude`."""
+    """A tone whose amplitude and phase wander over some hundred periods.
+
+    Parameters
+    ----------
+    amplitude
+        Amplitude of the sine of equal rms, measurement unit.
+    frequency
+        Frequency, Hz.
+    context
+        Location of the effect.
+    """
 
     def __init__(self, amplitude: float, frequency: float, context: Context) -> None:
         self._amplitude, self._frequency, self._context = amplitude, frequency, context
@@ -157,7 +187,7 @@ EFFECTS = {
         "mixing",
         "motion",
         {"coupling": 0.0},
-        lambda v, c: FromOther(v["coupling"], v["corner"], c.axis, len(c.frame.axes), c.period),
+        lambda v, c: AxisCoupling(v["coupling"], v["corner"], c.axis, len(c.frame.axes), c.period),
         "`coupling` of the other axis' motion, through a first-order low-pass at `corner`.",
         {"coupling": "", "corner": "Hz"},
         {"corner": 2000.0},

@@ -19,7 +19,17 @@ CREEP_BEGIN, CREEP_PER_DECADE, CREEP_DECADES = 0.1, 2, 4
 
 
 class Shape:
-    """A part, plus a parabola of the voltage that is 0 at both ends of the rating and `amount` of the settled stroke in between."""
+    """A part plus a parabola of the voltage that is 0 at both ends of the rating.
+
+    Parameters
+    ----------
+    part
+        The part.
+    amount
+        Height of the parabola / settled stroke.
+    frame
+        Common data of the plant.
+    """
 
     def __init__(self, part: Part, amount: float, frame: Frame) -> None:
         self._part, self._lower, self._span = part, frame.rating[0], frame.rating[1] - frame.rating[0]
@@ -37,9 +47,20 @@ class Shape:
 
 
 class Scheduled:
-    """A part whose memory grows with how far the voltage, averaged over `tau` s, is up the rating: times 1 + amount * share.
+    """A part whose memory grows with the averaged voltage: times 1 + amount · (voltage's place in the rating, 0 to 1).
 
-    mean: the same part without memory.
+    Parameters
+    ----------
+    part
+        The part.
+    mean
+        The same part without memory.
+    amount
+        Relative growth over the rating.
+    tau
+        Time constant of the average, s.
+    frame
+        Common data of the plant.
     """
 
     def __init__(self, part: Part, mean: Part, amount: float, tau: float, frame: Frame) -> None:
@@ -59,7 +80,22 @@ class Scheduled:
 
 
 def hysteresis(parts: Any, changes: Mapping[str, float], frame: Frame) -> Part:
-    """An axis' hysteresis with these changes; parts(hysteresis changes, mechanics changes) builds the axis."""
+    """Construct an axis' hysteresis with changes.
+
+    Parameters
+    ----------
+    parts
+        Constructor of the axis' parts by place, from changes of the hysteresis and of the mechanics.
+    changes
+        Changes by name.
+    frame
+        Common data of the plant.
+
+    Returns
+    -------
+    Part
+        The part.
+    """
     inner = {name: value for name, value in changes.items() if name in ("width", "rate")}
     part = parts(inner, {})["hysteresis"][0]
     if changes.get("schedule", 0.0):

@@ -1,4 +1,4 @@
-"""Effects in the sensor, its converter, and on the way of the samples."""
+"""Effects in the sensor, its converter, and on the path of the samples."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hyst_plant_sim.physics.effects.drive import factor, low_pass
+from hyst_plant_sim.physics.effects.drive import gain_factor, low_pass
 from hyst_plant_sim.physics.effects.effect import Context, Effect, Pointwise, Timed
 
 Array = NDArray[np.float64]
@@ -17,7 +17,15 @@ FLICKER_LOWEST, FLICKER_PER_DECADE = 0.03, 2
 
 
 class White:
-    """White noise of its own."""
+    """White noise that is independent of the sensor's.
+
+    Parameters
+    ----------
+    rms
+        Noise, rms in the measurement unit.
+    context
+        Location of the effect.
+    """
 
     def __init__(self, rms: float, context: Context) -> None:
         self._rms, self._context = rms, context
@@ -31,7 +39,15 @@ class White:
 
 
 class Flicker:
-    """Noise that falls as 1/f: first-order low-passed noises of equal power, two per decade from 0.03 Hz up to the sampling's half."""
+    """Noise that falls as 1/f: first-order low-passed noises of equal power, two per decade from 0.03 Hz to half the sampling rate.
+
+    Parameters
+    ----------
+    rms
+        Noise, rms in the measurement unit.
+    context
+        Location of the effect.
+    """
 
     def __init__(self, rms: float, context: Context) -> None:
         self._context = context
@@ -54,7 +70,17 @@ class Flicker:
 
 
 class Outliers:
-    """Now and then a sample is off, up or down, by half to all of `size`."""
+    """Random samples that deviate, up or down, by half to all of a size.
+
+    Parameters
+    ----------
+    fraction
+        Fraction of the samples.
+    size
+        The size, measurement unit.
+    context
+        Location of the effect.
+    """
 
     def __init__(self, fraction: float, size: float, context: Context) -> None:
         self._fraction, self._size, self._context = fraction, size, context
@@ -70,7 +96,15 @@ class Outliers:
 
 
 class Held:
-    """A fraction of the samples, at random, repeats the one before."""
+    """Random samples that repeat the one before.
+
+    Parameters
+    ----------
+    fraction
+        Fraction of the samples.
+    context
+        Location of the effect.
+    """
 
     def __init__(self, fraction: float, context: Context) -> None:
         self._fraction, self._context = fraction, context
@@ -98,7 +132,7 @@ def _coloured(draws: Array, keep: Array, fresh: Array, state: Array, output: Arr
 
 
 def _arrived(times: Array, tau: float) -> Array:
-    """Share of a drift that has happened by each time: 1 - exp(-t / tau)."""
+    """Fraction of a drift that has occurred by each time: 1 - exp(-t / tau)."""
     return -np.expm1(-times / tau)
 
 
@@ -144,7 +178,7 @@ EFFECTS = {
         "insert",
         "sensor",
         {"gain": 0.0},
-        factor,
+        gain_factor,
         "The sensor's gain is 1 + gain; `at: amplifier` or `at: piezo` puts it there.",
         {"gain": ""},
     ),
