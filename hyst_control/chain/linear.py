@@ -121,6 +121,24 @@ class LinearStage(Stage):
     def filter(self, sampling: Sampling) -> Filter:
         return linear_filter([self], sampling)
 
+    def linearized(self, axes: int) -> tuple[Stage, ...]:
+        return (self,)
+
+    def pole_tolerances(self, pole: float, residue: float) -> dict[str, float]:
+        """Tolerances of the parameters in which the stage has its poles and residues.
+
+        Parameters
+        ----------
+        pole, residue
+            Relative standard deviation of the poles, and of the residues.
+
+        Returns
+        -------
+        dict
+            Relative standard deviation by parameter; empty for a stage of which no poles are identified.
+        """
+        return {}
+
     def gain_at_rest(self, axes: int) -> tuple[Array, Array]:
         """Gain (A, A) and bias (A,) that all settles to."""
         systems = self.systems(axes)
@@ -146,6 +164,9 @@ class Delay(Stage):
     name: ClassVar[str] = "delay"
     place: ClassVar[str] = "drive"
     tau: ScalarPerAxis = scalar("s", "transport delay", lower=0.0)
+
+    def linearized(self, axes: int) -> tuple[Stage, ...]:
+        return (self,)
 
     def filter(self, sampling: Sampling) -> Filter:
         return linear_filter([self], sampling)
@@ -178,6 +199,9 @@ class TransferFunction(LinearStage):
     @property
     def is_mechanics(self) -> bool:
         return True
+
+    def pole_tolerances(self, pole: float, residue: float) -> dict[str, float]:
+        return {"num": residue, "den": pole}
 
     def check(self) -> None:
         axes = next((len(value) for value in self._polynomials if depth(value) > 1), 1)
@@ -249,6 +273,9 @@ class StateSpace(LinearStage):
     @property
     def is_mechanics(self) -> bool:
         return not self.discrete
+
+    def pole_tolerances(self, pole: float, residue: float) -> dict[str, float]:
+        return {"A": pole, "C": residue}
 
     def check(self) -> None:
         a, b, c, d = (np.array(getattr(self, field), dtype=float) for field in "ABCD")

@@ -102,6 +102,9 @@ class SofteningModal(Stage):
             arrays[field] = value[0] + 1j * value[1] if field in pairs else value
         return arrays
 
+    def linearized(self, axes: int) -> tuple[Stage, ...]:
+        return (self.mean(),)
+
     def mean(self) -> StateSpace:
         """The structure as it responds on the average at `amplitude`: a linear stage."""
         parts = self.arrays(self.axes)

@@ -116,6 +116,9 @@ class Stage:
     adds_hysteresis: ClassVar[bool] = False
     """True for a stage that is a chain's hysteresis where it has no other."""
 
+    only_limits: ClassVar[bool] = False
+    """True for a stage that only limits or rounds what it else passes unchanged: inverses and linear descriptions leave it out."""
+
     def __post_init__(self) -> None:
         for field in fields(self):
             object.__setattr__(self, field.name, frozen(getattr(self, field.name)))
@@ -271,6 +274,21 @@ class Stage:
         """Mean slope (A,) of a hysteresis, output unit per input unit; None for any other stage."""
         return None
 
+    def linearized(self, axes: int) -> tuple[Stage, ...] | None:
+        """Linear stages in place of the stage, for small signals.
+
+        Parameters
+        ----------
+        axes
+            Number of axes.
+
+        Returns
+        -------
+        tuple of Stage or None
+            None where the stage has no linear description, as a hysteresis has none; empty where it changes no small signal.
+        """
+        return () if self.only_limits else None
+
     def at_rest(self, signal: Array) -> Array:
         """Output of the stage without rates, delays and dynamics.
 
@@ -334,10 +352,31 @@ Registered = TypeVar("Registered", bound=type[Stage])
 def register(stage: Registered) -> Registered:
     """Class decorator that makes a stage known to the model file.
 
-    Raises `TypeError` for a stage with a field that declares no parameter.
+    Parameters
+    ----------
+    stage
+        A class derived from `Stage`.
+
+    Returns
+    -------
+    type
+        The same class.
+
+    Raises
+    ------
+    TypeError
+        A field declares no parameter.
+    InputError
+        Its name is another stage's.
     """
     for field in undeclared(stage):
         raise TypeError(f"{stage.__name__}.{field.name}: declares no parameter: see hyst_control.chain.parameter")
+    other = STAGES.added(stage.name)
+    if other is not None and (other.__module__, other.__qualname__) != (
+        stage.__module__,
+        stage.__qualname__,
+    ):  # a module loaded again
+        raise InputError(f"{stage.name}: {other.__module__} has a stage of this name: choose another one")
     STAGES[stage.name] = stage
     return stage
 

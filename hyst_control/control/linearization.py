@@ -7,14 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.chain import Chain, Parallel, Sampling, Stage
+from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.chain import ParallelFilter, SeriesFilter, resolved
-from hyst_control.chain.linear import Delay, LinearFilter, LinearStage, LinearSystem, StateSpace, TransferFunction, stacked
-from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.chain.softening_modal import SofteningModal
-from hyst_control.chain.stage import Array, Filter, per_axis_scalar
+from hyst_control.chain.linear import LinearFilter, LinearStage, LinearSystem, StateSpace, TransferFunction, stacked
+from hyst_control.chain.stage import Array, Filter
 from hyst_control.control.quasi_static import hysteretic, quasi_static_stages
-from hyst_control.effects.softening_modes import ModesMoved
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 
@@ -55,21 +52,15 @@ def linearised(model: Model, slope: Array) -> tuple[Stage, ...]:
 def _replaced(stages: Sequence[Stage], slope: Array) -> list[Stage]:
     kept: list[Stage] = []
     for stage in stages:
-        if isinstance(stage, Parallel):
-            kept.append(Parallel(tuple(tuple(_replaced(branch, slope)) for branch in stage.branches)))
+        if stage.inner_chains:
+            kept.append(stage.with_inner_chains([_replaced(chain, slope) for chain in stage.inner_chains]))
         elif hysteretic(stage):
             kept.append(TransferFunction([[float(value)] for value in slope], [1.0]))
-        elif isinstance(stage, (LinearStage, Delay)):
-            kept.append(stage)
-        elif isinstance(stage, SofteningModal):
-            kept.append(stage.mean())
-        elif isinstance(stage, ModesMoved):
-            kept.append(TransferFunction([0.0], [1.0]))
-        elif isinstance(stage, Gain):
-            axes = len(slope)
-            kept.append(TransferFunction([[float(g)] for g in per_axis_scalar(stage.gain, axes, "gain")], [1.0]))
-        elif not isinstance(stage, Offset) and stage.name not in ("saturation", "quantization", "slew_limit"):
-            raise InputError(f"chain ({stage.name}): has no linear description to tune a controller on")
+        else:
+            linear = stage.linearized(len(slope))
+            if linear is None:
+                raise InputError(f"chain ({stage.name}): has no linear description to tune a controller on")
+            kept.extend(linear)
     return kept
 
 

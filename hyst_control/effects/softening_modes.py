@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from hyst_control.chain.chain import Parallel
-from hyst_control.chain.linear import LinearStage, LinearSystem, stacked
+from hyst_control.chain.linear import LinearStage, LinearSystem, TransferFunction, stacked
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
 from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter
@@ -65,6 +65,9 @@ class ModesMoved(Stage):
     softening: tuple[float, ...]
     damping: tuple[float, ...]
     amplitude: tuple[float, ...]
+
+    def linearized(self, axes: int) -> tuple[Stage, ...]:
+        return (TransferFunction([0.0], [1.0]),)
 
     def filter(self, sampling: Sampling) -> Filter:
         systems = self.base.systems(sampling.axes)
