@@ -49,7 +49,7 @@ class LinearSystem:
     bias: Array
 
     def then(self, following: LinearSystem) -> LinearSystem:
-        """This system in series with the one that follows it."""
+        """Series of this system and the one `following` it."""
         n, m = len(self.A), len(following.A)
         a = np.block([[self.A, np.zeros((n, m))], [following.B @ self.C, following.A]])
         b = np.vstack([self.B, following.B @ self.D])
@@ -75,7 +75,7 @@ class LinearSystem:
 
 
 def stacked(systems: list[LinearSystem]) -> LinearSystem:
-    """Systems side by side as one, each on its own inputs and outputs."""
+    """One system of several `systems` side by side, each on its own inputs and outputs."""
     a, b, c, d = (block_diag(*(getattr(system, part) for system in systems)) for part in "ABCD")
     return LinearSystem(a, b, c, d, np.concatenate([system.bias for system in systems]))
 
@@ -405,9 +405,18 @@ class Discretised:
 
 @remembered
 def discretise(system: LinearSystem, fraction: Array, sampling: Sampling) -> Discretised:
-    """Advance a system exactly by one sample; input j is late by `fraction[j]` (0 <= fraction < 1) of a sample.
+    """Advance a system exactly by one sample.
 
     The interval falls into two parts: up to the kink at `fraction` the input is the older segment, after it the newer one.
+
+    Parameters
+    ----------
+    system
+        Continuous-time system.
+    fraction
+        (m,), of a sample, by which the inputs are late: 0 <= fraction < 1.
+    sampling
+        Clock of the filter.
     """
     ts = sampling.sample_time
     n, m = system.B.shape
@@ -434,7 +443,13 @@ def discretise(system: LinearSystem, fraction: Array, sampling: Sampling) -> Dis
 
 
 def discretise_average(system: LinearSystem, fraction: Array, sampling: Sampling) -> Discretised:
-    """As `discretise`, but the output is its mean over the interval: its integral, which starts from 0 in every interval."""
+    """As `discretise`, but the output is its mean over the interval: its integral, which starts from 0 in every interval.
+
+    Parameters
+    ----------
+    system, fraction, sampling
+        As for `discretise`.
+    """
     n, p = len(system.A), len(system.D)
     a = np.zeros((n + p, n + p))
     a[:n, :n], a[n:, :n] = system.A, system.C / sampling.sample_time
@@ -542,8 +557,16 @@ def linear_filter(run: list[Stage], sampling: Sampling, averaged: bool = False) 
     """One filter for a run of linear stages and delays.
 
     The run's delays are taken at its input; a chain arranges its stages so that this is where they belong
-    (`chain.arrange`). Where it holds delays only, the filter is a pure delay. With `averaged` the output is held at its mean
-    over each interval, exactly, instead of known at its ends.
+    (`chain.arrange`). Where it holds delays only, the filter is a pure delay.
+
+    Parameters
+    ----------
+    run
+        Linear stages and delays in signal order.
+    sampling
+        Clock of the filter.
+    averaged
+        Hold the output at its mean over each interval, exactly, instead of knowing it at the intervals' ends.
     """
     return _prepared(tuple(run), sampling, averaged).another()
 

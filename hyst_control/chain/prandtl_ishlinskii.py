@@ -129,7 +129,7 @@ class PlayFilter(Filter):
 
 
 def check_operators(thresholds: VectorPerAxis, weights: VectorPerAxis) -> None:
-    """Raise `InputError` unless the thresholds increase, with one weight each."""
+    """Raise `InputError` unless the thresholds increase, with one of the weights each."""
     axes = max(len(value) if depth(value) == 2 else 1 for value in (thresholds, weights))
     for axis, (r, w) in enumerate(
         zip(per_axis(thresholds, axes, 1, "thresholds"), per_axis(weights, axes, 1, "weights"), strict=True)
@@ -145,7 +145,17 @@ def check_operators(thresholds: VectorPerAxis, weights: VectorPerAxis) -> None:
 def play_filter(
     stage: PrandtlIshlinskii | ModifiedPrandtlIshlinskii | InverseMultiplicative, sampling: Sampling, **coefficients: ScalarPerAxis
 ) -> PlayFilter:
-    """A `PlayFilter` for a stage with thresholds and weights; coefficients not given are 0."""
+    """Filter of a stage with thresholds and weights.
+
+    Parameters
+    ----------
+    stage
+        With thresholds, weights and the kind of its operators.
+    sampling
+        Clock of the filter.
+    coefficients
+        w0, m1, m2, k and b; those not given are 0.
+    """
     axes = sampling.axes
     values = {key: per_axis_scalar(coefficients.get(key, 0.0), axes, key) for key in ("w0", "m1", "m2", "k", "b")}
     return PlayFilter(
@@ -158,7 +168,7 @@ def play_filter(
 
 
 def operators_slope(stage: PrandtlIshlinskii | ModifiedPrandtlIshlinskii | RateDependentPrandtlIshlinskii, axes: int) -> Array:
-    """Slope (A,) of a model in which every operator moves."""
+    """Slope (A,) of a stage in which every operator moves, on each of `axes` axes."""
     weights = per_axis(stage.weights, axes, 1, "weights")
     return np.array([item.sum() for item in weights]) + per_axis_scalar(stage.w0, axes, "w0")
 
@@ -167,7 +177,7 @@ Model = TypeVar("Model", "PrandtlIshlinskii", "RateDependentPrandtlIshlinskii")
 
 
 def wider_operators(stage: Model, width: Array) -> Model:
-    """A model whose loops are wider by 1 + width (A,): what the operators gain, the command itself loses."""
+    """The stage with loops wider by 1 + width (A,): what the operators gain, the command itself loses."""
     axes = len(width)
     slope = np.array([weights.sum() for weights in per_axis(stage.weights, axes, 1, "weights")])
     w0 = per_axis_scalar(stage.w0, axes, "w0")

@@ -32,7 +32,23 @@ def rate_dependent_prandtl_ishlinskii(
     state: Array,
     output: Array,
 ) -> None:
-    """All axes of the model: command, output (N, A); previous, w0, beta (A,); thresholds, weights, state (A, n)."""
+    """Advance the model over a block, all axes.
+
+    Parameters
+    ----------
+    command, output
+        (N, A): V, and the output that is filled in.
+    previous
+        (A,), command of the sample before, updated.
+    rate_factor
+        1 / sample time, 1/s.
+    thresholds, weights
+        (A, n), of the operators.
+    w0, beta
+        (A,), parameters of the stage.
+    state
+        (A, n), values of the operators, updated.
+    """
     for row in range(command.shape[0]):
         for axis in range(command.shape[1]):
             u = command[row, axis]

@@ -45,6 +45,13 @@ def linearised(model: Model, slope: Array) -> tuple[Stage, ...]:
     """The chain with its hysteresis replaced by `slope` (A,), a parallel rate correction kept; offsets and limits left out.
 
     Modes that move with amplitude stand still, those of `softening_modal` at its amplitude, those of `softening_modes` at rest.
+
+    Parameters
+    ----------
+    model
+        With or without a hysteresis.
+    slope
+        (A,), measurement unit / V.
     """
     return tuple(_replaced(resolved(model.chain.stages, len(model.axes)), slope))
 
@@ -65,7 +72,19 @@ def _replaced(stages: Sequence[Stage], slope: Array) -> list[Stage]:
 
 
 def sampled_response(stages: Sequence[Stage], axes: int, sample_time: float, z: Complex) -> Complex:
-    """Response (F, A, A) from the held command[k] to measurement[k] at points z (F,) of a chain of linear stages."""
+    """Response (F, A, A) from the held command[k] to measurement[k].
+
+    Parameters
+    ----------
+    stages
+        Linear stages in signal order.
+    axes
+        Number of axes.
+    sample_time
+        s.
+    z
+        (F,), points of the complex plane.
+    """
     running = Chain(tuple(stages)).filter(Sampling(sample_time, axes, "zoh"))
     # The filter's output is the sample at the interval's end.
     return _response(running, axes, z) / z[:, None, None]
@@ -99,6 +118,15 @@ def with_first_mode(stages: Sequence[Stage], axes: int, factor: float) -> tuple[
     """The same linear chain with every axis' first resonance at `factor` times its frequency, damping ratio and stiffness kept.
 
     The first resonance is the slowest pair of complex poles; a chain without one is returned as it is.
+
+    Parameters
+    ----------
+    stages
+        Linear stages in signal order.
+    axes
+        Number of axes.
+    factor
+        On the frequency of the first resonance.
     """
     found = [
         (abs(pair), index)

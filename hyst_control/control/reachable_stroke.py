@@ -1,4 +1,4 @@
-"""Whether a reference lies inside the stroke that the drive can reach, memory of the hysteresis included."""
+"""Stroke that the drive can reach, memory of the hysteresis included, and the check of a reference against it."""
 
 from __future__ import annotations
 
@@ -51,7 +51,17 @@ def check_reachable(model: Model, reference: Array, limits: tuple[ArrayLike, Arr
 
 
 def quasi_static_command(model: Model, reference: Array, limits: tuple[ArrayLike, ArrayLike] | None) -> tuple[Array, Array]:
-    """Commands (N, A) in V that follow a reference infinitely slowly, and the drive's bounds (2, A)."""
+    """Commands (N, A) in V that follow a reference infinitely slowly, and the drive's bounds (2, A).
+
+    Parameters
+    ----------
+    model
+        To be inverted.
+    reference
+        (N, A) in the measurement unit.
+    limits
+        (lower, upper) V, the drive's rating; None: the model's valid range.
+    """
     axes = len(model.axes)
     bounds = drive_limits(model, limits)
     before, core, after = split(model)

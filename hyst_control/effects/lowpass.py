@@ -85,7 +85,13 @@ def lowpass_system(cutoff: float, order: int) -> LinearSystem:
 
 
 def cutoff_parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """The cutoff, from what the record is just long enough to show up to what its sampling hardly does."""
+    """The cutoff, from what the record is just long enough to show up to what its sampling hardly does.
+
+    Parameters
+    ----------
+    around
+        Record that the sizes are judged by.
+    """
     nyquist = 0.5 / around.sample_time
     starts = tuple(share * nyquist for share in (0.03, 0.2, 0.7))
     lower = min(3.0 / around.duration, 0.01 * nyquist)
