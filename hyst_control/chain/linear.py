@@ -118,7 +118,7 @@ class LinearStage(Stage):
         """One single-input system per axis, or one system for all axes where the stage couples them."""
         raise NotImplementedError
 
-    def filter(self, sampling: Sampling) -> Filter:
+    def filter(self, sampling: Sampling) -> LinearFilter:
         return linear_filter([self], sampling)
 
     def linearized(self, axes: int) -> tuple[Stage, ...]:
@@ -168,7 +168,7 @@ class Delay(Stage):
     def linearized(self, axes: int) -> tuple[Stage, ...]:
         return (self,)
 
-    def filter(self, sampling: Sampling) -> Filter:
+    def filter(self, sampling: Sampling) -> LinearFilter:
         return linear_filter([self], sampling)
 
     def at_rest(self, signal: Array) -> Array:
@@ -305,7 +305,7 @@ class StateSpace(LinearStage):
             raise InputError(f"D: {system.D.shape[0]} outputs by {system.D.shape[1]} inputs for {axes} axes")
         return [system]
 
-    def filter(self, sampling: Sampling) -> Filter:
+    def filter(self, sampling: Sampling) -> LinearFilter:
         if self.sample_time is None:
             return super().filter(sampling)
         if abs(self.sample_time - sampling.sample_time) > 1e-9 * sampling.sample_time:
@@ -494,7 +494,7 @@ class LinearFilter(Filter):
         self.bias = np.concatenate([system.bias for system in systems])
         # Modes that do not act on each other leave most of a matrix empty: only what is there is computed.
         self.reach = _reach(self.a)
-        self.late = self.b[:, 1:].any(axis=(1, 2, 3))
+        self.late: NDArray[np.bool_] = np.any(self.b[:, 1:] != 0.0, axis=(1, 2, 3))
         # State and output at rest, for a unit input; the states that fill up a shorter system stay 0.
         self.rest = np.stack([np.linalg.solve(np.eye(n) - a, b.sum(axis=0)) for a, b in zip(self.a, self.b, strict=True)])
         self.static_gain = self.c @ self.rest + self.d.sum(axis=1)
@@ -544,7 +544,7 @@ class LinearFilter(Filter):
         return output
 
 
-def _reach(a: Array) -> Array:
+def _reach(a: Array) -> NDArray[np.int64]:
     """First and past-the-last nonzero column (S, n, 2) of every row of matrices (S, n, n)."""
     there, n = a != 0.0, a.shape[2]
     if not n:
@@ -553,7 +553,7 @@ def _reach(a: Array) -> Array:
     return np.stack([first, np.where(there.any(axis=2), last, first)], axis=2)
 
 
-def linear_filter(run: list[Stage], sampling: Sampling, averaged: bool = False) -> Filter:
+def linear_filter(run: list[Stage], sampling: Sampling, averaged: bool = False) -> LinearFilter:
     """One filter for a run of linear stages and delays.
 
     The run's delays are taken at its input; a chain arranges its stages so that this is where they belong

@@ -300,7 +300,7 @@ class Madelung(Stage):
 
         return mean
 
-    def filter(self, sampling: Sampling) -> Filter:
+    def filter(self, sampling: Sampling) -> MadelungFilter:
         axes = sampling.axes
         return MadelungFilter(
             self.curves(axes),

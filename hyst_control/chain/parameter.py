@@ -203,14 +203,8 @@ def vector(unit: str, text: str, *, default: Any = MISSING, **declared: Any) -> 
 
     Parameters
     ----------
-    unit
-        As for `Parameter`.
-    text
-        One phrase for the documents.
-    default
-        Value where the model file has none; None: it may be left out.
-    declared
-        The rest of `Parameter`.
+    unit, text, default, declared
+        As for `scalar`.
     """
     return _field(Parameter(Kind.VECTOR, unit, text, optional=default is None, **declared), default)
 
@@ -220,16 +214,10 @@ def all_axes(unit: str, text: str, *dimensions: int, default: Any = MISSING, **d
 
     Parameters
     ----------
-    unit
-        As for `Parameter`.
-    text
-        One phrase for the documents.
+    unit, text, default, declared
+        As for `scalar`.
     dimensions
         Number (0), list (1), matrix (2) or list of matrices (3); several where it may be several.
-    default
-        Value where the model file has none; None: it may be left out.
-    declared
-        The rest of `Parameter`.
     """
     return _field(Parameter(Kind.ALL_AXES, unit, text, dimensions=dimensions, optional=default is None, **declared), default)
 

@@ -167,12 +167,6 @@ def play_filter(
     )
 
 
-def operators_slope(stage: PrandtlIshlinskii | ModifiedPrandtlIshlinskii | RateDependentPrandtlIshlinskii, axes: int) -> Array:
-    """Slope (A,) of a stage in which every operator moves, on each of `axes` axes."""
-    weights = per_axis(stage.weights, axes, 1, "weights")
-    return np.array([item.sum() for item in weights]) + per_axis_scalar(stage.w0, axes, "w0")
-
-
 Model = TypeVar("Model", "PrandtlIshlinskii", "RateDependentPrandtlIshlinskii")
 
 
@@ -204,7 +198,7 @@ class PlayOperator(Stage):
         thresholds = [[r] for r in per_axis_scalar(self.threshold, len(width), "threshold")]
         return PrandtlIshlinskii(thresholds, (1.0 + width)[:, None], frozen(-width), self.one_sided)
 
-    def filter(self, sampling: Sampling) -> Filter:
+    def filter(self, sampling: Sampling) -> PlayFilter:
         thresholds = [np.array([r]) for r in per_axis_scalar(self.threshold, sampling.axes, "threshold")]
         zero = np.zeros(sampling.axes)
         return PlayFilter(
@@ -212,19 +206,12 @@ class PlayOperator(Stage):
         )
 
 
-@register
 @dataclass(frozen=True)
-class PrandtlIshlinskii(Stage):
-    """Classical Prandtl-Ishlinskii model, y = w0 u + sum_i w_i H_i[u] (HAMPI paper Eq. 2, 3).
+class OperatorModel(Stage):
+    """Common part of the models of weighted play operators, which have `w0` besides."""
 
-    thresholds V, increasing; weights output unit / V; w0 output unit / V.
-    """
-
-    name: ClassVar[str] = "prandtl_ishlinskii"
     thresholds: VectorPerAxis = vector("V", "of the operators, increasing", lower=0.0)
     weights: VectorPerAxis = vector("output unit / V", "of the operators")
-    w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)
-    one_sided: bool = flag("whether the operators are pulled down without play, for drives that never go negative")
 
     def check(self) -> None:
         check_operators(self.thresholds, self.weights)
@@ -238,18 +225,33 @@ class PrandtlIshlinskii(Stage):
         return True
 
     def mean_slope(self, axes: int) -> Array:
-        return operators_slope(self, axes)
+        """Slope (A,) of a model in which every operator moves, on each of `axes` axes."""
+        weights = per_axis(self.weights, axes, 1, "weights")
+        return np.array([item.sum() for item in weights]) + per_axis_scalars(self, axes, "w0")[0]
+
+
+@register
+@dataclass(frozen=True)
+class PrandtlIshlinskii(OperatorModel):
+    """Classical Prandtl-Ishlinskii model, y = w0 u + sum_i w_i H_i[u] (HAMPI paper Eq. 2, 3).
+
+    thresholds V, increasing; weights output unit / V; w0 output unit / V.
+    """
+
+    name: ClassVar[str] = "prandtl_ishlinskii"
+    w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)
+    one_sided: bool = flag("whether the operators are pulled down without play, for drives that never go negative")
 
     def with_loop_width(self, width: Array) -> PrandtlIshlinskii:
         return wider_operators(self, width)
 
-    def filter(self, sampling: Sampling) -> Filter:
+    def filter(self, sampling: Sampling) -> PlayFilter:
         return play_filter(self, sampling, w0=self.w0)
 
 
 @register
 @dataclass(frozen=True)
-class ModifiedPrandtlIshlinskii(Stage):
+class ModifiedPrandtlIshlinskii(OperatorModel):
     """Prandtl-Ishlinskii model with dynamic weights (HAMPI paper Eq. 4-6): y = w0 u + sum_i (w_i + w_r + w_a) H_i[u].
 
     w_r = -m1 du/dt while the command rises and +m2 du/dt while it falls; w_a = k u + b. Under `zoh` du/dt is the backward
@@ -259,28 +261,12 @@ class ModifiedPrandtlIshlinskii(Stage):
     """
 
     name: ClassVar[str] = "modified_prandtl_ishlinskii"
-    thresholds: VectorPerAxis = vector("V", "of the operators, increasing", lower=0.0)
-    weights: VectorPerAxis = vector("output unit / V", "of the operators")
     m1: ScalarPerAxis = scalar("output unit s / V²", "rotation of the loop while the command rises", default=0.0)
     m2: ScalarPerAxis = scalar("output unit s / V²", "rotation of the loop while the command falls", default=0.0)
     k: ScalarPerAxis = scalar("output unit / V²", "change of every weight with the command", default=0.0)
     b: ScalarPerAxis = scalar("output unit / V", "part common to all weights", default=0.0)
     w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)
     one_sided: bool = flag("whether the operators are pulled down without play, for drives that never go negative")
-
-    def check(self) -> None:
-        check_operators(self.thresholds, self.weights)
-
-    @property
-    def is_hysteresis(self) -> bool:
-        return True
-
-    @property
-    def has_compensator(self) -> bool:
-        return True
-
-    def mean_slope(self, axes: int) -> Array:
-        return operators_slope(self, axes)
 
     def with_loop_width(self, width: Array) -> Parallel:
         """The model once more with every operator replaced by the command takes the mean curve off."""
@@ -304,5 +290,5 @@ class ModifiedPrandtlIshlinskii(Stage):
         rest = {name: scaled(getattr(self, name), count, 0, name) for name in ("m1", "m2", "k", "b")}
         return replace(self, thresholds=(0.0,), weights=[[item.sum()] for item in weights], **rest)
 
-    def filter(self, sampling: Sampling) -> Filter:
+    def filter(self, sampling: Sampling) -> PlayFilter:
         return play_filter(self, sampling, w0=self.w0, m1=self.m1, m2=self.m2, k=self.k, b=self.b)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag, eigvals
 from scipy.signal import zpk2sos
 
-from hyst_control.chain.linear import CrossCoupling, Delay, LinearFilter, StateSpace, linear_filter
+from hyst_control.chain.linear import CrossCoupling, Delay, LinearFilter, LinearStage, StateSpace, linear_filter
 from hyst_control.chain.stage import Array, Sampling, Stage
 from hyst_control.errors import InputError
 
@@ -55,7 +55,8 @@ class DiscreteSystem:
     def response(self, z: Complex) -> Complex:
         """Frequency response at points z of the complex plane."""
         z = np.asarray(z, dtype=complex)[..., None]
-        return self.gain * np.prod(z - self.zeros, axis=-1) / np.prod(z - self.poles, axis=-1)
+        response: Complex = self.gain * np.prod(z - self.zeros, axis=-1) / np.prod(z - self.poles, axis=-1)
+        return response
 
 
 @dataclass(frozen=True)
@@ -151,9 +152,9 @@ def invert_system(plant: DiscreteSystem, method: str, ringing_limit: float = RIN
     outside = np.abs(left) > 1.0 + 1e-6
     zeros, poles, gain = plant.poles, kept, 1.0 / plant.gain
     for part, factor in ((left[outside], method), (left[~outside], "zpetc" if method == "zmetc" else method)):
-        static, count = np.prod(1.0 - part).real, len(part)
+        static, count = float(np.prod(1.0 - part).real), len(part)
         # B_u(1/z) = z^-count prod(-z_i) prod(z - 1/z_i)
-        mirrored, lead = 1.0 / part, np.prod(-part).real
+        mirrored, lead = 1.0 / part, float(np.prod(-part).real)
         if factor == "zpetc":
             zeros, poles = np.concatenate([zeros, mirrored]), np.concatenate([poles, np.zeros(count)])
             gain *= lead / static**2
@@ -204,6 +205,7 @@ def tustin_systems(run: Sequence[Stage], sampling: Sampling) -> list[DiscreteSys
         if isinstance(stage, Delay):
             late += np.broadcast_to(np.array(stage.tau, dtype=float), sampling.axes)
             continue
+        assert isinstance(stage, LinearStage)
         for axis, system in enumerate(stage.systems(sampling.axes)):
             n = len(system.A)
             solve = np.linalg.inv(np.eye(n) - 0.5 * ts * system.A)
@@ -259,14 +261,14 @@ def zero_phase_low_pass(order: int, axes: int, sample_time: float) -> StateSpace
     taps[order] += 1.0
     count = 2 * order
     a, b = np.eye(count, k=-1), np.eye(count, 1)
-    parts = a, b, taps[None, 1:], taps[None, :1]
-    return StateSpace(*(block_diag(*[part] * axes).tolist() for part in parts), sample_time=float(sample_time))
+    a, b, c, d = (block_diag(*[part] * axes).tolist() for part in (a, b, taps[None, 1:], taps[None, :1]))
+    return StateSpace(a, b, c, d, sample_time=float(sample_time))
 
 
 def _decoupled(run: Sequence[Stage]) -> list[Stage]:
     for stage in run:
-        couples = getattr(stage, "coupled", False) or (isinstance(stage, StateSpace) and len(stage.D) > 1)
-        couples = couples or (isinstance(stage, CrossCoupling) and len(stage.matrix) > 1)
+        couples = getattr(stage, "coupled", False) or (isinstance(stage, StateSpace) and len(np.array(stage.D)) > 1)
+        couples = couples or (isinstance(stage, CrossCoupling) and len(np.array(stage.matrix)) > 1)
         if couples or getattr(stage, "discrete", False):
             raise InputError(
                 f"chain ({stage.name}): a per-axis inverse needs continuous dynamics that do not mix the axes: "
@@ -299,7 +301,7 @@ def _shift_form(running: LinearFilter, axis: int) -> tuple[Array, Array, Array, 
 def _zero_pole_gain(a: Array, b: Array, c: Array, d: Array) -> DiscreteSystem:
     """Zeros (by the pencil of the system matrix, accurate for clustered poles), poles and gain from the response at rest."""
     n = len(a)
-    poles = np.linalg.eigvals(a) if n else np.zeros(0)
+    poles = np.asarray(np.linalg.eigvals(a) if n else np.zeros(0), dtype=complex)
     rest = np.linalg.solve(np.eye(n) - a, b)
     static = float((c @ rest + d)[0, 0])
     if abs(static) <= 1e-9 * float((np.abs(c) @ np.abs(rest) + np.abs(d))[0, 0]):
@@ -309,7 +311,7 @@ def _zero_pole_gain(a: Array, b: Array, c: Array, d: Array) -> DiscreteSystem:
     finite = np.abs(beta) * INFINITE_ZERO > np.abs(alpha)
     zeros = _conjugated(alpha[finite] / beta[finite])
     poles = _conjugated(poles)
-    gain = static * np.prod(1.0 - poles).real / np.prod(1.0 - zeros).real
+    gain = float(static * np.prod(1.0 - poles).real / np.prod(1.0 - zeros).real)
     return DiscreteSystem(zeros, poles, gain)
 
 

@@ -97,7 +97,8 @@ def _response(running: Filter, axes: int, z: Complex) -> Complex:
             total = _response(part, axes, z) @ total
         return total
     if isinstance(running, ParallelFilter):
-        return sum(_response(part, axes, z) for part in running.filters)
+        together: Complex = sum((_response(part, axes, z) for part in running.filters), np.zeros((len(z), axes, axes), complex))
+        return together
     if not isinstance(running, LinearFilter):
         raise InputError("chain: has a stage without a linear description")
     systems, n, _ = running.a.shape
@@ -128,16 +129,12 @@ def with_first_mode(stages: Sequence[Stage], axes: int, factor: float) -> tuple[
     factor
         On the frequency of the first resonance.
     """
-    found = [
-        (abs(pair), index)
-        for index, stage in enumerate(stages)
-        if isinstance(stage, LinearStage)
-        for pair in _resonances(stage, axes)
-    ]
+    linear = {index: stage for index, stage in enumerate(stages) if isinstance(stage, LinearStage)}
+    found = [(abs(pair), index) for index, stage in linear.items() for pair in _resonances(stage, axes)]
     if not found:
         return tuple(stages)
     index = min(found)[1]
-    moved = [_mode_moved(system, factor) for system in stages[index].systems(axes)]
+    moved = [_mode_moved(system, factor) for system in linear[index].systems(axes)]
     whole = moved[0] if len(moved) == 1 else stacked(moved)
     stage = StateSpace(*(getattr(whole, part).tolist() for part in "ABCD"))
     return (*stages[:index], stage, *stages[index + 1 :])
@@ -145,7 +142,8 @@ def with_first_mode(stages: Sequence[Stage], axes: int, factor: float) -> tuple[
 
 def _resonances(stage: LinearStage, axes: int) -> Complex:
     poles = np.concatenate([np.linalg.eigvals(system.A) for system in stage.systems(axes)])
-    return poles[poles.imag > 1e-6 * np.abs(poles)]
+    resonances: Complex = poles[poles.imag > 1e-6 * np.abs(poles)]
+    return resonances
 
 
 def _mode_moved(system: LinearSystem, factor: float) -> LinearSystem:

@@ -9,7 +9,6 @@ import numpy as np
 from hyst_control.chain import Stage
 from hyst_control.chain.chain import at_rest, resolved
 from hyst_control.chain.parameter import Array
-from hyst_control.chain.stage import SLOW  # noqa: F401  (read from here)
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 

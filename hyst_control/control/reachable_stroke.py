@@ -8,10 +8,10 @@ from numpy.typing import ArrayLike
 from hyst_control.chain import Chain, Parallel, Sampling
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
-from hyst_control.chain.stage import Array
+from hyst_control.chain.stage import SLOW, Array
 from hyst_control.control.feedforward import core_inverse, drive_limits, dynamics_inverse, split
 from hyst_control.control.mhl_inverse import constant_removed, inverted, rate_dependent_parts
-from hyst_control.control.quasi_static import SLOW, quasi_static, quasi_static_stages
+from hyst_control.control.quasi_static import quasi_static, quasi_static_stages
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 

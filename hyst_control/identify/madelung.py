@@ -15,7 +15,7 @@ import numpy as np
 from hyst_control.chain import Chain, Stage
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.chain.stage import Array
+from hyst_control.chain.stage import Array, per_axis, per_axis_scalar, per_axis_scalars
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report, check_records
 from hyst_control.identify.estimator import Estimator, register
@@ -245,14 +245,15 @@ def fit_inverse(stage: Madelung, curves: Curves | None = None) -> Madelung:
     The result runs from output to command; it is not the closed-form inverse but near it, as the paper's is.
     """
     curves = curves or Curves()
-    full = float(stage.output_scale) * float(stage.curves(1)[0][0](np.ones(1))[0])
+    input_scale, output_scale = (float(values[0]) for values in per_axis_scalars(stage, 1, "input_scale", "output_scale"))
+    full = output_scale * float(stage.curves(1)[0][0](np.ones(1))[0])
     x = np.linspace(0.0, 1.0, 401)
-    up, down = (float(stage.output_scale) * curve(x) for curve in stage.curves(1)[0])
-    demand, command = np.concatenate([up, down[::-1]]), float(stage.input_scale) * np.concatenate([x, x[::-1]])
+    up, down = (output_scale * curve(x) for curve in stage.curves(1)[0])
+    demand, command = np.concatenate([up, down[::-1]]), input_scale * np.concatenate([x, x[::-1]])
     window = Window(demand, command, 1.0, "foh", 0, 0)
     found = fit_axis([window], curves, full, "none", inverse=True)
     vector = found.solution.parameters / curves.full(found.solution.parameters)
-    return curves.stage(vector, full, float(stage.input_scale))
+    return curves.stage(vector, full, input_scale)
 
 
 def check(datasets: Sequence[Dataset]) -> None:
@@ -296,10 +297,10 @@ def merged(stages: Sequence[Madelung]) -> Madelung:
     if len(stages) == 1:
         return stages[0]
     return Madelung(
-        [stage.ascending for stage in stages],
-        [stage.descending for stage in stages],
-        [stage.input_scale for stage in stages],
-        [stage.output_scale for stage in stages],
+        [per_axis(stage.ascending, 1, 1, "ascending")[0] for stage in stages],
+        [per_axis(stage.descending, 1, 1, "descending")[0] for stage in stages],
+        [float(per_axis_scalar(stage.input_scale, 1, "input_scale")[0]) for stage in stages],
+        [float(per_axis_scalar(stage.output_scale, 1, "output_scale")[0]) for stage in stages],
         knots=stages[0].knots,
     )
 

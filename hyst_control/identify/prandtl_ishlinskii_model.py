@@ -11,7 +11,7 @@ from hyst_control.chain import Chain, Stage
 from hyst_control.chain.linear import Delay, TransferFunction
 from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
-from hyst_control.chain.stage import Array
+from hyst_control.chain.stage import Array, per_axis, per_axis_scalar
 from hyst_control.identify.bounded_least_squares import covariance
 from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
@@ -114,14 +114,16 @@ def merge_axes(chains: Sequence[Sequence[Stage]]) -> tuple[Stage, ...]:
     }
     shared = {key: value for key, value in hysteresis[0].parameters().items() if key == "one_sided"}
     merged.append(type(hysteresis[0])(**values, **shared))
-    delays = [next((stage.tau for stage in chain if isinstance(stage, Delay)), 0.0) for chain in chains]
+    late = ([per_axis_scalar(stage.tau, 1, "tau")[0] for stage in chain if isinstance(stage, Delay)] for chain in chains)
+    delays = [float(found[0]) if found else 0.0 for found in late]
     if any(delays):
         merged.append(Delay(delays))
     dynamics = [
         next((stage for stage in chain if isinstance(stage, TransferFunction)), TransferFunction([1.0], [1.0])) for chain in chains
     ]
-    if any(len(stage.den) > 1 for stage in dynamics):
-        merged.append(TransferFunction([stage.num for stage in dynamics], [stage.den for stage in dynamics]))
+    num, den = ([per_axis(getattr(stage, name), 1, 1, name)[0] for stage in dynamics] for name in ("num", "den"))
+    if any(len(each) > 1 for each in den):
+        merged.append(TransferFunction(num, den))
     return tuple(merged)
 
 
