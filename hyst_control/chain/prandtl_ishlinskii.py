@@ -11,7 +11,7 @@ Both are rate-independent, wipe out inner loops and start from H = 0, the virgin
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from numba import njit
@@ -31,10 +31,6 @@ from hyst_control.chain.stage import (
     scaled,
 )
 from hyst_control.errors import InputError
-
-if TYPE_CHECKING:
-    from hyst_control.chain.inverse_multiplicative import InverseMultiplicative
-    from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 
 
 @njit(cache=True, error_model="numpy")
@@ -142,9 +138,23 @@ def check_operators(thresholds: VectorPerAxis, weights: VectorPerAxis) -> None:
             raise InputError(f"weights{where}: {len(w)} weights for {len(r)} thresholds: give one each")
 
 
-def play_filter(
-    stage: PrandtlIshlinskii | ModifiedPrandtlIshlinskii | InverseMultiplicative, sampling: Sampling, **coefficients: ScalarPerAxis
-) -> PlayFilter:
+class PlayOperators(Protocol):
+    """Stage with weighted play operators of either kind."""
+
+    @property
+    def thresholds(self) -> VectorPerAxis:
+        """V, of the operators, increasing."""
+
+    @property
+    def weights(self) -> VectorPerAxis:
+        """Output unit / V, of the operators."""
+
+    @property
+    def one_sided(self) -> bool:
+        """True where they are pulled down without play."""
+
+
+def play_filter(stage: PlayOperators, sampling: Sampling, **coefficients: ScalarPerAxis) -> PlayFilter:
     """Filter of a stage with thresholds and weights.
 
     Parameters
@@ -167,15 +177,16 @@ def play_filter(
     )
 
 
-Model = TypeVar("Model", "PrandtlIshlinskii", "RateDependentPrandtlIshlinskii")
+Model = TypeVar("Model", bound="OperatorModel")
 
 
 def wider_operators(stage: Model, width: Array) -> Model:
     """The stage with loops wider by 1 + width (A,): what the operators gain, the command itself loses."""
     axes = len(width)
     slope = np.array([weights.sum() for weights in per_axis(stage.weights, axes, 1, "weights")])
-    w0 = per_axis_scalar(stage.w0, axes, "w0")
-    return replace(stage, weights=scaled(stage.weights, 1.0 + width, 1, "weights"), w0=frozen(w0 - width * slope))
+    (w0,) = per_axis_scalars(stage, axes, "w0")
+    changed: dict[str, Any] = {"weights": scaled(stage.weights, 1.0 + width, 1, "weights"), "w0": frozen(w0 - width * slope)}
+    return replace(stage, **changed)
 
 
 @register
