@@ -72,7 +72,7 @@ class Model:
         return self.chain.filter(Sampling(sample_time or self.sample_time, len(self.axes), hold or self.hold))
 
     def with_stages(self, stages: Sequence[Stage]) -> Model:
-        """The same model with another chain."""
+        """The same model with a chain of other stages."""
         return replace(self, chain=Chain(tuple(stages)))
 
 
@@ -91,7 +91,7 @@ class Simulator:
         return self._filter.settle(np.asarray(command, dtype=float))
 
     def step(self, commands: Array) -> Array:
-        """Commands (N, A) in V, each held for one sample; measurements (N, A) at the ticks that follow them."""
+        """Advance by commands (N, A) in V, each held for one sample; measurements (N, A) at the ticks that follow them."""
         return self._filter.process(np.ascontiguousarray(commands, dtype=float))
 
 
@@ -134,6 +134,11 @@ def load_model(path: str | Path) -> Model:
     path
         Of a YAML file.
 
+    Returns
+    -------
+    Model
+        Ready to be run.
+
     Raises
     ------
     InputError
@@ -147,12 +152,36 @@ def load_model(path: str | Path) -> Model:
 
 
 def save_model(model: Model, path: str | Path) -> None:
-    """Write a model file: to a temporary file beside it, then renamed, so that a reader never meets half of one."""
+    """Write a model file: to a temporary file beside it, then renamed, so that a reader never meets half of one.
+
+    Parameters
+    ----------
+    model
+        To be written.
+    path
+        Of a YAML file.
+    """
     write_text(path, yaml.dump(model_to_document(model), Dumper=_Dumper, sort_keys=False, width=120))
 
 
 def model_from_document(document: Any) -> Model:
-    """A model from the parsed YAML. Raises `InputError` naming the field."""
+    """Make a model from the parsed YAML.
+
+    Parameters
+    ----------
+    document
+        The file's mapping.
+
+    Returns
+    -------
+    Model
+        Checked.
+
+    Raises
+    ------
+    InputError
+        Naming the field.
+    """
     if not isinstance(document, Mapping):
         raise InputError("is not a model file: a mapping with format, version, … is due")
     if document.get("format") != FORMAT:
@@ -208,7 +237,18 @@ def model_from_document(document: Any) -> Model:
 
 
 def model_to_document(model: Model) -> dict[str, Any]:
-    """The model as plain lists, numbers and strings, in the order of the model file."""
+    """The model as plain lists, numbers and strings, in the order of the model file.
+
+    Parameters
+    ----------
+    model
+        To be written.
+
+    Returns
+    -------
+    dict
+        Keys in the order of the file.
+    """
     document: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
@@ -231,14 +271,43 @@ def model_to_document(model: Model) -> dict[str, Any]:
 
 
 def stages_from_document(rows: Any, where: str) -> tuple[Stage, ...]:
-    """Stages from a list of mappings. Raises `InputError` naming the row and the parameter."""
+    """Make stages from a list of mappings.
+
+    Parameters
+    ----------
+    rows
+        One mapping per stage.
+    where
+        Name of the list, for messages.
+
+    Returns
+    -------
+    tuple of Stage
+        In signal order.
+
+    Raises
+    ------
+    InputError
+        Naming the row and the parameter.
+    """
     if not isinstance(rows, list) or not rows:
         raise InputError(f"{where}: a list of stages is due")
     return tuple(_stage_from_document(row, f"{where}[{index}]") for index, row in enumerate(rows))
 
 
 def stage_to_document(stage: Stage) -> dict[str, Any]:
-    """A stage as the mapping of the model file."""
+    """A stage as the mapping of the model file.
+
+    Parameters
+    ----------
+    stage
+        To be written.
+
+    Returns
+    -------
+    dict
+        Its name and the parameters that are not at their default.
+    """
     found = {"stage": stage.name, **_plain(stage.parameters())}
     for key, declaration in stage.declarations().items():
         if declaration.kind is Kind.CHAINS:

@@ -79,6 +79,10 @@ class Registry(MutableMapping[str, Item]):
     def __getitem__(self, name: str) -> Item:
         return self._all()[name]
 
+    def added(self, name: str) -> Item | None:
+        """Return the member of a name among those added so far, without looking for plugins; None where there is none."""
+        return self._known.get(name)
+
     def __setitem__(self, name: str, value: Item) -> None:
         self._known[name] = value
 

@@ -25,18 +25,6 @@ WORDS = {"gain", "offset", "delay", "saturation", "quantization", "resonance", "
 """Names that are words of the language or of other interfaces as well (options, columns, quantities): they are looked for only where
 they are compared with a name, listed or looked up beside another name of the catalogue."""
 
-TO_BE_EMPTIED = {
-    "control/feedforward.py",
-    "control/linearization.py",
-    "diagnose/attribution.py",
-    "diagnose/augmented_model.py",
-    "diagnose/diagnosis.py",
-    "diagnose/record_checks.py",
-    "identify/__init__.py",
-    "identify/linear.py",
-}
-"""Files that still name what they should ask of the thing: none may come, and one that names nothing any more must go."""
-
 
 def own_files() -> dict[str, set[Path]]:
     """Files in which a name may stand: that of the stage's class, and those called by it (an effect, a family of models)."""
@@ -91,11 +79,9 @@ def named(path: Path, own: dict[str, set[Path]]) -> list[str]:
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
 def test_a_source_names_no_stage_or_effect_of_another_file(path):
-    found = named(path, own_files())
-    if path.relative_to(PACKAGE).as_posix() in TO_BE_EMPTIED:
-        assert found, "it names nothing any more: take it out of TO_BE_EMPTIED"
-    else:
-        assert not found, "ask the stage or the effect (a property, a method, a declared parameter) instead of naming it"
+    assert not named(path, own_files()), (
+        "ask the stage or the effect (a property, a method, a declared parameter) instead of naming it"
+    )
 
 
 def lists_of_parameters(tree: ast.Module) -> list[str]:
@@ -118,10 +104,6 @@ def test_a_source_has_no_constant_list_of_parameters(path):
 def test_a_list_of_parameters_is_found():
     old = 'LISTS = ("weights", "thresholds", "num")\nMATRICES = ("A", "B")\nWORDS = ("num", "no such parameter")\nONE = ("A",)\n'
     assert lists_of_parameters(ast.parse(old)) == ["line 1: weights, thresholds, num", "line 2: A, B"]
-
-
-def test_the_files_still_to_be_emptied_are_there():
-    assert {path.relative_to(PACKAGE).as_posix() for path in SOURCES} >= TO_BE_EMPTIED
 
 
 def test_a_list_of_names_is_found(tmp_path):

@@ -1,4 +1,4 @@
-"""A distribution that adds a stage, an effect and a controller, and one that is broken, installed beside this package."""
+"""A distribution that adds a stage, an effect, an estimator and a controller, and two that are broken, installed beside this package."""
 
 from __future__ import annotations
 
@@ -22,11 +22,17 @@ from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain, StaticFilter
 from hyst_control.chain.parameter import ScalarPerAxis, scalar
 from hyst_control.chain.stage import Stage, per_axis_scalars, register
 from hyst_control.control.feedforward import Compensator
 from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.identify import Estimator, Fit, Options, option
+from hyst_control.identify.dataset import check_records
+from hyst_control.identify.fit_report import record_rows
+from hyst_control.identify.options import NUMBER
+from hyst_control.model_file import Model
 
 
 @register
@@ -42,6 +48,9 @@ class Ripple(Stage):
         amplitude, pitch = per_axis_scalars(self, sampling.axes, "amplitude", "pitch")
         return StaticFilter(lambda u: u + amplitude * np.sin(2.0 * np.pi * u / pitch), sampling.hold)
 
+    def linearized(self, axes):
+        return ()
+
 
 EFFECT = Effect(
     "ripple",
@@ -53,6 +62,38 @@ EFFECT = Effect(
 )
 
 
+@dataclass(frozen=True)
+class RippleOptions(Options):
+    """Choices of a fit of a ripple."""
+
+    pitch: float = option(2.0, NUMBER, "period of the error", unit="measurement unit", lower=1e-6)
+
+
+class RippleFamily(Estimator[RippleOptions]):
+    """A gain and a ripple, by two linear fits."""
+
+    name = "ripple"
+    sentence = "a gain and the interpolation error of an encoder"
+    Options = RippleOptions
+
+    def fit(self, datasets, options):
+        check_records(datasets)
+        data = datasets[0]
+        held = np.concatenate([data.command[:1], data.command[:-1]])  # what the measurement of a tick answers
+        gain = amplitude = 0.0
+        for _ in range(20):
+            wave = np.sin(2.0 * np.pi * gain * held / options.pitch)
+            gain = float(np.sum(held * (data.measurement - amplitude * wave)) / np.sum(held**2))
+            wave = np.sin(2.0 * np.pi * gain * held / options.pitch)
+            amplitude = float(np.sum(wave * (data.measurement - gain * held)) / np.sum(wave**2))
+        chain = Chain((Gain(gain), Ripple(amplitude, options.pitch)))
+        model = Model("ripple", data.axes, {"command": "V", "measurement": data.unit}, data.sample_time, chain)
+        rows, _ = record_rows(model, datasets)
+        parameters = [{"name": "amplitude", "value": amplitude, "standard_error": None, "unit": data.unit}]
+        report = {"family": self.name, "method": options.method, "unit": data.unit, "records": rows, "parameters": parameters, "notes": []}
+        return Fit(model, report)
+
+
 def halved(model, design):
     """Half a volt per unit."""
     return Compensator([Gain(0.5), design.rating], model, design.sample_time, 0, 0, design.limits)
@@ -61,14 +102,31 @@ def halved(model, design):
 POINTS = {
     "hyst_control.stages": ["ripple = acme_ripple:Ripple"],
     "hyst_control.effects": ["ripple = acme_ripple:EFFECT"],
+    "hyst_control.estimators": ["ripple = acme_ripple:RippleFamily"],
     "hyst_control.controllers": ["halved = acme_ripple:halved"],
 }
 
 BROKEN = {
     "hyst_control.stages": ["amiss = broken_stage:Amiss"],
     "hyst_control.effects": ["gain = acme_ripple:EFFECT", "number = broken_numbers:NUMBER"],
+    "hyst_control.estimators": ["number = broken_numbers:NUMBER"],
     "hyst_control.controllers": ["number = broken_numbers:NUMBER"],
 }
+
+TWIN = """
+from dataclasses import dataclass
+from typing import ClassVar
+
+from hyst_control.chain.stage import Stage, register
+
+
+@register
+@dataclass(frozen=True)
+class Twin(Stage):
+    name: ClassVar[str] = "gain"
+"""
+
+TWINS = {"hyst_control.stages": ["gain = twin_gain:Twin"]}
 
 MODEL = """
 format: hyst_control/model
@@ -97,16 +155,21 @@ def write_sources(folder: Path, name: str, module: str, source: str, points: dic
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory) -> Path:
-    """A folder with both distributions in site/, a model, and the same with a ripple."""
+    """A folder with the distributions in site/, a model, the same with a ripple, and a gain with a ripple."""
     folder = tmp_path_factory.mktemp("plugins")
     sources = [
         write_sources(folder, "acme-ripple", "acme_ripple", RIPPLE, POINTS),
         write_sources(folder, "broken-numbers", "broken_numbers", "NUMBER = 3\n", BROKEN),
+        write_sources(folder, "twin-gain", "twin_gain", TWIN, TWINS),
     ]
     offline = ["--quiet", "--disable-pip-version-check", "--no-deps", "--no-index", "--no-build-isolation"]
     subprocess.run([sys.executable, "-m", "pip", "install", *offline, "--target", str(folder / "site"), *sources], check=True)
     (folder / "model.yaml").write_text(MODEL)
     (folder / "rippled.yaml").write_text(MODEL.replace("noise:", "  - {stage: ripple, amplitude: 0.05, pitch: 2.0}\nnoise:"))
+    encoder = MODEL.replace("transfer_function, num: [400.0], den: [1.0, 400.0]", "gain, gain: 0.9").replace(
+        "{num: 0.01, den: 0.01}", "{}"
+    )
+    (folder / "encoder.yaml").write_text(encoder.replace("noise:", "  - {stage: ripple, amplitude: 0.05, pitch: 2.0}\nnoise:"))
     return folder
 
 
@@ -134,6 +197,30 @@ def test_a_record_is_simulated_and_diagnosed_with_the_stage_and_the_effect_of_a_
     hyst(place, "simulate", "better.yaml", "record", "--output", "again")  # the file with the plugin's stage is read back
 
 
+def test_a_model_is_identified_by_the_estimator_of_a_plugin(place):
+    """Its option is the command's, its model is read back, and its help says so; another family's option is refused."""
+    hyst(
+        place, "simulate", "encoder.yaml", "--excitation", "diagnostic", "lowest=0", "highest=10", "duration=1", "--output", "loops"
+    )
+    hyst(place, "identify", "loops", "--model", "ripple", "--pitch", "2.0", "--output", "found.yaml", "--json", "fit.json")
+    fit = json.loads((place / "fit.json").read_text())
+    assert fit["family"] == "ripple" and fit["parameters"][0]["value"] == pytest.approx(0.05, rel=0.02)
+    hyst(place, "simulate", "found.yaml", "loops", "--output", "replayed")
+    assert "the interpolation error of an encoder" in hyst(place, "identify", "--help").stdout
+    program = "import sys; from hyst_control.cli import main; sys.exit(main())"
+    refused = run(place, program, "identify", "loops", "--model", "ripple", "--operators", "5", "--output", "other.yaml")
+    assert refused.returncode == 2 and "operators: ripple has no such option" in refused.stderr
+
+
+def test_feedback_is_tuned_on_a_model_with_the_stage_of_a_plugin(place):
+    """The stage says what it is for small signals: nothing, so the tuning is that of the model without it."""
+    for model in ("model", "rippled"):
+        hyst(place, "tune", f"{model}.yaml", "--json", f"{model}.json")
+    plain, rippled = (json.loads((place / f"{model}.json").read_text())["rows"] for model in ("model", "rippled"))
+    figures = [(row["quantity"], row["value"]) for row in rippled]
+    assert figures == [(row["quantity"], row["value"]) for row in plain] and any(value for _, value in figures)
+
+
 def test_a_controller_of_a_plugin_is_built_by_its_name(place):
     program = """
 from hyst_control.control.feedforward import KINDS, build_compensator
@@ -155,11 +242,16 @@ def test_a_broken_plugin_is_one_line_that_names_its_distribution(place):
 from hyst_control.chain import STAGES
 from hyst_control.control.feedforward import KINDS
 from hyst_control.effects import EFFECTS
-print(len(STAGES) > 30, "ripple" in EFFECTS, "hampi" in KINDS, "number" in {**EFFECTS, **KINDS}, EFFECTS["gain"].name)
+from hyst_control.identify import estimators
+print(len(STAGES) > 30, "ripple" in EFFECTS, "hampi" in KINDS, "number" in {**EFFECTS, **KINDS, **estimators()}, EFFECTS["gain"].name)
+print(STAGES["gain"].__module__)
 """
     done = run(place, program)
-    assert done.stdout == "True True True False gain\n"
+    assert done.stdout == "True True True False gain\nhyst_control.chain.memoryless\n"
     lines = done.stderr.splitlines()
-    assert len(lines) == 4 and all("of broken-numbers 1.2: cannot be used" in line for line in lines)
-    assert [line.split()[1] for line in lines] == ["amiss", "gain", "number", "number"]
+    (twin,) = (line for line in lines if "of twin-gain 1.2: cannot be used" in line)
+    assert "gain: hyst_control.chain.memoryless has a stage of this name: choose another one" in twin
+    lines.remove(twin)
+    assert len(lines) == 5 and all("of broken-numbers 1.2: cannot be used" in line for line in lines)
+    assert [line.split()[1] for line in lines] == ["amiss", "gain", "number", "number", "number"]
     assert "No module named 'broken_stage'" in lines[0]

@@ -10,8 +10,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyst_control.chain import Sampling
 from hyst_control.chain.linear import TransferFunction
@@ -207,5 +209,5 @@ def _long(value: int) -> ctypes.c_long:
     return ctypes.c_long(value)
 
 
-def _at(array: Array) -> ctypes.c_void_p:
+def _at(array: NDArray[Any]) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)

@@ -37,12 +37,30 @@ class Chain:
     stages: tuple[Stage, ...]
 
     def filter(self, sampling: Sampling) -> Filter:
-        """A running filter of the whole chain."""
+        """Start a filter of the whole chain for the clock `sampling`."""
         return started(arrange(resolved(self.stages, sampling.axes), sampling.hold), sampling)
 
 
 def resolved(stages: Sequence[Stage], axes: int) -> tuple[Stage, ...]:
-    """The stages with every modifier applied to those before it. Raises `InputError` where one finds nothing to change."""
+    """The stages with every modifier applied to those before it.
+
+    Parameters
+    ----------
+    stages
+        In signal order.
+    axes
+        Number of axes.
+
+    Returns
+    -------
+    tuple of Stage
+        Stages without modifiers.
+
+    Raises
+    ------
+    InputError
+        A modifier finds nothing to change.
+    """
     result: tuple[Stage, ...] = ()
     for stage in stages:
         result = stage.applied(result, axes) if isinstance(stage, Modifier) else (*result, stage)
@@ -143,14 +161,40 @@ class Parallel(Stage):
 
 
 def at_rest(stages: Sequence[Stage], signal: Array) -> Array:
-    """Output (N, A) of stages in a row when every value of a signal (N, A) is held until all has settled, from rest at 0."""
+    """Output of stages in a row without rates, delays and dynamics.
+
+    Parameters
+    ----------
+    stages
+        In signal order.
+    signal
+        (N, A), every value of which is held until all has settled, from rest at 0.
+
+    Returns
+    -------
+    ndarray
+        (N, A).
+    """
     for stage in stages:
         signal = stage.at_rest(signal)
     return signal
 
 
 def started(stages: Sequence[Stage], sampling: Sampling) -> Filter:
-    """A filter for stages that are arranged already."""
+    """A filter for stages that are arranged already.
+
+    Parameters
+    ----------
+    stages
+        In signal order.
+    sampling
+        Clock of the first of them.
+
+    Returns
+    -------
+    Filter
+        Not yet settled.
+    """
     filters: list[Filter] = []
     runs = [(linear, list(group)) for linear, group in groupby(stages, key=_in_linear_run)]
     for number, (linear, run) in enumerate(runs):
@@ -171,7 +215,17 @@ def started(stages: Sequence[Stage], sampling: Sampling) -> Filter:
 def arrange(stages: Sequence[Stage], hold: str = "foh") -> tuple[Stage, ...]:
     """The same chain with its delays where a linear stage carries them, and linear stages inside the branches before them.
 
-    hold: of the signal that enters.
+    Parameters
+    ----------
+    stages
+        In signal order.
+    hold
+        Of the signal that enters.
+
+    Returns
+    -------
+    tuple of Stage
+        Stages with the same output.
     """
     placed = _place_delays(stages)
     return _distribute(_pass_bends(placed) if hold == "zoh" else placed)

@@ -34,7 +34,19 @@ from hyst_control.errors import InputError
 def trial(
     u: float, thresholds: Array, release: Array, weights: Array, w0: float, rotation: float, k: float, b: float, state: Array
 ) -> tuple[float, float]:
-    """Output and slope of the model at u without touching its memory; thresholds, release, weights, state (n,)."""
+    """Output and slope of the model of one axis without touching its memory.
+
+    Parameters
+    ----------
+    u
+        Command in V.
+    thresholds, release, weights, state
+        (n,), of the operators: V, V, output unit / V, and their values in V.
+    w0, k, b
+        Parameters of the stage.
+    rotation
+        w_r, output unit / V.
+    """
     total, weighted, active, active_weight = 0.0, 0.0, 0, 0.0
     for i in range(thresholds.size):
         h = state[i]
@@ -68,7 +80,23 @@ def solve_command(
     b: float,
     state: Array,
 ) -> float:
-    """The u in [lower, upper] nearest to `start`, in the direction of the difference, at which the output is v."""
+    """Command in [lower, upper] nearest to `start`, in the direction of the difference, at which the output is v.
+
+    Parameters
+    ----------
+    v
+        Demand, output unit.
+    start, lower, upper
+        V.
+    resolution
+        V, at which the search ends.
+    thresholds, release, weights, state
+        (n,), of the operators: V, V, output unit / V, and their values in V.
+    w0, k, b
+        Parameters of the stage.
+    rotation
+        w_r, output unit / V.
+    """
     u = min(max(start, lower), upper)
     y, _ = trial(u, thresholds, release, weights, w0, rotation, k, b, state)
     if y == v:
@@ -127,10 +155,28 @@ def inverse_multiplicative(
     command: Array,
     output: Array,
 ) -> None:
-    """Commands (N, A) for demands (N, A); `previous` (A,) demand, `command` (A,) and `state` (A, n) are updated.
+    """Commands for demands, all axes.
 
-    rate_factor (A,) turns the difference of two demands into the command's rate in V/s; most (A,) bounds |w_r|; gain (A,) V per
-    output unit.
+    Parameters
+    ----------
+    demand, output
+        (N, A): the demands, and the commands in V that are filled in.
+    previous, command, state
+        (A,), (A,) and (A, n): demand, command and operators of the sample before, updated.
+    rate_factor
+        (A,), turns the difference of two demands into the command's rate in V/s.
+    most
+        (A,), bounds |w_r|.
+    thresholds, release, weights
+        (A, n), of the operators.
+    w0, m1, m2, k, b
+        (A,), parameters of the stage.
+    lower, upper
+        (A,), V, between which commands lie.
+    gain
+        (A,), V per output unit.
+    iterations
+        Steps per sample; 0 solves exactly.
     """
     for row in range(demand.shape[0]):
         for axis in range(demand.shape[1]):
@@ -270,6 +316,15 @@ def slope_range(
     w0 + sum(w_1 … w_j) + j (k u + b) + k sum(H); sum(H) lies between the curve from rest and the descending one. j = 0 is the
     play of the first operator after a reversal, in which nothing moves: the inverse crosses it, and it counts only where the
     first threshold is 0 or w0 is not.
+
+    Parameters
+    ----------
+    thresholds, release, weights
+        (n,), of the operators.
+    w0, k, b
+        Parameters of the stage.
+    lower, upper
+        V.
     """
     finite = np.isfinite(thresholds)
     r, q, w = thresholds[finite], release[finite], weights[finite]

@@ -49,7 +49,7 @@ class LinearSystem:
     bias: Array
 
     def then(self, following: LinearSystem) -> LinearSystem:
-        """This system in series with the one that follows it."""
+        """Series of this system and the one `following` it."""
         n, m = len(self.A), len(following.A)
         a = np.block([[self.A, np.zeros((n, m))], [following.B @ self.C, following.A]])
         b = np.vstack([self.B, following.B @ self.D])
@@ -75,7 +75,7 @@ class LinearSystem:
 
 
 def stacked(systems: list[LinearSystem]) -> LinearSystem:
-    """Systems side by side as one, each on its own inputs and outputs."""
+    """One system of several `systems` side by side, each on its own inputs and outputs."""
     a, b, c, d = (block_diag(*(getattr(system, part) for system in systems)) for part in "ABCD")
     return LinearSystem(a, b, c, d, np.concatenate([system.bias for system in systems]))
 
@@ -118,8 +118,26 @@ class LinearStage(Stage):
         """One single-input system per axis, or one system for all axes where the stage couples them."""
         raise NotImplementedError
 
-    def filter(self, sampling: Sampling) -> Filter:
+    def filter(self, sampling: Sampling) -> LinearFilter:
         return linear_filter([self], sampling)
+
+    def linearized(self, axes: int) -> tuple[Stage, ...]:
+        return (self,)
+
+    def pole_tolerances(self, pole: float, residue: float) -> dict[str, float]:
+        """Tolerances of the parameters in which the stage has its poles and residues.
+
+        Parameters
+        ----------
+        pole, residue
+            Relative standard deviation of the poles, and of the residues.
+
+        Returns
+        -------
+        dict
+            Relative standard deviation by parameter; empty for a stage of which no poles are identified.
+        """
+        return {}
 
     def gain_at_rest(self, axes: int) -> tuple[Array, Array]:
         """Gain (A, A) and bias (A,) that all settles to."""
@@ -147,7 +165,10 @@ class Delay(Stage):
     place: ClassVar[str] = "drive"
     tau: ScalarPerAxis = scalar("s", "transport delay", lower=0.0)
 
-    def filter(self, sampling: Sampling) -> Filter:
+    def linearized(self, axes: int) -> tuple[Stage, ...]:
+        return (self,)
+
+    def filter(self, sampling: Sampling) -> LinearFilter:
         return linear_filter([self], sampling)
 
     def at_rest(self, signal: Array) -> Array:
@@ -178,6 +199,9 @@ class TransferFunction(LinearStage):
     @property
     def is_mechanics(self) -> bool:
         return True
+
+    def pole_tolerances(self, pole: float, residue: float) -> dict[str, float]:
+        return {"num": residue, "den": pole}
 
     def check(self) -> None:
         axes = next((len(value) for value in self._polynomials if depth(value) > 1), 1)
@@ -250,6 +274,9 @@ class StateSpace(LinearStage):
     def is_mechanics(self) -> bool:
         return not self.discrete
 
+    def pole_tolerances(self, pole: float, residue: float) -> dict[str, float]:
+        return {"A": pole, "C": residue}
+
     def check(self) -> None:
         a, b, c, d = (np.array(getattr(self, field), dtype=float) for field in "ABCD")
         n = len(a)
@@ -278,7 +305,7 @@ class StateSpace(LinearStage):
             raise InputError(f"D: {system.D.shape[0]} outputs by {system.D.shape[1]} inputs for {axes} axes")
         return [system]
 
-    def filter(self, sampling: Sampling) -> Filter:
+    def filter(self, sampling: Sampling) -> LinearFilter:
         if self.sample_time is None:
             return super().filter(sampling)
         if abs(self.sample_time - sampling.sample_time) > 1e-9 * sampling.sample_time:
@@ -378,9 +405,18 @@ class Discretised:
 
 @remembered
 def discretise(system: LinearSystem, fraction: Array, sampling: Sampling) -> Discretised:
-    """Advance a system exactly by one sample; input j is late by `fraction[j]` (0 <= fraction < 1) of a sample.
+    """Advance a system exactly by one sample.
 
     The interval falls into two parts: up to the kink at `fraction` the input is the older segment, after it the newer one.
+
+    Parameters
+    ----------
+    system
+        Continuous-time system.
+    fraction
+        (m,), of a sample, by which the inputs are late: 0 <= fraction < 1.
+    sampling
+        Clock of the filter.
     """
     ts = sampling.sample_time
     n, m = system.B.shape
@@ -407,7 +443,13 @@ def discretise(system: LinearSystem, fraction: Array, sampling: Sampling) -> Dis
 
 
 def discretise_average(system: LinearSystem, fraction: Array, sampling: Sampling) -> Discretised:
-    """As `discretise`, but the output is its mean over the interval: its integral, which starts from 0 in every interval."""
+    """As `discretise`, but the output is its mean over the interval: its integral, which starts from 0 in every interval.
+
+    Parameters
+    ----------
+    system, fraction, sampling
+        As for `discretise`.
+    """
     n, p = len(system.A), len(system.D)
     a = np.zeros((n + p, n + p))
     a[:n, :n], a[n:, :n] = system.A, system.C / sampling.sample_time
@@ -452,7 +494,7 @@ class LinearFilter(Filter):
         self.bias = np.concatenate([system.bias for system in systems])
         # Modes that do not act on each other leave most of a matrix empty: only what is there is computed.
         self.reach = _reach(self.a)
-        self.late = self.b[:, 1:].any(axis=(1, 2, 3))
+        self.late: NDArray[np.bool_] = np.any(self.b[:, 1:] != 0.0, axis=(1, 2, 3))
         # State and output at rest, for a unit input; the states that fill up a shorter system stay 0.
         self.rest = np.stack([np.linalg.solve(np.eye(n) - a, b.sum(axis=0)) for a, b in zip(self.a, self.b, strict=True)])
         self.static_gain = self.c @ self.rest + self.d.sum(axis=1)
@@ -502,7 +544,7 @@ class LinearFilter(Filter):
         return output
 
 
-def _reach(a: Array) -> Array:
+def _reach(a: Array) -> NDArray[np.int64]:
     """First and past-the-last nonzero column (S, n, 2) of every row of matrices (S, n, n)."""
     there, n = a != 0.0, a.shape[2]
     if not n:
@@ -511,12 +553,20 @@ def _reach(a: Array) -> Array:
     return np.stack([first, np.where(there.any(axis=2), last, first)], axis=2)
 
 
-def linear_filter(run: list[Stage], sampling: Sampling, averaged: bool = False) -> Filter:
+def linear_filter(run: list[Stage], sampling: Sampling, averaged: bool = False) -> LinearFilter:
     """One filter for a run of linear stages and delays.
 
     The run's delays are taken at its input; a chain arranges its stages so that this is where they belong
-    (`chain.arrange`). Where it holds delays only, the filter is a pure delay. With `averaged` the output is held at its mean
-    over each interval, exactly, instead of known at its ends.
+    (`chain.arrange`). Where it holds delays only, the filter is a pure delay.
+
+    Parameters
+    ----------
+    run
+        Linear stages and delays in signal order.
+    sampling
+        Clock of the filter.
+    averaged
+        Hold the output at its mean over each interval, exactly, instead of knowing it at the intervals' ends.
     """
     return _prepared(tuple(run), sampling, averaged).another()
 

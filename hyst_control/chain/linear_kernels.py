@@ -32,11 +32,32 @@ def advance_linear(
     position: int,
     output: Array,
 ) -> int:
-    """Run S systems of m inputs each over a block (N, S m); see `Discretised`.
+    """Run S systems of m inputs each over a block; see `Discretised`. Returns the new position.
 
-    a (S, n, n), reach (S, n, 2) first and past-the-last nonzero column of its rows, b (S, 3, n, m), late (S,) whether any but the
-    newest input acts, c (S, m, n), d (S, 2, m, m), bias (S m,), whole (S m,) delay in samples, state (S, n), scratch (n,) and taps
-    (3, m) work space, history (L, S m) ring of past inputs with its write position; returns the new position.
+    Parameters
+    ----------
+    block, output
+        (N, S m): input, and output that is filled in.
+    a
+        (S, n, n).
+    reach
+        (S, n, 2), first and past-the-last nonzero column of the rows of a.
+    b
+        (S, 3, n, m).
+    late
+        (S,), whether any but the newest input acts.
+    c
+        (S, m, n).
+    d
+        (S, 2, m, m).
+    bias, whole
+        (S m,): constant of the output, delay in samples.
+    state
+        (S, n), updated.
+    scratch, taps
+        (n,) and (3, m), work space.
+    history, position
+        (L, S m), ring of past inputs, and its write position.
     """
     length = history.shape[0]
     systems, n = state.shape
@@ -99,7 +120,13 @@ def advance_single(
     position: int,
     output: Array,
 ) -> int:
-    """As `advance_linear` for systems of one input each (m = 1), one after the other: with fewer indices it is faster."""
+    """As `advance_linear` for systems of one input each (m = 1), one after the other: with fewer indices it is faster.
+
+    Parameters
+    ----------
+    block, a, reach, b, late, c, d, bias, whole, state, scratch, history, position, output
+        As for `advance_linear`, with m = 1.
+    """
     length = history.shape[0]
     systems, n = state.shape
     begin = position

@@ -188,7 +188,7 @@ def full_output(curve: Curve) -> float:
 
 @remembered
 def mirrored(down: Curve) -> Curve:
-    """φ_dn(d) = F - g0(1 - d) as a curve of its own."""
+    """φ_dn(d) = F - g0(1 - d) of a descending curve g0 (`down`) as a curve of its own."""
     count, order = down.coefficients.shape
     full = full_output(down)
     coefficients = np.empty((count, order))
@@ -244,7 +244,7 @@ class Madelung(Stage):
         self.curves(axes)
 
     def curves(self, axes: int) -> list[tuple[Curve, Curve]]:
-        """Ascending and descending curve of every axis, checked for monotony and closure."""
+        """Ascending and descending curve of every one of `axes` axes, checked for monotony and closure."""
         pairs = []
         for up, down in zip(
             per_axis(self.ascending, axes, 1, "ascending"), per_axis(self.descending, axes, 1, "descending"), strict=True
@@ -285,7 +285,7 @@ class Madelung(Stage):
         return Parallel(((self, Gain(frozen(1.0 + width))), (mean, Gain(frozen(-width)))))
 
     def mean_curve(self, axes: int) -> Callable[[Array], Array]:
-        """Mean of the major branches, straight beyond the loop's ends as the hysteresis is; volts to the stage's output."""
+        """Mean of the major branches of `axes` axes, straight beyond the loop's ends as the hysteresis is; V to the stage's output."""
         curves = self.curves(axes)
         span, scale = per_axis_scalars(self, axes, "input_scale", "output_scale")
 
@@ -300,7 +300,7 @@ class Madelung(Stage):
 
         return mean
 
-    def filter(self, sampling: Sampling) -> Filter:
+    def filter(self, sampling: Sampling) -> MadelungFilter:
         axes = sampling.axes
         return MadelungFilter(
             self.curves(axes),

@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.chain.linear import TransferFunction
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar, register
 from hyst_control.errors import InputError
@@ -45,6 +46,9 @@ class Gain(Stage):
     name: ClassVar[str] = "gain"
     gain: ScalarPerAxis = scalar("output unit / input unit", "factor")
 
+    def linearized(self, axes: int) -> tuple[Stage, ...]:
+        return (TransferFunction([[float(g)] for g in per_axis_scalar(self.gain, axes, "gain")], [1.0]),)
+
     def filter(self, sampling: Sampling) -> Filter:
         gain = per_axis_scalar(self.gain, sampling.axes, "gain")
         return StaticFilter(lambda u: u * gain, sampling.hold)
@@ -58,6 +62,9 @@ class Offset(Stage):
     name: ClassVar[str] = "offset"
     offset: ScalarPerAxis = scalar("signal unit", "constant that is added", scatter=Scattering.ABSOLUTE)
 
+    def linearized(self, axes: int) -> tuple[Stage, ...]:
+        return ()
+
     def filter(self, sampling: Sampling) -> Filter:
         offset = per_axis_scalar(self.offset, sampling.axes, "offset")
         return StaticFilter(lambda u: u + offset, sampling.hold)
@@ -70,6 +77,7 @@ class Saturation(Stage):
 
     name: ClassVar[str] = "saturation"
     place: ClassVar[str] = "drive"
+    only_limits: ClassVar[bool] = True
     lower: ScalarPerAxis = scalar("signal unit", "least output", infinite=True)
     upper: ScalarPerAxis = scalar("signal unit", "greatest output", infinite=True)
 
@@ -91,6 +99,7 @@ class Quantization(Stage):
 
     name: ClassVar[str] = "quantization"
     place: ClassVar[str] = "adc"
+    only_limits: ClassVar[bool] = True
     step: ScalarPerAxis = scalar("signal unit", "distance of two values; 0: none", lower=0.0)
 
     def filter(self, sampling: Sampling) -> Filter:

@@ -170,7 +170,7 @@ class Parameter:
 
 
 def nesting(value: Any) -> int:
-    """Depth of nested tuples: 0 for a number, 1 for a list of numbers, and so on; -1 where members differ in it."""
+    """Depth of a value of nested tuples: 0 for a number, 1 for a list of numbers, and so on; -1 where members differ in it."""
     if not isinstance(value, tuple):
         return 0
     depths = {nesting(item) for item in value}
@@ -183,32 +183,76 @@ def _short(value: Any) -> str:
 
 
 def scalar(unit: str, text: str, *, default: Any = MISSING, **declared: Any) -> Any:
-    """Declare a field that is a number for every axis alike or a list with one per axis; `declared` as for `Parameter`."""
+    """Declare a field that is a number for every axis alike or a list with one per axis.
+
+    Parameters
+    ----------
+    unit
+        As for `Parameter`.
+    text
+        One phrase for the documents.
+    default
+        Value where the model file has none; None: it may be left out.
+    declared
+        The rest of `Parameter`.
+    """
     return _field(Parameter(Kind.SCALAR, unit, text, optional=default is None, **declared), default)
 
 
 def vector(unit: str, text: str, *, default: Any = MISSING, **declared: Any) -> Any:
-    """Declare a field that is a list for every axis alike or a list of lists, one per axis."""
+    """Declare a field that is a list for every axis alike or a list of lists, one per axis.
+
+    Parameters
+    ----------
+    unit, text, default, declared
+        As for `scalar`.
+    """
     return _field(Parameter(Kind.VECTOR, unit, text, optional=default is None, **declared), default)
 
 
 def all_axes(unit: str, text: str, *dimensions: int, default: Any = MISSING, **declared: Any) -> Any:
-    """Declare a field that belongs to all axes together: a number (0), list (1), matrix (2) or list of matrices (3)."""
+    """Declare a field that belongs to all axes together.
+
+    Parameters
+    ----------
+    unit, text, default, declared
+        As for `scalar`.
+    dimensions
+        Number (0), list (1), matrix (2) or list of matrices (3); several where it may be several.
+    """
     return _field(Parameter(Kind.ALL_AXES, unit, text, dimensions=dimensions, optional=default is None, **declared), default)
 
 
 def count(text: str, *, default: Any = MISSING, lower: int = 0) -> Any:
-    """Declare a field that is a whole number, and known exactly."""
+    """Declare a field that is a whole number, and known exactly.
+
+    Parameters
+    ----------
+    text
+        One phrase for the documents.
+    default
+        Value where the model file has none; None: it may be left out.
+    lower
+        Least value.
+    """
     return _field(Parameter(Kind.COUNT, "", text, lower=lower, scatter=Scattering.NONE), default)
 
 
 def flag(text: str, *, default: bool = False) -> Any:
-    """Declare a field that is true or false."""
+    """Declare a field that is true or false.
+
+    Parameters
+    ----------
+    text
+        One phrase for the documents.
+    default
+        Value where the model file has none.
+    """
     return _field(Parameter(Kind.FLAG, "", text, scatter=Scattering.NONE), default)
 
 
 def chains(text: str) -> Any:
-    """Declare a field that is a list of chains."""
+    """Declare a field that is a list of chains; `text` is one phrase for the documents."""
     return _field(Parameter(Kind.CHAINS, "", text, scatter=Scattering.NONE), MISSING)
 
 
@@ -221,12 +265,12 @@ _DECLARED: dict[type, Mapping[str, Parameter]] = {}
 
 
 def declared(owner: type) -> Mapping[str, Parameter]:
-    """Declarations of a stage class by field name, in the order of its fields."""
+    """Declarations of a stage class, the `owner`, by field name, in the order of its fields."""
     if owner not in _DECLARED:
         _DECLARED[owner] = {found.name: found.metadata["parameter"] for found in fields(owner) if "parameter" in found.metadata}
     return _DECLARED[owner]
 
 
 def undeclared(owner: type) -> Iterator[Field[Any]]:
-    """Fields of a stage class that declare nothing."""
+    """Fields of a stage class, the `owner`, that declare nothing."""
     return (found for found in fields(owner) if "parameter" not in found.metadata)

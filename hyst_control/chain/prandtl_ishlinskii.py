@@ -11,7 +11,7 @@ Both are rate-independent, wipe out inner loops and start from H = 0, the virgin
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from numba import njit
@@ -31,10 +31,6 @@ from hyst_control.chain.stage import (
     scaled,
 )
 from hyst_control.errors import InputError
-
-if TYPE_CHECKING:
-    from hyst_control.chain.inverse_multiplicative import InverseMultiplicative
-    from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 
 
 @njit(cache=True, error_model="numpy")
@@ -129,7 +125,7 @@ class PlayFilter(Filter):
 
 
 def check_operators(thresholds: VectorPerAxis, weights: VectorPerAxis) -> None:
-    """Raise `InputError` unless the thresholds increase, with one weight each."""
+    """Raise `InputError` unless the thresholds increase, with one of the weights each."""
     axes = max(len(value) if depth(value) == 2 else 1 for value in (thresholds, weights))
     for axis, (r, w) in enumerate(
         zip(per_axis(thresholds, axes, 1, "thresholds"), per_axis(weights, axes, 1, "weights"), strict=True)
@@ -142,10 +138,34 @@ def check_operators(thresholds: VectorPerAxis, weights: VectorPerAxis) -> None:
             raise InputError(f"weights{where}: {len(w)} weights for {len(r)} thresholds: give one each")
 
 
-def play_filter(
-    stage: PrandtlIshlinskii | ModifiedPrandtlIshlinskii | InverseMultiplicative, sampling: Sampling, **coefficients: ScalarPerAxis
-) -> PlayFilter:
-    """A `PlayFilter` for a stage with thresholds and weights; coefficients not given are 0."""
+class PlayOperators(Protocol):
+    """Stage with weighted play operators of either kind."""
+
+    @property
+    def thresholds(self) -> VectorPerAxis:
+        """V, of the operators, increasing."""
+
+    @property
+    def weights(self) -> VectorPerAxis:
+        """Output unit / V, of the operators."""
+
+    @property
+    def one_sided(self) -> bool:
+        """True where they are pulled down without play."""
+
+
+def play_filter(stage: PlayOperators, sampling: Sampling, **coefficients: ScalarPerAxis) -> PlayFilter:
+    """Filter of a stage with thresholds and weights.
+
+    Parameters
+    ----------
+    stage
+        With thresholds, weights and the kind of its operators.
+    sampling
+        Clock of the filter.
+    coefficients
+        w0, m1, m2, k and b; those not given are 0.
+    """
     axes = sampling.axes
     values = {key: per_axis_scalar(coefficients.get(key, 0.0), axes, key) for key in ("w0", "m1", "m2", "k", "b")}
     return PlayFilter(
@@ -157,21 +177,16 @@ def play_filter(
     )
 
 
-def operators_slope(stage: PrandtlIshlinskii | ModifiedPrandtlIshlinskii | RateDependentPrandtlIshlinskii, axes: int) -> Array:
-    """Slope (A,) of a model in which every operator moves."""
-    weights = per_axis(stage.weights, axes, 1, "weights")
-    return np.array([item.sum() for item in weights]) + per_axis_scalar(stage.w0, axes, "w0")
-
-
-Model = TypeVar("Model", "PrandtlIshlinskii", "RateDependentPrandtlIshlinskii")
+Model = TypeVar("Model", bound="OperatorModel")
 
 
 def wider_operators(stage: Model, width: Array) -> Model:
-    """A model whose loops are wider by 1 + width (A,): what the operators gain, the command itself loses."""
+    """The stage with loops wider by 1 + width (A,): what the operators gain, the command itself loses."""
     axes = len(width)
     slope = np.array([weights.sum() for weights in per_axis(stage.weights, axes, 1, "weights")])
-    w0 = per_axis_scalar(stage.w0, axes, "w0")
-    return replace(stage, weights=scaled(stage.weights, 1.0 + width, 1, "weights"), w0=frozen(w0 - width * slope))
+    (w0,) = per_axis_scalars(stage, axes, "w0")
+    changed: dict[str, Any] = {"weights": scaled(stage.weights, 1.0 + width, 1, "weights"), "w0": frozen(w0 - width * slope)}
+    return replace(stage, **changed)
 
 
 @register
@@ -194,7 +209,7 @@ class PlayOperator(Stage):
         thresholds = [[r] for r in per_axis_scalar(self.threshold, len(width), "threshold")]
         return PrandtlIshlinskii(thresholds, (1.0 + width)[:, None], frozen(-width), self.one_sided)
 
-    def filter(self, sampling: Sampling) -> Filter:
+    def filter(self, sampling: Sampling) -> PlayFilter:
         thresholds = [np.array([r]) for r in per_axis_scalar(self.threshold, sampling.axes, "threshold")]
         zero = np.zeros(sampling.axes)
         return PlayFilter(
@@ -202,19 +217,12 @@ class PlayOperator(Stage):
         )
 
 
-@register
 @dataclass(frozen=True)
-class PrandtlIshlinskii(Stage):
-    """Classical Prandtl-Ishlinskii model, y = w0 u + sum_i w_i H_i[u] (HAMPI paper Eq. 2, 3).
+class OperatorModel(Stage):
+    """Common part of the models of weighted play operators, which have `w0` besides."""
 
-    thresholds V, increasing; weights output unit / V; w0 output unit / V.
-    """
-
-    name: ClassVar[str] = "prandtl_ishlinskii"
     thresholds: VectorPerAxis = vector("V", "of the operators, increasing", lower=0.0)
     weights: VectorPerAxis = vector("output unit / V", "of the operators")
-    w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)
-    one_sided: bool = flag("whether the operators are pulled down without play, for drives that never go negative")
 
     def check(self) -> None:
         check_operators(self.thresholds, self.weights)
@@ -228,18 +236,33 @@ class PrandtlIshlinskii(Stage):
         return True
 
     def mean_slope(self, axes: int) -> Array:
-        return operators_slope(self, axes)
+        """Slope (A,) of a model in which every operator moves, on each of `axes` axes."""
+        weights = per_axis(self.weights, axes, 1, "weights")
+        return np.array([item.sum() for item in weights]) + per_axis_scalars(self, axes, "w0")[0]
+
+
+@register
+@dataclass(frozen=True)
+class PrandtlIshlinskii(OperatorModel):
+    """Classical Prandtl-Ishlinskii model, y = w0 u + sum_i w_i H_i[u] (HAMPI paper Eq. 2, 3).
+
+    thresholds V, increasing; weights output unit / V; w0 output unit / V.
+    """
+
+    name: ClassVar[str] = "prandtl_ishlinskii"
+    w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)
+    one_sided: bool = flag("whether the operators are pulled down without play, for drives that never go negative")
 
     def with_loop_width(self, width: Array) -> PrandtlIshlinskii:
         return wider_operators(self, width)
 
-    def filter(self, sampling: Sampling) -> Filter:
+    def filter(self, sampling: Sampling) -> PlayFilter:
         return play_filter(self, sampling, w0=self.w0)
 
 
 @register
 @dataclass(frozen=True)
-class ModifiedPrandtlIshlinskii(Stage):
+class ModifiedPrandtlIshlinskii(OperatorModel):
     """Prandtl-Ishlinskii model with dynamic weights (HAMPI paper Eq. 4-6): y = w0 u + sum_i (w_i + w_r + w_a) H_i[u].
 
     w_r = -m1 du/dt while the command rises and +m2 du/dt while it falls; w_a = k u + b. Under `zoh` du/dt is the backward
@@ -249,28 +272,12 @@ class ModifiedPrandtlIshlinskii(Stage):
     """
 
     name: ClassVar[str] = "modified_prandtl_ishlinskii"
-    thresholds: VectorPerAxis = vector("V", "of the operators, increasing", lower=0.0)
-    weights: VectorPerAxis = vector("output unit / V", "of the operators")
     m1: ScalarPerAxis = scalar("output unit s / V²", "rotation of the loop while the command rises", default=0.0)
     m2: ScalarPerAxis = scalar("output unit s / V²", "rotation of the loop while the command falls", default=0.0)
     k: ScalarPerAxis = scalar("output unit / V²", "change of every weight with the command", default=0.0)
     b: ScalarPerAxis = scalar("output unit / V", "part common to all weights", default=0.0)
     w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)
     one_sided: bool = flag("whether the operators are pulled down without play, for drives that never go negative")
-
-    def check(self) -> None:
-        check_operators(self.thresholds, self.weights)
-
-    @property
-    def is_hysteresis(self) -> bool:
-        return True
-
-    @property
-    def has_compensator(self) -> bool:
-        return True
-
-    def mean_slope(self, axes: int) -> Array:
-        return operators_slope(self, axes)
 
     def with_loop_width(self, width: Array) -> Parallel:
         """The model once more with every operator replaced by the command takes the mean curve off."""
@@ -294,5 +301,5 @@ class ModifiedPrandtlIshlinskii(Stage):
         rest = {name: scaled(getattr(self, name), count, 0, name) for name in ("m1", "m2", "k", "b")}
         return replace(self, thresholds=(0.0,), weights=[[item.sum()] for item in weights], **rest)
 
-    def filter(self, sampling: Sampling) -> Filter:
+    def filter(self, sampling: Sampling) -> PlayFilter:
         return play_filter(self, sampling, w0=self.w0, m1=self.m1, m2=self.m2, k=self.k, b=self.b)

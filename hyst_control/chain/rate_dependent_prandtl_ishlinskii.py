@@ -16,8 +16,8 @@ import numpy as np
 from numba import njit
 
 from hyst_control.chain.parameter import Array, ScalarPerAxis, VectorPerAxis, scalar, vector
-from hyst_control.chain.prandtl_ishlinskii import check_operators, operators_slope, wider_operators
-from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis, per_axis_scalar, register, scaled
+from hyst_control.chain.prandtl_ishlinskii import OperatorModel, wider_operators
+from hyst_control.chain.stage import Filter, Sampling, per_axis, per_axis_scalar, register, scaled
 
 
 @njit(cache=True, error_model="numpy")
@@ -32,7 +32,23 @@ def rate_dependent_prandtl_ishlinskii(
     state: Array,
     output: Array,
 ) -> None:
-    """All axes of the model: command, output (N, A); previous, w0, beta (A,); thresholds, weights, state (A, n)."""
+    """Advance the model over a block, all axes.
+
+    Parameters
+    ----------
+    command, output
+        (N, A): V, and the output that is filled in.
+    previous
+        (A,), command of the sample before, updated.
+    rate_factor
+        1 / sample time, 1/s.
+    thresholds, weights
+        (A, n), of the operators.
+    w0, beta
+        (A,), parameters of the stage.
+    state
+        (A, n), values of the operators, updated.
+    """
     for row in range(command.shape[0]):
         for axis in range(command.shape[1]):
             u = command[row, axis]
@@ -79,28 +95,13 @@ class RateDependentFilter(Filter):
 
 @register
 @dataclass(frozen=True)
-class RateDependentPrandtlIshlinskii(Stage):
+class RateDependentPrandtlIshlinskii(OperatorModel):
     """RDPI; see the module. thresholds V, increasing; weights, w0 output unit / V; beta s (V per V/s)."""
 
     name: ClassVar[str] = "rate_dependent_prandtl_ishlinskii"
     thresholds: VectorPerAxis = vector("V", "of the operators at rest, increasing", lower=0.0)
-    weights: VectorPerAxis = vector("output unit / V", "of the operators")
     beta: ScalarPerAxis = scalar("s", "widening of every threshold, V per V/s of the command's rate", lower=0.0)
     w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)
-
-    def check(self) -> None:
-        check_operators(self.thresholds, self.weights)
-
-    @property
-    def is_hysteresis(self) -> bool:
-        return True
-
-    @property
-    def has_compensator(self) -> bool:
-        return True
-
-    def mean_slope(self, axes: int) -> Array:
-        return operators_slope(self, axes)
 
     def with_loop_width(self, width: Array) -> RateDependentPrandtlIshlinskii:
         return wider_operators(self, width)
@@ -110,7 +111,7 @@ class RateDependentPrandtlIshlinskii(Stage):
             return None
         return replace(self, beta=scaled(self.beta, factor, 0, "beta"))
 
-    def filter(self, sampling: Sampling) -> Filter:
+    def filter(self, sampling: Sampling) -> RateDependentFilter:
         axes = sampling.axes
         return RateDependentFilter(
             sampling,

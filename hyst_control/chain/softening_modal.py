@@ -102,6 +102,9 @@ class SofteningModal(Stage):
             arrays[field] = value[0] + 1j * value[1] if field in pairs else value
         return arrays
 
+    def linearized(self, axes: int) -> tuple[Stage, ...]:
+        return (self.mean(),)
+
     def mean(self) -> StateSpace:
         """The structure as it responds on the average at `amplitude`: a linear stage."""
         parts = self.arrays(self.axes)
@@ -148,11 +151,26 @@ def advance_softening_modal(
     force: Array,
     output: Array,
 ) -> None:
-    """Run the equations of `SofteningModal` over a block (N, A); `smooth` = 1 - e^(-step/memory), step in s.
+    """Run the equations of `SofteningModal` over a block.
 
-    state (2, M) complex: x and w; mean_square (1,): a²; last (A,): the command before, with which it is averaged for a
-    sampled smooth source (`last[0]` NaN: a held command); force (K A,): n of the tick that begins the interval. All
-    three are updated.
+    Parameters
+    ----------
+    block, output
+        (N, A): command, and the output that is filled in.
+    smooth
+        1 - e^(-step/memory).
+    step
+        s.
+    exponent, amplitude, decay, frequency, decay_change, frequency_change, c, b, b_change, d, k, h, h_d
+        The stage's matrices, as `SofteningModalFilter` prepares them.
+    force_mean, force
+        (K A,): mean of n, and n of the tick that begins the interval, updated.
+    last
+        (A,), command before, with which it is averaged for a sampled smooth source (`last[0]` NaN: a held command); updated.
+    state
+        (2, M) complex: x and w, updated.
+    mean_square
+        (1,): a², updated.
     """
     modes, axes = c.shape
     held = np.isnan(last[0])

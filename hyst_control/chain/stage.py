@@ -116,6 +116,9 @@ class Stage:
     adds_hysteresis: ClassVar[bool] = False
     """True for a stage that is a chain's hysteresis where it has no other."""
 
+    only_limits: ClassVar[bool] = False
+    """True for a stage that only limits or rounds what it else passes unchanged: inverses and linear descriptions leave it out."""
+
     def __post_init__(self) -> None:
         for field in fields(self):
             object.__setattr__(self, field.name, frozen(getattr(self, field.name)))
@@ -127,7 +130,7 @@ class Stage:
         """Raise `InputError` naming parameter and remedy when parameters do not fit together."""
 
     def filter(self, sampling: Sampling) -> Filter:
-        """A filter of this stage for the given clock."""
+        """Start a filter of this stage for the clock `sampling`."""
         raise NotImplementedError
 
     def parameters(self) -> dict[str, Any]:
@@ -276,8 +279,34 @@ class Stage:
         return None
 
     def mean_slope(self, axes: int) -> Array | None:
-        """Mean slope (A,) of a hysteresis, output unit per input unit; None for any other stage."""
+        """Mean slope of a hysteresis.
+
+        Parameters
+        ----------
+        axes
+            Number of axes.
+
+        Returns
+        -------
+        ndarray or None
+            (A,), output unit per input unit; None for any other stage.
+        """
         return None
+
+    def linearized(self, axes: int) -> tuple[Stage, ...] | None:
+        """Linear stages in place of the stage, for small signals.
+
+        Parameters
+        ----------
+        axes
+            Number of axes.
+
+        Returns
+        -------
+        tuple of Stage or None
+            None where the stage has no linear description, as a hysteresis has none; empty where it changes no small signal.
+        """
+        return () if self.only_limits else None
 
     def at_rest(self, signal: Array) -> Array:
         """Output of the stage without rates, delays and dynamics.
@@ -318,7 +347,25 @@ class Modifier(Stage):
     """
 
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
-        """The stages before it, changed. Raises `InputError` when there is nothing among them that it could change."""
+        """Change the stages before this one.
+
+        Parameters
+        ----------
+        before
+            Stages in signal order.
+        axes
+            Number of axes.
+
+        Returns
+        -------
+        tuple of Stage
+            The stages, changed.
+
+        Raises
+        ------
+        InputError
+            There is nothing among them that it could change.
+        """
         raise NotImplementedError
 
     def filter(self, sampling: Sampling) -> Filter:
@@ -342,16 +389,50 @@ Registered = TypeVar("Registered", bound=type[Stage])
 def register(stage: Registered) -> Registered:
     """Class decorator that makes a stage known to the model file.
 
-    Raises `TypeError` for a stage with a field that declares no parameter.
+    Parameters
+    ----------
+    stage
+        A class derived from `Stage`.
+
+    Returns
+    -------
+    type
+        The same class.
+
+    Raises
+    ------
+    TypeError
+        A field declares no parameter.
+    InputError
+        Its name is another stage's.
     """
     for field in undeclared(stage):
         raise TypeError(f"{stage.__name__}.{field.name}: declares no parameter: see hyst_control.chain.parameter")
+    other = STAGES.added(stage.name)
+    if other is not None and (other.__module__, other.__qualname__) != (
+        stage.__module__,
+        stage.__qualname__,
+    ):  # a module loaded again
+        raise InputError(f"{stage.name}: {other.__module__} has a stage of this name: choose another one")
     STAGES[stage.name] = stage
     return stage
 
 
 def replaced(stages: Sequence[Stage], change: Callable[[Stage], Stage | None]) -> tuple[Stage, ...] | None:
-    """The stages with every one, also inside others, for which `change` gives another replaced by it; None if it never does."""
+    """Replace stages, also those inside others.
+
+    Parameters
+    ----------
+    stages
+        In signal order.
+    change
+        Another stage for one, or None to keep it.
+
+    Returns
+    -------
+    tuple of Stage or None
+        The stages with their replacements; None where every one is kept.
+    """
     found = [_replaced(stage, change) for stage in stages]
     if all(new is None for new in found):
         return None
@@ -368,7 +449,18 @@ def _replaced(stage: Stage, change: Callable[[Stage], Stage | None]) -> Stage | 
 
 
 def frozen(value: Any) -> Any:
-    """Nested lists and arrays as nested tuples of Python numbers."""
+    """Nested lists and arrays as nested tuples of Python numbers.
+
+    Parameters
+    ----------
+    value
+        Of a parameter.
+
+    Returns
+    -------
+    object
+        Hashable and comparable.
+    """
     if isinstance(value, np.ndarray):
         return frozen(value.tolist())
     if isinstance(value, np.generic):
@@ -379,12 +471,34 @@ def frozen(value: Any) -> Any:
 
 
 def thawed(value: Any) -> Any:
-    """Nested tuples as nested lists, as YAML writes them."""
+    """Nested tuples as nested lists, as YAML writes them.
+
+    Parameters
+    ----------
+    value
+        Of a stage's parameter.
+
+    Returns
+    -------
+    object
+        For a model file.
+    """
     return [thawed(item) for item in value] if isinstance(value, tuple) else value
 
 
 def depth(value: Any) -> int:
-    """Nesting depth of a checked value: 0 for a number, 1 for a list of numbers, and so on."""
+    """Nesting depth of a checked value.
+
+    Parameters
+    ----------
+    value
+        Number or nested tuples.
+
+    Returns
+    -------
+    int
+        0 for a number, 1 for a list of numbers, and so on.
+    """
     return 1 + (depth(value[0]) if value else 0) if isinstance(value, tuple) else 0
 
 
@@ -434,15 +548,62 @@ def _array(value: Any, dimensions: int, field: str) -> Array:
 
 
 def per_axis_scalar(value: ScalarPerAxis, axes: int, field: str) -> Array:
-    """A number for every axis as an array (A,)."""
+    """Spread a parameter that is a number per axis over the axes.
+
+    Parameters
+    ----------
+    value
+        For all axes alike or per axis.
+    axes
+        Number of axes.
+    field
+        Name of the parameter, for messages.
+
+    Returns
+    -------
+    ndarray
+        (A,).
+    """
     return np.array([float(item) for item in per_axis(value, axes, 0, field)])
 
 
 def per_axis_scalars(stage: Stage, axes: int, *names: str) -> list[Array]:
-    """Parameters of a stage that are a number per axis, each as an array (A,)."""
+    """Spread parameters of a stage that are a number per axis over the axes.
+
+    Parameters
+    ----------
+    stage
+        With the parameters.
+    axes
+        Number of axes.
+    names
+        Of the parameters.
+
+    Returns
+    -------
+    list of ndarray
+        Each (A,).
+    """
     return [per_axis_scalar(getattr(stage, name), axes, name) for name in names]
 
 
 def scaled(value: VectorPerAxis | ScalarPerAxis, factor: Array, due: int, field: str) -> Any:
-    """A parameter of `due` dimensions per axis, times a factor (A,) per axis."""
+    """Multiply a parameter by a factor per axis.
+
+    Parameters
+    ----------
+    value
+        For all axes alike or per axis.
+    factor
+        (A,).
+    due
+        Dimensions of one axis' value: 0 for a number, 1 for a list.
+    field
+        Name of the parameter, for messages.
+
+    Returns
+    -------
+    tuple
+        Per axis, as a stage keeps it.
+    """
     return frozen([item * share for item, share in zip(per_axis(value, len(factor), due, field), factor, strict=True)])

@@ -26,7 +26,7 @@ from hyst_control.chain import Chain, Parallel, Sampling, Stage
 from hyst_control.chain.inverse_multiplicative import InverseMultiplicative, slope_range
 from hyst_control.chain.linear import Delay, LinearStage
 from hyst_control.chain.madelung import Madelung
-from hyst_control.chain.memoryless import Gain, Offset, Quantization, Saturation
+from hyst_control.chain.memoryless import Gain, Offset, Saturation
 from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii, play_filter
 from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.stage import Array, per_axis_scalar
@@ -241,7 +241,7 @@ def split(model: Model) -> tuple[list[Stage], Stage | None, list[Stage]]:
             core = stage
         elif isinstance(stage, (LinearStage, Gain, Offset)):
             sides[core is not None].append(stage)
-        elif not isinstance(stage, (Delay, Saturation, Quantization)) and stage.name != "slew_limit":
+        elif not (isinstance(stage, Delay) or stage.only_limits):
             raise InputError(f"chain[{index}] ({stage.name}): has no inverse here: use the lifted inverse of the whole chain")
     # A delay commutes with the hysteresis, so it joins the dynamics that follow it.
     target = sides[1] if any(isinstance(stage, LinearStage) for stage in sides[1]) or not sides[0] else sides[0]

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag, eigvals
 from scipy.signal import zpk2sos
 
-from hyst_control.chain.linear import CrossCoupling, Delay, LinearFilter, StateSpace, linear_filter
+from hyst_control.chain.linear import CrossCoupling, Delay, LinearFilter, LinearStage, StateSpace, linear_filter
 from hyst_control.chain.stage import Array, Sampling, Stage
 from hyst_control.errors import InputError
 
@@ -55,7 +55,8 @@ class DiscreteSystem:
     def response(self, z: Complex) -> Complex:
         """Frequency response at points z of the complex plane."""
         z = np.asarray(z, dtype=complex)[..., None]
-        return self.gain * np.prod(z - self.zeros, axis=-1) / np.prod(z - self.poles, axis=-1)
+        response: Complex = self.gain * np.prod(z - self.zeros, axis=-1) / np.prod(z - self.poles, axis=-1)
+        return response
 
 
 @dataclass(frozen=True)
@@ -74,13 +75,34 @@ def invert_dynamics(
     discretisation: str = "zoh",
     ringing_limit: float = RINGING_LIMIT,
 ) -> InverseDynamics:
-    """The inverse of a run of linear stages and delays, from the held input to the sample of the output.
+    """Invert a run of linear stages and delays, from the held input to the sample of the output.
 
     `zoh` inverts the system exactly as it is sampled: input[k] held from t_k to t_k+1 (or interpolated, by `sampling.hold`),
     fractional delays included, output taken at t_k before input[k] acts. `tustin` is the HAMPI paper's choice: the bilinear
     transform of the continuous system, its delay rounded to whole samples.
 
-    Raises `InputError` for a system that is unstable, has no static gain, or mixes the axes.
+    Parameters
+    ----------
+    run
+        Linear stages and delays in signal order.
+    sampling
+        Clock; its hold is the input's.
+    method
+        Treatment of zeros that a causal inverse cannot have; see the module.
+    discretisation
+        "zoh" or "tustin".
+    ringing_limit
+        As for `invert_system`.
+
+    Returns
+    -------
+    InverseDynamics
+        Stage and preview.
+
+    Raises
+    ------
+    InputError
+        The system is unstable, has no static gain, or mixes the axes.
     """
     if method not in METHODS:
         raise InputError(f"inverse: {method!r} is not one of {', '.join(METHODS)}")
@@ -101,7 +123,22 @@ def invert_dynamics(
 
 
 def invert_system(plant: DiscreteSystem, method: str, ringing_limit: float = RINGING_LIMIT) -> tuple[DiscreteSystem, int]:
-    """The inverse of one system, delayed by its preview, and that preview in samples; see the module."""
+    """Invert one system; see the module.
+
+    Parameters
+    ----------
+    plant
+        Of one axis.
+    method
+        Treatment of zeros that a causal inverse cannot have.
+    ringing_limit
+        Size above which a zero of negative real part counts as one of them.
+
+    Returns
+    -------
+    tuple
+        The inverse, delayed by its preview, and that preview in samples.
+    """
     if np.any(np.abs(plant.poles) >= 1.0):
         worst = plant.poles[np.argmax(np.abs(plant.poles))]
         raise InputError(f"dynamics: not stable, a pole at |z| = {abs(worst):.6g}: no feedforward inverts that; correct the model")
@@ -115,9 +152,9 @@ def invert_system(plant: DiscreteSystem, method: str, ringing_limit: float = RIN
     outside = np.abs(left) > 1.0 + 1e-6
     zeros, poles, gain = plant.poles, kept, 1.0 / plant.gain
     for part, factor in ((left[outside], method), (left[~outside], "zpetc" if method == "zmetc" else method)):
-        static, count = np.prod(1.0 - part).real, len(part)
+        static, count = float(np.prod(1.0 - part).real), len(part)
         # B_u(1/z) = z^-count prod(-z_i) prod(z - 1/z_i)
-        mirrored, lead = 1.0 / part, np.prod(-part).real
+        mirrored, lead = 1.0 / part, float(np.prod(-part).real)
         if factor == "zpetc":
             zeros, poles = np.concatenate([zeros, mirrored]), np.concatenate([poles, np.zeros(count)])
             gain *= lead / static**2
@@ -131,7 +168,15 @@ def invert_system(plant: DiscreteSystem, method: str, ringing_limit: float = RIN
 
 
 def sampled_systems(run: Sequence[Stage], sampling: Sampling) -> list[DiscreteSystem]:
-    """The exact sampled systems, per axis, of linear stages and delays, from input[k] to the output sample at t_k."""
+    """Exact sampled systems, per axis, from input[k] to the output sample at t_k.
+
+    Parameters
+    ----------
+    run
+        Linear stages and delays in signal order.
+    sampling
+        Clock; its hold is the input's.
+    """
     running = linear_filter(_decoupled(run), sampling)
     systems = []
     for axis in range(sampling.axes):
@@ -144,7 +189,15 @@ def sampled_systems(run: Sequence[Stage], sampling: Sampling) -> list[DiscreteSy
 
 
 def tustin_systems(run: Sequence[Stage], sampling: Sampling) -> list[DiscreteSystem]:
-    """Bilinear transforms, per axis, of linear stages; their delays rounded to whole samples."""
+    """Bilinear transforms, per axis, of linear stages; their delays rounded to whole samples.
+
+    Parameters
+    ----------
+    run
+        Linear stages and delays in signal order.
+    sampling
+        Clock; its hold is the input's.
+    """
     ts = sampling.sample_time
     late = np.zeros(sampling.axes)
     systems = [DiscreteSystem(np.zeros(0, complex), np.zeros(0, complex), 1.0)] * sampling.axes
@@ -152,6 +205,7 @@ def tustin_systems(run: Sequence[Stage], sampling: Sampling) -> list[DiscreteSys
         if isinstance(stage, Delay):
             late += np.broadcast_to(np.array(stage.tau, dtype=float), sampling.axes)
             continue
+        assert isinstance(stage, LinearStage)
         for axis, system in enumerate(stage.systems(sampling.axes)):
             n = len(system.A)
             solve = np.linalg.inv(np.eye(n) - 0.5 * ts * system.A)
@@ -170,7 +224,15 @@ def tustin_systems(run: Sequence[Stage], sampling: Sampling) -> list[DiscreteSys
 
 
 def discrete_stage(systems: Sequence[DiscreteSystem], sample_time: float) -> StateSpace:
-    """Digital filters side by side as one `state_space` stage; realised in second-order sections, which keep slow poles exact."""
+    """Digital filters side by side as one `state_space` stage; realised in second-order sections, which keep slow poles exact.
+
+    Parameters
+    ----------
+    systems
+        One per axis.
+    sample_time
+        s.
+    """
     parts = [_state_space(system) for system in systems]
     a, b, c, d = (block_diag(*(part[i] for part in parts)) for i in range(4))
     return StateSpace(a.tolist(), b.tolist(), c.tolist(), d.tolist(), sample_time=float(sample_time))
@@ -182,6 +244,15 @@ def zero_phase_low_pass(order: int, axes: int, sample_time: float) -> StateSpace
     1 at rest with 2 order - 1 derivatives 0, and 0 at half the sampling rate. It takes off a reference what jumps and kinks ask
     for near half the sampling rate, where a sampled model knows least; to 1 / 20 of the sampling rate its gain is within 1e-3 of 1
     from order 2.
+
+    Parameters
+    ----------
+    order
+        Of the filter, and the samples that it is late.
+    axes
+        Number of axes.
+    sample_time
+        s.
     """
     taps = np.ones(1)
     for _ in range(order):
@@ -190,14 +261,14 @@ def zero_phase_low_pass(order: int, axes: int, sample_time: float) -> StateSpace
     taps[order] += 1.0
     count = 2 * order
     a, b = np.eye(count, k=-1), np.eye(count, 1)
-    parts = a, b, taps[None, 1:], taps[None, :1]
-    return StateSpace(*(block_diag(*[part] * axes).tolist() for part in parts), sample_time=float(sample_time))
+    a, b, c, d = (block_diag(*[part] * axes).tolist() for part in (a, b, taps[None, 1:], taps[None, :1]))
+    return StateSpace(a, b, c, d, sample_time=float(sample_time))
 
 
 def _decoupled(run: Sequence[Stage]) -> list[Stage]:
     for stage in run:
-        couples = getattr(stage, "coupled", False) or (isinstance(stage, StateSpace) and len(stage.D) > 1)
-        couples = couples or (isinstance(stage, CrossCoupling) and len(stage.matrix) > 1)
+        couples = getattr(stage, "coupled", False) or (isinstance(stage, StateSpace) and len(np.array(stage.D)) > 1)
+        couples = couples or (isinstance(stage, CrossCoupling) and len(np.array(stage.matrix)) > 1)
         if couples or getattr(stage, "discrete", False):
             raise InputError(
                 f"chain ({stage.name}): a per-axis inverse needs continuous dynamics that do not mix the axes: "
@@ -230,7 +301,7 @@ def _shift_form(running: LinearFilter, axis: int) -> tuple[Array, Array, Array, 
 def _zero_pole_gain(a: Array, b: Array, c: Array, d: Array) -> DiscreteSystem:
     """Zeros (by the pencil of the system matrix, accurate for clustered poles), poles and gain from the response at rest."""
     n = len(a)
-    poles = np.linalg.eigvals(a) if n else np.zeros(0)
+    poles = np.asarray(np.linalg.eigvals(a) if n else np.zeros(0), dtype=complex)
     rest = np.linalg.solve(np.eye(n) - a, b)
     static = float((c @ rest + d)[0, 0])
     if abs(static) <= 1e-9 * float((np.abs(c) @ np.abs(rest) + np.abs(d))[0, 0]):
@@ -240,7 +311,7 @@ def _zero_pole_gain(a: Array, b: Array, c: Array, d: Array) -> DiscreteSystem:
     finite = np.abs(beta) * INFINITE_ZERO > np.abs(alpha)
     zeros = _conjugated(alpha[finite] / beta[finite])
     poles = _conjugated(poles)
-    gain = static * np.prod(1.0 - poles).real / np.prod(1.0 - zeros).real
+    gain = float(static * np.prod(1.0 - poles).real / np.prod(1.0 - zeros).real)
     return DiscreteSystem(zeros, poles, gain)
 
 

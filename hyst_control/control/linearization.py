@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.chain import Chain, Parallel, Sampling, Stage
+from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.chain import ParallelFilter, SeriesFilter, resolved
 from hyst_control.chain.linear import (
-    Delay,
     LinearFilter,
     LinearStage,
     LinearSystem,
@@ -19,11 +18,8 @@ from hyst_control.chain.linear import (
     stacked,
     transfer_function_system,
 )
-from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.chain.softening_modal import SofteningModal
-from hyst_control.chain.stage import Array, Filter, per_axis_scalar
+from hyst_control.chain.stage import Array, Filter
 from hyst_control.control.quasi_static import hysteretic, quasi_static_stages
-from hyst_control.effects.softening_modes import ModesMoved
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 
@@ -57,6 +53,13 @@ def linearised(model: Model, slope: Array) -> tuple[Stage, ...]:
     """The chain with its hysteresis replaced by `slope` (A,), a parallel rate correction kept; offsets and limits left out.
 
     Modes that move with amplitude stand still, those of `softening_modal` at its amplitude, those of `softening_modes` at rest.
+
+    Parameters
+    ----------
+    model
+        With or without a hysteresis.
+    slope
+        (A,), measurement unit / V.
     """
     return tuple(_replaced(resolved(model.chain.stages, len(model.axes)), slope))
 
@@ -64,26 +67,32 @@ def linearised(model: Model, slope: Array) -> tuple[Stage, ...]:
 def _replaced(stages: Sequence[Stage], slope: Array) -> list[Stage]:
     kept: list[Stage] = []
     for stage in stages:
-        if isinstance(stage, Parallel):
-            kept.append(Parallel(tuple(tuple(_replaced(branch, slope)) for branch in stage.branches)))
+        if stage.inner_chains:
+            kept.append(stage.with_inner_chains([_replaced(chain, slope) for chain in stage.inner_chains]))
         elif hysteretic(stage):
             kept.append(TransferFunction([[float(value)] for value in slope], [1.0]))
-        elif isinstance(stage, (LinearStage, Delay)):
-            kept.append(stage)
-        elif isinstance(stage, SofteningModal):
-            kept.append(stage.mean())
-        elif isinstance(stage, ModesMoved):
-            kept.append(TransferFunction([0.0], [1.0]))
-        elif isinstance(stage, Gain):
-            axes = len(slope)
-            kept.append(TransferFunction([[float(g)] for g in per_axis_scalar(stage.gain, axes, "gain")], [1.0]))
-        elif not isinstance(stage, Offset) and stage.name not in ("saturation", "quantization", "slew_limit"):
-            raise InputError(f"chain ({stage.name}): has no linear description to tune a controller on")
+        else:
+            linear = stage.linearized(len(slope))
+            if linear is None:
+                raise InputError(f"chain ({stage.name}): has no linear description to tune a controller on")
+            kept.extend(linear)
     return kept
 
 
 def sampled_response(stages: Sequence[Stage], axes: int, sample_time: float, z: Complex) -> Complex:
-    """Response (F, A, A) from the held command[k] to measurement[k] at points z (F,) of a chain of linear stages."""
+    """Response (F, A, A) from the held command[k] to measurement[k].
+
+    Parameters
+    ----------
+    stages
+        Linear stages in signal order.
+    axes
+        Number of axes.
+    sample_time
+        s.
+    z
+        (F,), points of the complex plane.
+    """
     running = Chain(tuple(stages)).filter(Sampling(sample_time, axes, "zoh"))
     # The filter's output is the sample at the interval's end.
     return _response(running, axes, z) / z[:, None, None]
@@ -96,7 +105,8 @@ def _response(running: Filter, axes: int, z: Complex) -> Complex:
             total = _response(part, axes, z) @ total
         return total
     if isinstance(running, ParallelFilter):
-        return sum(_response(part, axes, z) for part in running.filters)
+        together: Complex = sum((_response(part, axes, z) for part in running.filters), np.zeros((len(z), axes, axes), complex))
+        return together
     if not isinstance(running, LinearFilter):
         raise InputError("chain: has a stage without a linear description")
     systems, n, _ = running.a.shape
@@ -118,17 +128,22 @@ def with_first_mode(stages: Sequence[Stage], axes: int, factor: float) -> tuple[
 
     The first resonance is the slowest pair of complex poles; a chain without one is returned as it is. Where a pair of zeros lies upon
     it, a notch against it, the zeros stay where they are and no longer hide it.
+
+    Parameters
+    ----------
+    stages
+        Linear stages in signal order.
+    axes
+        Number of axes.
+    factor
+        On the frequency of the first resonance.
     """
-    found = [
-        (abs(pair), index)
-        for index, stage in enumerate(stages)
-        if isinstance(stage, LinearStage)
-        for pair in _resonances(stage, axes)
-    ]
+    linear = {index: stage for index, stage in enumerate(stages) if isinstance(stage, LinearStage)}
+    found = [(abs(pair), index) for index, stage in linear.items() for pair in _resonances(stage, axes)]
     if not found:
         return tuple(stages)
     index = min(found)[1]
-    moved = [_mode_moved(system, factor) for system in stages[index].systems(axes)]
+    moved = [_mode_moved(system, factor) for system in linear[index].systems(axes)]
     whole = moved[0] if len(moved) == 1 else stacked(moved)
     stage = StateSpace(*(getattr(whole, part).tolist() for part in "ABCD"))
     return (*stages[:index], stage, *stages[index + 1 :])
@@ -143,7 +158,8 @@ def first_mode(stages: Sequence[Stage], axes: int) -> complex | None:
 
 def _resonances(stage: LinearStage, axes: int) -> Complex:
     poles = np.concatenate([np.linalg.eigvals(system.A) for system in stage.systems(axes)])
-    return poles[poles.imag > 1e-6 * np.abs(poles)]
+    resonances: Complex = poles[poles.imag > 1e-6 * np.abs(poles)]
+    return resonances
 
 
 NOTCH_WIDTH = 0.15

@@ -13,13 +13,13 @@ Array = NDArray[np.float64]
 
 
 class Plant(Protocol):
-    """What a simulator and a truth plant have in common."""
+    """Common interface of a simulator and a truth plant."""
 
     def reset(self, command: Array) -> Array:
         """Settle at the command (A,) in V; measurement[0] (A,)."""
 
     def step(self, commands: Array) -> Array:
-        """Commands (N, A) in V; measurements (N, A) at the ticks that follow them."""
+        """Advance by commands (N, A) in V; measurements (N, A) at the ticks that follow them."""
 
 
 class Compensator(Protocol):
@@ -33,14 +33,14 @@ class Compensator(Protocol):
         """Ticks that it looks ahead."""
 
     def settle(self, value: Array) -> Array:
-        """Come to rest at the reference (A,)."""
+        """Come to rest at the reference `value` (A,)."""
 
     def process(self, block: Array) -> Array:
-        """Reference rows (N, A) to feedforward rows (N, A) of the ticks `preview` earlier."""
+        """Turn a block of reference rows (N, A) into feedforward rows (N, A) of the ticks `preview` earlier."""
 
 
 def feedforward_rows(reference: Array, compensator: Compensator) -> Array:
-    """Feedforward (N, A) in V of a reference (N, A) whose last value is held on."""
+    """Feedforward (N, A) in V of a reference (N, A) whose last value is held on, by a compensator."""
     compensator.settle(reference[0])
     ahead = compensator.preview
     held = np.concatenate([reference, np.repeat(reference[-1:], ahead, axis=0)]) if ahead else reference
@@ -55,10 +55,28 @@ def run_loop(
     feedback: bool = True,
     start: str = "rest",
 ) -> dict[str, Array]:
-    """Signals by topic, each (N, A), of N ticks of the loop; reference (N, A) in the measurement unit.
+    """Run a control loop for N ticks.
 
-    start: "rest", the plant settled at 0 V, or "first_command", settled at the first command (open loop only: a closed
-    loop needs a measurement before it has a command). Without a compensator the feedforward is zero.
+    Parameters
+    ----------
+    reference
+        (N, A) in the measurement unit.
+    compensator
+        Feedforward; None: zero.
+    controller
+        Feedback, which also adds up and limits the command.
+    plant
+        Answers the command.
+    feedback
+        False: the command is the feedforward alone.
+    start
+        "rest", the plant settled at 0 V, or "first_command", settled at the first command (open loop only: a closed loop needs a
+        measurement before it has a command).
+
+    Returns
+    -------
+    dict
+        Signals (N, A) by topic.
     """
     ahead = feedforward_rows(reference, compensator) if compensator else np.zeros_like(reference)
     rest = np.zeros(reference.shape[1])

@@ -9,18 +9,35 @@ import numpy as np
 from hyst_control.chain import Stage
 from hyst_control.chain.chain import at_rest, resolved
 from hyst_control.chain.parameter import Array
-from hyst_control.chain.stage import SLOW  # noqa: F401  (read from here)
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 
 
 def quasi_static(model: Model, commands: Array) -> Array:
-    """Output (N, A) of the model when every command (N, A) in V is held until all has settled, from rest at 0 V."""
+    """Output (N, A) of a model at rest.
+
+    Parameters
+    ----------
+    model
+        From the virgin state at 0 V.
+    commands
+        (N, A) in V, every one of which is held until all has settled.
+    """
     return quasi_static_stages(resolved(model.chain.stages, len(model.axes)), np.array(commands, dtype=float), len(model.axes))
 
 
 def quasi_static_stages(stages: Sequence[Stage], signal: Array, axes: int) -> Array:
-    """The same for a list of stages and the signal (N, A) that enters them."""
+    """Output (N, A) of stages at rest.
+
+    Parameters
+    ----------
+    stages
+        In signal order.
+    signal
+        (N, A), every value of which is held until all has settled, from rest at 0.
+    axes
+        Number of axes.
+    """
     return at_rest(stages, signal)
 
 
@@ -44,5 +61,5 @@ def mean_line(model: Model, lower: Array, upper: Array) -> tuple[Array, Array]:
 
 
 def hysteretic(stage: Stage) -> bool:
-    """Whether a stage has memory and no linear description: the part of a chain that a compensator inverts by itself."""
+    """Tell whether a stage has memory and no linear description: the part of a chain that a compensator inverts by itself."""
     return stage.has_compensator

@@ -1,4 +1,4 @@
-"""Whether a reference lies inside the stroke that the drive can reach, memory of the hysteresis included."""
+"""Stroke that the drive can reach, memory of the hysteresis included, and the check of a reference against it."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from numpy.typing import ArrayLike
 from hyst_control.chain import Chain, Parallel, Sampling
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
-from hyst_control.chain.stage import Array
+from hyst_control.chain.stage import SLOW, Array
 from hyst_control.control.feedforward import core_inverse, drive_limits, dynamics_inverse, split
 from hyst_control.control.mhl_inverse import constant_removed, inverted, rate_dependent_parts
-from hyst_control.control.quasi_static import SLOW, quasi_static, quasi_static_stages
+from hyst_control.control.quasi_static import quasi_static, quasi_static_stages
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 
@@ -51,7 +51,17 @@ def check_reachable(model: Model, reference: Array, limits: tuple[ArrayLike, Arr
 
 
 def quasi_static_command(model: Model, reference: Array, limits: tuple[ArrayLike, ArrayLike] | None) -> tuple[Array, Array]:
-    """Commands (N, A) in V that follow a reference infinitely slowly, and the drive's bounds (2, A)."""
+    """Commands (N, A) in V that follow a reference infinitely slowly, and the drive's bounds (2, A).
+
+    Parameters
+    ----------
+    model
+        To be inverted.
+    reference
+        (N, A) in the measurement unit.
+    limits
+        (lower, upper) V, the drive's rating; None: the model's valid range.
+    """
     axes = len(model.axes)
     bounds = drive_limits(model, limits)
     before, core, after = split(model)

@@ -19,9 +19,9 @@ class Proportional:
     preview: int = 0
 
     def settle(self, value: Array) -> Array:
-        """The output at rest at the reference (A,)."""
+        """Output at rest at the reference `value` (A,)."""
         return self.offset + self.gain * value
 
     def process(self, block: Array) -> Array:
-        """Reference rows (N, A) to feedforward rows (N, A)."""
+        """Turn a block of reference rows (N, A) into feedforward rows (N, A)."""
         return self.offset + self.gain * block

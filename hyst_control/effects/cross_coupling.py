@@ -9,7 +9,7 @@ from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """coupling: share of the other axis' motion; corner of the low-pass it comes through."""
+    """Share of the other axis' motion, and corner of the low-pass it comes through, in a record's surroundings `around`."""
     nyquist = 0.5 / around.sample_time
     corner = Parameter(
         "corner", "Hz", 0.5 * nyquist, (0.1 * nyquist, 0.5 * nyquist), 3.0 / around.duration, 5.0 * nyquist, 1.5, True
@@ -18,7 +18,15 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
 
 def stage(values: Values, around: Surroundings) -> CrossCoupling:
-    """Onto every axis comes `coupling` of the next one (the last one's next is the first)."""
+    """Onto every axis comes `coupling` of the next one (the last one's next is the first).
+
+    Parameters
+    ----------
+    values
+        Of the parameters, by name.
+    around
+        Record that the sizes are judged by.
+    """
     axes = around.axes
     coupling = np.broadcast_to(np.array(values["coupling"], dtype=float), axes)
     matrix = np.eye(axes)

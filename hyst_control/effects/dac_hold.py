@@ -72,7 +72,13 @@ def take_and_hold(block: Array, count: int, samples: NDArray[np.int64], step: Ar
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Either several samples or a coarse lattice is where a fit begins."""
+    """Either several samples or a coarse lattice is where a fit begins.
+
+    Parameters
+    ----------
+    around
+        Record that the sizes are judged by.
+    """
     reach = max(around.command[1] - around.command[0], 1e-9)
     held = (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 16.0, 20.0)
     steps = (0.002 * reach, 0.01 * reach, 0.05 * reach)
@@ -83,7 +89,15 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
 
 def stage(values: Values, around: Surroundings) -> DacHold:
-    """The number of samples is rounded to a whole one."""
+    """The number of samples is rounded to a whole one.
+
+    Parameters
+    ----------
+    values
+        Of the parameters, by name.
+    around
+        Record that the sizes are judged by.
+    """
     samples = frozen(np.maximum(np.rint(np.array(values.get("samples", 1.0), dtype=float)), 1.0))
     return DacHold(samples, values.get("step", 0.0))
 

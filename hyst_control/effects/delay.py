@@ -7,7 +7,7 @@ from hyst_control.effects.effect import Effect, Parameter, Surroundings
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """tau: up to 20 samples, 5 ms at most; up to a period of the slowest excited line beside clean records."""
+    """Delay up to 20 samples, 5 ms at most, in a record's surroundings `around`; a period of the slowest line beside clean records."""
     ts = around.sample_time
     if around.slowest is not None:
         upper = max(1.0 / around.slowest, 2.5 * ts)

@@ -28,7 +28,7 @@ class RecordCheck(Enum):
 
     @property
     def is_noise(self) -> bool:
-        """Whether what it finds is noise: it raises the model's noise, and is no stage of the chain."""
+        """True where noise is what it finds: that raises the model's noise, and is no stage of the chain."""
         return self in (RecordCheck.WHITE_SPECTRUM, RecordCheck.FALLING_SPECTRUM)
 
 

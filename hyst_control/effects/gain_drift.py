@@ -29,7 +29,13 @@ class GainDrift(TimedStage):
 
 
 def tau_parameter(around: Surroundings) -> Parameter:
-    """Time constant of a drift: from a twentieth of the record to so long that the drift is straight."""
+    """Time constant of a drift: from a twentieth of the record to so long that the drift is straight.
+
+    Parameters
+    ----------
+    around
+        Record that the sizes are judged by.
+    """
     length = around.duration
     return Parameter("tau", "s", length, (0.2 * length, length), 0.05 * length, 10.0 * length, 1.0, True)
 

@@ -88,6 +88,11 @@ def cutoff_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """The cutoff, from what the record is just long enough to show up to what its sampling hardly does.
 
     Beside clean records from a tenth of the lowest excited frequency, and of first and second order.
+
+    Parameters
+    ----------
+    around
+        Record that the sizes are judged by.
     """
     nyquist = 0.5 / around.sample_time
     if around.slowest is not None:

@@ -12,7 +12,7 @@ from hyst_control.chain.stage import Sampling, Stage
 
 
 def beside(stage: Stage, added: Stage) -> Parallel:
-    """Both stages fed alike, outputs added."""
+    """Put a stage and an added one beside each other: fed alike, outputs added."""
     return Parallel(((stage,), (added,)))
 
 
@@ -42,5 +42,5 @@ class Changed(LinearStage):
 
 
 def settled(stage: Stage, value: Array) -> Array:
-    """Output (A,) of a stage at rest at a constant input (A,)."""
+    """Output (A,) of a stage at rest at a constant input `value` (A,)."""
     return Parallel(((stage,),)).filter(Sampling(1e-4, len(value))).settle(value)

@@ -34,7 +34,7 @@ class NoiseStage(RandomStage):
     seed: int = seed()
 
     def level(self, axes: int) -> Array:
-        """Level (A,) of the noise."""
+        """Level (A,) of the noise on each of `axes` axes."""
         return per_axis_scalar(self.rms, axes, "rms")
 
 

@@ -66,7 +66,13 @@ def _oscillator(w: float, damping: float) -> np.ndarray:
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Frequencies up to the sampling's half, and as far down as the record shows a few periods."""
+    """Frequencies up to the sampling's half, and as far down as the record shows a few periods.
+
+    Parameters
+    ----------
+    around
+        Record that the sizes are judged by.
+    """
     nyquist = 0.5 / around.sample_time
     lower, upper = min(max(3.0 / around.duration, 5.0), 0.05 * nyquist), 0.95 * nyquist
     starts = tuple(np.geomspace(max(min(200.0, 0.2 * nyquist), lower), 0.8 * nyquist, 60))
@@ -81,6 +87,11 @@ def coupled_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """On all axes of a plant that mixes them: from every input to every sensor a share of the stroke over the command's span.
 
     In phase with the mode's position, and in quadrature.
+
+    Parameters
+    ----------
+    around
+        Record that the sizes are judged by.
     """
     frequency, damping, _ = parameters(around)
     return (
@@ -99,12 +110,20 @@ PARTS = tuple(name for name, parameter in declared(CoupledResonance).items() if 
 
 
 def names(part: str, axes: int) -> list[list[str]]:
-    """Of the entries [output][input] of one part."""
+    """Names of the entries [output][input] of one part on `axes` axes."""
     return [[f"{part}_{output}_{source}" for source in range(axes)] for output in range(axes)]
 
 
 def stage(values: Values, around: Surroundings) -> Stage:
-    """The mode of an axis, or of all together."""
+    """The mode of an axis, or of all together.
+
+    Parameters
+    ----------
+    values
+        Of the parameters, by name.
+    around
+        Record that the sizes are judged by.
+    """
     if f"{PARTS[0]}_0_0" not in values:
         return Resonance(values["frequency"], values["damping"], values["gain"])
     size = around.stroke / max(around.command[1] - around.command[0], 1e-300)
@@ -113,7 +132,13 @@ def stage(values: Values, around: Surroundings) -> Stage:
 
 
 def gain(values: Values) -> dict[str, float]:
-    """That of a mode of all axes: its greatest, of motions of one size that differ in their pattern over the inputs."""
+    """Gain of a mode of all axes: its greatest, of motions of one size that differ in their pattern over the inputs.
+
+    Parameters
+    ----------
+    values
+        Of the parameters, by name.
+    """
     axes = round(np.sqrt(sum(name.startswith(PARTS[0]) for name in values)))
     if not axes:
         return {}

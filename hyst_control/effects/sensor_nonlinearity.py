@@ -45,6 +45,11 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
     The terms belong to a range that nobody tells. Over the record's the same bend has other terms: a slope, which the model's gain
     takes up, and a constant, which would look like an offset. It goes with the bend, so that an offset alone is none.
+
+    Parameters
+    ----------
+    around
+        Record that the sizes are judged by.
     """
     size = around.stroke
     return (
@@ -54,7 +59,15 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
 
 def stage(values: Values, around: Surroundings) -> SensorNonlinearity:
-    """Over the record's range of measurement, unless `lower` and `upper` are among the values."""
+    """The bend over the record's range of measurement, unless `lower` and `upper` are among the values.
+
+    Parameters
+    ----------
+    values
+        Of the parameters, by name.
+    around
+        Record that the sizes are judged by.
+    """
     lower, upper = around.measurement
     upper = max(upper, lower + 1e-9)
     zero = np.multiply(values.get("ratio", 0.0), np.hypot(values["second"], values["third"]))

@@ -24,6 +24,7 @@ class SlewLimit(Stage):
 
     name: ClassVar[str] = "slew_limit"
     place: ClassVar[str] = "drive"
+    only_limits: ClassVar[bool] = True
     rate: ScalarPerAxis = scalar("V/s", "greatest slope of the output", above=0.0, infinite=True)
 
     def filter(self, sampling: Sampling) -> Filter:
@@ -66,7 +67,13 @@ def follow(block: Array, most: Array, mean: bool, state: Array, output: Array) -
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Rates that the record's command exceeds."""
+    """Rates that the record's command exceeds.
+
+    Parameters
+    ----------
+    around
+        Record that the sizes are judged by.
+    """
     starts = tuple(share * around.slew for share in (0.7, 0.3, 0.1, 0.03))
     return (Parameter("rate", "V/s", np.inf, starts, 1e-3 * around.slew, around.slew, 1.5, True),)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from hyst_control.chain.chain import Parallel
-from hyst_control.chain.linear import LinearStage, LinearSystem, stacked
+from hyst_control.chain.linear import LinearStage, LinearSystem, TransferFunction, stacked
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
 from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter
@@ -65,6 +65,9 @@ class ModesMoved(Stage):
     softening: tuple[float, ...]
     damping: tuple[float, ...]
     amplitude: tuple[float, ...]
+
+    def linearized(self, axes: int) -> tuple[Stage, ...]:
+        return (TransferFunction([0.0], [1.0]),)
 
     def filter(self, sampling: Sampling) -> Filter:
         systems = self.base.systems(sampling.axes)
@@ -147,11 +150,28 @@ def advance_modes_moved(
     state: NDArray[np.complex128],
     output: Array,
 ) -> None:
-    """The equations of `SofteningModes` over a block (N, A), mean (A,) and square in units of the amplitude.
+    """Run the equations of `SofteningModes` over a block.
 
-    square (A,), or (1,) where the axes are coupled; whose (M,): which of them a mode goes by;
-    last (A,): the input before, with which it is averaged (`last[0]` NaN: a held input); state (2, M) complex: the modes as
-    they are, and moved. last, mean, square and state are updated.
+    Parameters
+    ----------
+    block, output
+        (N, A): input, and the output that is filled in.
+    step
+        s.
+    smooth
+        Share by which the means follow in a step.
+    poles, change
+        (M,) and (M, 2): the modes, and their softening and damping.
+    inputs, outputs, static
+        Matrices from inputs to modes, from modes to outputs, and the static response in units of the amplitude.
+    last
+        (A,), input before, with which it is averaged (`last[0]` NaN: a held input); updated.
+    mean, square
+        (A,), in units of the amplitude, square (1,) where the axes are coupled; updated.
+    whose
+        (M,), which of the squares a mode goes by.
+    state
+        (2, M) complex: the modes as they are, and moved; updated.
     """
     modes, axes, shared = len(poles), block.shape[1], block.shape[1] // len(square)
     held = np.isnan(last[0])

@@ -2,7 +2,7 @@
 
 A family is one class: its `Options`, which the command line, the node's parameters and the documents are derived from, and
 `fit(datasets, options) -> Fit`. Every module of `hyst_control.identify` is searched for them, so that a new family is one new file; another
-distribution registers its class with `register`.
+distribution names its class as an entry point of the group `hyst_control.estimators`.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pkgutil import iter_modules
 from types import MappingProxyType
 from typing import Any, ClassVar, Generic, TypeVar
 
+from hyst_control import plugins
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset, Fit
 from hyst_control.identify.options import Option, Options, declared
@@ -120,7 +121,7 @@ _ESTIMATORS: dict[str, Estimator[Any]] = {}
 
 
 def register(estimator: E) -> E:
-    """Class decorator that makes a family known by its name; plugins call it with theirs.
+    """Class decorator that makes a family known by its name.
 
     Parameters
     ----------
@@ -161,12 +162,21 @@ def estimators() -> Mapping[str, Estimator[Any]]:
 
 @cache
 def _search() -> frozenset[str]:
-    """Import every module of this package and return their names."""
+    """Import every module of this package, then the plugins; the names of this package's modules."""
     package = __name__.rpartition(".")[0]
     names = [f"{package}.{module.name}" for module in iter_modules(import_module(package).__path__)]
     for name in names:
         import_module(name)
+    plugins.load("estimators", _add)
     return frozenset(names)
+
+
+def _add(name: str, value: object) -> None:
+    """Make a plugin's family known, unless its class has done so by the decorator."""
+    if not (isinstance(value, type) and issubclass(value, Estimator) and value.name == name):
+        raise InputError(f"{value!r} is not an Estimator of this name")
+    if type(_ESTIMATORS.get(name)) is not value:
+        register(value)
 
 
 def every_option() -> dict[str, dict[str, Option]]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hyst_control.chain.chain import Chain
-from hyst_control.chain.linear import Delay, StateSpace, TransferFunction
+from hyst_control.chain.linear import Delay, LinearStage, StateSpace, TransferFunction
 from hyst_control.chain.memoryless import Offset
 from hyst_control.chain.stage import Array, Stage
 from hyst_control.errors import InputError
@@ -675,6 +675,6 @@ def tolerance_of(found: Sequence[Candidate], stages: Sequence[Stage]) -> dict[st
         c_sigma = np.hypot(*sigma[layout["c"]].reshape(2, *model.outputs.shape))
         residues += list(np.linalg.norm(c_sigma, axis=1) / np.maximum(np.linalg.norm(model.outputs, axis=1), 1e-300))
     pole, residue = float(np.median(poles)), float(np.median(residues))
-    names = {"transfer_function": {"num": residue, "den": pole}, "state_space": {"A": pole, "C": residue}}
-    tolerance = {name: value for stage in stages for name, value in names.get(stage.name, {}).items()}
+    linear = (stage for stage in stages if isinstance(stage, LinearStage))
+    tolerance = {name: value for stage in linear for name, value in stage.pole_tolerances(pole, residue).items()}
     return {name: value for name, value in tolerance.items() if np.isfinite(value)}

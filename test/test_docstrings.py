@@ -1,0 +1,332 @@
+"""Rules for docstrings, over all modules of both packages.
+
+Every public module, class, function and method has one, whose title is no question; it names every parameter; and what `docs/api.md`
+promises has numpydoc's sections. Sources are parsed, not imported.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCES = {
+    path.relative_to(ROOT).as_posix(): path
+    for package in ("hyst_control", "hyst_plant_sim")
+    for path in sorted((ROOT / package).rglob("*.py"))
+}
+QUESTIONS = ("What", "Where", "How", "Whether", "Which", "When", "Who", "Why")
+API = re.findall(r"^::: ([\w.]+)$", (ROOT / "docs" / "api.md").read_text(encoding="utf-8"), re.M)
+
+TO_BE_EMPTIED = frozenset(
+    {
+        "hyst_control/benchmarks/kernels.py",
+        "hyst_control/benchmarks/loops.py",
+        "hyst_control/benchmarks/suite.py",
+        "hyst_control/benchmarks/workflows.py",
+        "hyst_control/blind_test/case_drawing.py",
+        "hyst_control/blind_test/case_labels.py",
+        "hyst_control/blind_test/case_records.py",
+        "hyst_control/blind_test/effect_figures.py",
+        "hyst_control/blind_test/effect_sizes.py",
+        "hyst_control/blind_test/measured.py",
+        "hyst_control/blind_test/plant_setups.py",
+        "hyst_control/blind_test/run.py",
+        "hyst_control/blind_test/scores.py",
+        "hyst_control/cli/__init__.py",
+        "hyst_control/cli/bench.py",
+        "hyst_control/cli/blind_test.py",
+        "hyst_control/cli/cases.py",
+        "hyst_control/cli/compare.py",
+        "hyst_control/cli/demo.py",
+        "hyst_control/cli/diagnose.py",
+        "hyst_control/cli/excite.py",
+        "hyst_control/cli/identify.py",
+        "hyst_control/cli/import_command.py",
+        "hyst_control/cli/record.py",
+        "hyst_control/cli/reproduce.py",
+        "hyst_control/cli/simulate.py",
+        "hyst_control/cli/tune.py",
+        "hyst_control/cli/validate.py",
+        "hyst_control/config_files.py",
+        "hyst_control/control/feedforward.py",
+        "hyst_control/control/mhl_inverse.py",
+        "hyst_control/control/pi.py",
+        "hyst_control/control/tuning.py",
+        "hyst_control/control/whole_inverse.py",
+        "hyst_control/diagnose/block_replay.py",
+        "hyst_control/diagnose/foreseen_reduction.py",
+        "hyst_control/diagnose/gap_budget.py",
+        "hyst_control/diagnose/gap_page.py",
+        "hyst_control/diagnose/gap_reduction.py",
+        "hyst_control/diagnose/hypothesis.py",
+        "hyst_control/diagnose/hypothesis_fit.py",
+        "hyst_control/diagnose/hypothesis_search.py",
+        "hyst_control/diagnose/next_experiment.py",
+        "hyst_control/diagnose/null_distribution.py",
+        "hyst_control/diagnose/policy.py",
+        "hyst_control/diagnose/problem.py",
+        "hyst_control/diagnose/unexplained_residual.py",
+        "hyst_control/files.py",
+        "hyst_control/identify/chain_batch.py",
+        "hyst_control/identify/coupling.py",
+        "hyst_control/identify/dataset.py",
+        "hyst_control/identify/estimator.py",
+        "hyst_control/identify/fit_report.py",
+        "hyst_control/identify/fit_windows.py",
+        "hyst_control/identify/frequency_response.py",
+        "hyst_control/identify/gauss_newton.py",
+        "hyst_control/identify/gram_sums.py",
+        "hyst_control/identify/hammerstein.py",
+        "hyst_control/identify/linear.py",
+        "hyst_control/identify/madelung.py",
+        "hyst_control/identify/mhl.py",
+        "hyst_control/identify/mhl_axis.py",
+        "hyst_control/identify/modal_fit.py",
+        "hyst_control/identify/options.py",
+        "hyst_control/identify/paper_hampi.py",
+        "hyst_control/identify/paper_mhl.py",
+        "hyst_control/identify/prandtl_ishlinskii_model.py",
+        "hyst_control/identify/record_segmentation.py",
+        "hyst_control/identify/reversal_points.py",
+        "hyst_control/identify/shared_options.py",
+        "hyst_control/identify/simulation_error.py",
+        "hyst_control/identify/softening_modes.py",
+        "hyst_control/identify/stable_dynamics.py",
+        "hyst_control/identify/validation.py",
+        "hyst_control/identify/variable_projection.py",
+        "hyst_control/nodes/base.py",
+        "hyst_control/nodes/diagnosis.py",
+        "hyst_control/nodes/duration_histogram.py",
+        "hyst_control/nodes/message_io.py",
+        "hyst_control/nodes/node_diagnostics.py",
+        "hyst_control/nodes/plain_loop.py",
+        "hyst_control/nodes/recorded_topic.py",
+        "hyst_control/nodes/recorder.py",
+        "hyst_control/nodes/run.py",
+        "hyst_control/nodes/signal_ports.py",
+        "hyst_control/nodes/tick_timer.py",
+        "hyst_control/nodes/watched_signal.py",
+        "hyst_control/processes/node_processes.py",
+        "hyst_control/progress.py",
+        "hyst_control/records/bag_reader.py",
+        "hyst_control/records/excitation.py",
+        "hyst_control/records/excitation_files.py",
+        "hyst_control/records/importing.py",
+        "hyst_control/records/record.py",
+        "hyst_control/records/signal_message.py",
+        "hyst_control/reporting/artifacts.py",
+        "hyst_control/reporting/html_page.py",
+        "hyst_control/reporting/table_page.py",
+        "hyst_control/reporting/tables.py",
+        "hyst_control/reporting/templates.py",
+        "hyst_control/reproduction/demo.py",
+        "hyst_control/reproduction/demo_figures.py",
+        "hyst_control/reproduction/fsm_cubespec.py",
+        "hyst_control/reproduction/fsm_cubespec_laws.py",
+        "hyst_control/reproduction/hampi.py",
+        "hyst_control/reproduction/hampi_figures.py",
+        "hyst_control/reproduction/hampi_tables.py",
+        "hyst_control/reproduction/measured_data.py",
+        "hyst_control/reproduction/mhl.py",
+        "hyst_control/reproduction/mhl_figures.py",
+        "hyst_control/reproduction/mhl_tables.py",
+        "hyst_control/reproduction/node_runs.py",
+        "hyst_control/reproduction/page.py",
+        "hyst_control/reproduction/pea_p885.py",
+        "hyst_plant_sim/physics/effects/__init__.py",
+        "hyst_plant_sim/physics/effects/drive.py",
+        "hyst_plant_sim/physics/effects/effect.py",
+        "hyst_plant_sim/physics/effects/motion.py",
+        "hyst_plant_sim/physics/effects/piezo.py",
+        "hyst_plant_sim/physics/effects/sensing.py",
+        "hyst_plant_sim/physics/elastic_slip.py",
+        "hyst_plant_sim/physics/exact_discretization.py",
+        "hyst_plant_sim/physics/fsm.py",
+        "hyst_plant_sim/physics/mechanics.py",
+        "hyst_plant_sim/physics/parts.py",
+        "hyst_plant_sim/physics/pea.py",
+        "hyst_plant_sim/physics/plant_files.py",
+        "hyst_plant_sim/physics/published_fsm.py",
+        "hyst_plant_sim/physics/published_pea.py",
+        "hyst_plant_sim/physics/rational_mechanics.py",
+        "hyst_plant_sim/physics/signal_path.py",
+        "hyst_plant_sim/physics/viscoelastic_bouc_wen.py",
+    }
+)
+"""Files whose docstrings do not keep the rules yet: none may come, and one that keeps them must go."""
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+@dataclass(frozen=True)
+class Definition:
+    """A class, function or method: `owner` is the class of a method."""
+
+    node: ast.ClassDef | Function
+    owner: ast.ClassDef | None
+
+    @property
+    def name(self) -> str:
+        return f"{self.owner.name}.{self.node.name}" if self.owner else self.node.name
+
+    @property
+    def text(self) -> str:
+        return ast.get_docstring(self.node) or ""
+
+    def decorated(self, *names: str) -> bool:
+        """Whether a decorator, or the last part of its name, is one of some."""
+        found = (node.func if isinstance(node, ast.Call) else node for node in self.node.decorator_list)
+        return any((getattr(node, "id", None) or getattr(node, "attr", None)) in names for node in found)
+
+    @property
+    def parameters(self) -> list[str]:
+        """Names of a function's parameters, without self and private ones."""
+        if isinstance(self.node, ast.ClassDef):
+            return []
+        found = self.node.args
+        every = [*found.posonlyargs, *found.args, *found.kwonlyargs, *(each for each in (found.vararg, found.kwarg) if each)]
+        first = 0 if self.owner is None or self.decorated("staticmethod") else 1
+        return [each.arg for each in every[first:] if not each.arg.startswith("_")]
+
+
+@cache
+def tree(name: str) -> ast.Module:
+    return ast.parse(SOURCES[name].read_text(encoding="utf-8"))
+
+
+def definitions(name: str) -> Iterator[Definition]:
+    """Public classes, functions and methods of a file."""
+    for node in tree(name).body:
+        if isinstance(node, (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)) and not node.name.startswith("_"):
+            yield Definition(node, None)
+            if isinstance(node, ast.ClassDef):
+                for inner in node.body:
+                    if isinstance(inner, (ast.FunctionDef, ast.AsyncFunctionDef)) and not inner.name.startswith("_"):
+                        yield Definition(inner, node)
+
+
+@cache
+def classes() -> dict[str, list[ast.ClassDef]]:
+    """Classes of both packages by name."""
+    found: dict[str, list[ast.ClassDef]] = {}
+    for name in SOURCES:
+        for node in ast.walk(tree(name)):
+            if isinstance(node, ast.ClassDef):
+                found.setdefault(node.name, []).append(node)
+    return found
+
+
+def bases(node: ast.ClassDef) -> list[str]:
+    """Names of the classes that a class is derived from, without their type arguments."""
+    heads = (base.value if isinstance(base, ast.Subscript) else base for base in node.bases)
+    return [head.id if isinstance(head, ast.Name) else head.attr for head in heads if isinstance(head, (ast.Name, ast.Attribute))]
+
+
+def overrides(definition: Definition) -> bool:
+    """Whether a method overrides a documented one of these packages, or one of another package's class."""
+    pending, seen = bases(definition.owner) if definition.owner else [], set()
+    while pending:
+        name = pending.pop()
+        if name in seen:
+            continue
+        seen.add(name)
+        for base in classes().get(name, []):
+            method = next((each for each in base.body if isinstance(each, Function) and each.name == definition.node.name), None)
+            if method is not None and ast.get_docstring(method):
+                return True
+            pending += bases(base)
+    foreign = seen - set(classes()) - {"Protocol", "Generic", "NamedTuple", "TypedDict", "Enum", "Exception", "object"}
+    return bool(foreign)
+
+
+def exempt(definition: Definition) -> bool:
+    """Whether a definition needs no docstring: an override of a documented one, an overload, or a setter."""
+    return definition.decorated("overload", "setter") or (definition.owner is not None and overrides(definition))
+
+
+def sections(text: str) -> set[str]:
+    """Names of the numpydoc sections of a docstring."""
+    return set(re.findall(r"^(\w[\w ]*)\n-{3,}$", text, re.M))
+
+
+def raises(definition: Definition) -> bool:
+    """Whether a function raises by itself what its caller has to know of."""
+    own = [node for node in ast.walk(definition.node) if isinstance(node, ast.Raise) and node.exc is not None]
+    names = [node.exc.func if isinstance(node.exc, ast.Call) else node.exc for node in own]
+    return any(isinstance(name, ast.Name) and name.id == "InputError" for name in names)
+
+
+def returns(definition: Definition) -> bool:
+    """Whether a function returns or yields something."""
+    hint = getattr(definition.node, "returns", None)
+    return hint is not None and not (isinstance(hint, ast.Constant) and hint.value is None)
+
+
+def public(name: str) -> bool:
+    """Whether a file is a module of the public API."""
+    return name.removesuffix(".py").removesuffix("/__init__").replace("/", ".") in API
+
+
+def faults(name: str) -> list[str]:
+    """What a file's docstrings lack."""
+    found = [] if ast.get_docstring(tree(name)) else ["the module: no docstring"]
+    title = (ast.get_docstring(tree(name)) or "x").split()[0]
+    found += [f"the module: its title begins with {title}"] * (title in QUESTIONS)
+    for definition in definitions(name):
+        text, where = definition.text, f"{definition.node.lineno}: {definition.name}"
+        if not text:
+            found += [] if exempt(definition) else [f"{where}: no docstring"]
+            continue
+        first = text.split()[0].rstrip(".,:")
+        found += [f"{where}: its title begins with {first}"] * (first in QUESTIONS)
+        context = text + (ast.get_docstring(definition.owner) or "" if definition.owner else "")
+        due = [] if exempt(definition) else definition.parameters  # an override's are those of what it overrides
+        missing = [each for each in due if not re.search(rf"\b{re.escape(each)}\b", context)]
+        found += [f"{where}: {', '.join(missing)} not named"] * bool(missing)
+        if public(name) and definition.owner is None and not isinstance(definition.node, ast.ClassDef):
+            due = {"Parameters"} if definition.parameters else set()
+            due |= {"Returns"} if definition.parameters and returns(definition) else set()
+            due |= {"Raises"} if raises(definition) else set()
+            lacking = sorted(due - sections(text) - ({"Returns"} if "Yields" in sections(text) else set()))
+            found += [f"{where}: no section {', '.join(lacking)}"] * bool(lacking)
+    return found
+
+
+@pytest.mark.parametrize("name", [name for name in SOURCES if name not in TO_BE_EMPTIED])
+def test_docstrings_keep_the_rules(name):
+    assert not faults(name), "see CONTRIBUTING.md"
+
+
+def test_the_list_of_files_to_be_mended_shrinks():
+    mended = sorted(name for name in TO_BE_EMPTIED if name not in SOURCES or not faults(name))
+    assert not mended, "take them out of TO_BE_EMPTIED"
+
+
+@pytest.mark.parametrize(
+    ("source", "fault"),
+    [
+        ("x = 1\n", "no docstring"),
+        ('"""Whether it rains."""\n', "begins with Whether"),
+        ('"""A module."""\ndef f(u):\n    """Twice a number."""\n', "u not named"),
+        ('"""A module."""\nclass A:\n    """A class."""\n    def f(self):\n        return 1\n', "A.f: no docstring"),
+        ('"""A module."""\nclass A:\n    """A class."""\n    @property\n    def f(self):\n        """How."""\n', "begins with How"),
+    ],
+)
+def test_a_fault_is_found(source, fault, tmp_path, monkeypatch):
+    path = tmp_path / "module.py"
+    path.write_text(source, encoding="utf-8")
+    monkeypatch.setitem(SOURCES, fault, path)
+    (found,) = faults(fault)
+    assert fault in found
+
+
+def test_the_public_api_is_there():
+    names = {name.removesuffix(".py").removesuffix("/__init__").replace("/", ".") for name in SOURCES}
+    assert len(API) > 15 and set(API) <= names
