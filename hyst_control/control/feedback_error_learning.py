@@ -91,12 +91,12 @@ class RunningFeedbackErrorLearning:
     @property
     def gain(self) -> Array:
         """What is learned of the gain (A,), relative."""
-        return self._parameters[0].copy()
+        return np.array(self._parameters[0])
 
     @property
     def lag(self) -> Array:
         """What is learned of the lag (A,), s."""
-        return self._parameters[1].copy()
+        return np.array(self._parameters[1])
 
     def reset(self) -> None:
         """Forget everything that was learned."""
@@ -123,7 +123,7 @@ class RunningFeedbackErrorLearning:
         before = np.where(np.isnan(self._state[5]), feedforward[0], self._state[5])
         slope = np.diff(feedforward, axis=0, prepend=before[None]) / self.description.sample_time
         self._state[5] = feedforward[-1]
-        return self._parameters[0] * feedforward + self._parameters[1] * slope
+        return np.asarray(self._parameters[0] * feedforward + self._parameters[1] * slope)
 
     def observe(self, first: int, reference: Array, measurement: Array, feedback: Array) -> None:
         """What the loop did in the ticks from `first` on; ticks without a feedforward are left out."""

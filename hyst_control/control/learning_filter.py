@@ -72,7 +72,7 @@ class LearningFilter:
     @property
     def axes(self) -> int:
         """Number of axes."""
-        return self.inverse.shape[-1]
+        return int(self.inverse.shape[-1])
 
     def correction(self, error: Array, feedback: Array) -> Array:
         """Correction (N, A) in V of the feedforward.
@@ -97,12 +97,12 @@ class LearningFilter:
         shaped = np.linalg.solve(unit + plant @ controller, plant)
         # After a trial: d - Q (G^-1 + C) (I + P C)^-1 P d.
         left = unit - self.robustness[:, None, None] * ((self.inverse + controller) @ shaped)
-        return np.abs(np.linalg.eigvals(left)).max(axis=1)
+        return np.asarray(np.abs(np.linalg.eigvals(left)).max(axis=1))
 
 
 def lines_of(period: int) -> Complex:
     """The points z (N // 2 + 1,) on the unit circle of a period of N samples."""
-    return np.exp(2j * np.pi * np.arange(period // 2 + 1) / period)
+    return np.asarray(np.exp(2j * np.pi * np.arange(period // 2 + 1) / period))
 
 
 def model_filter(
@@ -148,7 +148,7 @@ def model_filter(
     cases = spread_responses(model, sample_time, 0, gain_spread, mode_spread, z)
     ratio = (cases.reshape(-1, axes, len(z)) / cases[:axes]).reshape(-1, len(z))
     error = (np.abs(1.0 - ratio) + model_error * np.abs(ratio)).max(axis=0)
-    inverse = np.linalg.inv(response)
+    inverse: Complex = np.asarray(np.linalg.inv(response), dtype=np.complex128)
     error[amplified(inverse)] = np.inf
     return LearningFilter(period, inverse, robustness(error, peak_sensitivity))
 
@@ -225,7 +225,7 @@ def robustness(error: Array, peak_sensitivity: float) -> Array:
 
 def feedback_response(responses: Sequence[Complex]) -> Complex:
     """Responses (F,) of one feedback an axis as a diagonal matrix (F, A, A)."""
-    return np.einsum("af,ab->fab", np.asarray(responses), np.eye(len(responses)))
+    return np.asarray(np.einsum("af,ab->fab", np.asarray(responses), np.eye(len(responses))))
 
 
 def _checked(period: int) -> int:

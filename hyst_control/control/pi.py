@@ -100,7 +100,7 @@ class RunningPI:
     @property
     def command(self) -> Array:
         """The last command (A,) in V; NaN before the first one."""
-        return self._state[1].copy()
+        return np.array(self._state[1])
 
     def reset(self, command: Array | None = None) -> None:
         """Forget the integral. The first command keeps the slew limit from `command` (A,) V, or is free when None."""
@@ -150,14 +150,14 @@ class RunningPI:
         start = np.where(np.isnan(self._state[1]), target, self._state[1])
         way = target - start
         moved = np.minimum(np.arange(1, ticks + 1)[:, None] * step, np.abs(way))
-        commands = np.clip(start + np.sign(way) * moved, self.description.lower, self.description.upper)
+        commands: Array = np.clip(start + np.sign(way) * moved, self.description.lower, self.description.upper)
         self._state[1] = commands[-1]
         return commands
 
 
 @njit(cache=True)
 def _clamped(wanted: float, last: float, constants: Array) -> float:
-    value = min(max(wanted, constants[2]), constants[3])
+    value: float = min(max(wanted, constants[2]), constants[3])
     if not np.isnan(last):
         value = min(max(value, last - constants[4]), last + constants[4])
     return value

@@ -77,7 +77,7 @@ class Tuning:
         z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * self.sample_time)
         plants = spread_responses(model, self.sample_time, loop_delay, 0.0, 0.0, z)[: len(model.axes)]
         loops = plants * controller_response(self.kp, self.ki, self.roll_off, self.sample_time, z)
-        return np.abs(1.0 / (1.0 + loops)).max(axis=0)
+        return np.asarray(np.abs(1.0 / (1.0 + loops)).max(axis=0))
 
     def table(self, model: Model) -> Table:
         """The result as rows, for the command line and the JSON."""
@@ -258,7 +258,7 @@ def _crossing_180(loops: Complex) -> Array:
     at = real[:, :-1] + share * (real[:, 1:] - real[:, :-1])
     crossed = (imaginary[:, :-1] * imaginary[:, 1:] <= 0.0) & (at < 0.0)
     # At half the sampling rate L is real, whatever its sign.
-    return np.maximum(np.where(crossed, -at, 0.0).max(axis=1), -real[:, -1].clip(max=0.0))
+    return np.asarray(np.maximum(np.where(crossed, -at, 0.0).max(axis=1), -real[:, -1].clip(max=0.0)))
 
 
 def _least_distance(loops: Complex, error: float) -> float:
@@ -274,12 +274,12 @@ def _phase_margin(loops: Complex, error: float = 0.0) -> Array:
     """
     if error:
         ends = [_phase_margin(loops * factor) for factor in (1.0 - error, 1.0, 1.0 + error)]
-        return np.min(ends, axis=0) - np.arcsin(error)
+        return np.asarray(np.min(ends, axis=0) - np.arcsin(error))
     size, turn = np.log(np.abs(loops)), np.angle(loops[:, 1:] / loops[:, :-1])
     change = size[:, :-1] - size[:, 1:]
     phase = np.angle(loops[:, :-1]) + turn * size[:, :-1] / np.where(change == 0.0, 1.0, change)
     distance = np.abs(np.mod(phase, 2.0 * np.pi) - np.pi)
-    return np.where(size[:, :-1] * size[:, 1:] <= 0.0, distance, np.pi).min(axis=1)
+    return np.asarray(np.where(size[:, :-1] * size[:, 1:] <= 0.0, distance, np.pi).min(axis=1))
 
 
 def margins(loop: Complex, z: Complex, sample_time: float, error: float = 0.0) -> Margins:

@@ -15,6 +15,7 @@ acts like a right-half-plane zero: fast errors that the linear P does not descri
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,7 +88,7 @@ def lifted_inverse(
     return LiftedInverse(command, measurement, tuple(errors))
 
 
-def _learning_filter(model: Model, rows: int, sample_time: float, damping: float):
+def _learning_filter(model: Model, rows: int, sample_time: float, damping: float) -> Callable[[Array, float], Array]:
     """A function from an error (rows, A) to the command that the linearised model answers with it, in the least-squares sense."""
     axes = len(model.axes)
     mean, _ = hysteresis_slopes(model)
