@@ -405,7 +405,7 @@ def _discrepancy(discrepancy: Any, axes: int) -> dict[str, Any]:
             f"discrepancy: must be a mapping with version {DISCREPANCY_VERSION}: identify the model again, or leave it out"
         )
     for key, shape in (("rms", (axes,)), ("zero", (axes, 3))):
-        value = discrepancy.get(key)
+        value: Any = discrepancy.get(key)
         if value is None and key == "zero":
             continue
         if not _numeric(value) or np.shape(value) != shape or np.any(np.array(value, dtype=float) < 0):

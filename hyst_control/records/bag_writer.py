@@ -105,7 +105,7 @@ class BagWriter:
         """Hand everything written so far to the operating system, as a whole chunk."""
         self._written += self._unwritten
         self._unwritten = 0
-        self._writer.flush()
+        self._writer.flush()  # type: ignore[no-untyped-call]  # mcap leaves it untyped
 
     def close(self) -> None:
         """Finish the file and write metadata.yaml; closing twice does nothing."""
@@ -113,7 +113,7 @@ class BagWriter:
             return
         self._closed = True
         try:
-            self._writer.finish()
+            self._writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves it untyped
         finally:
             self._file.close()
         (self.path / "metadata.yaml").write_text(yaml.safe_dump(self._metadata(), sort_keys=False), encoding="utf-8")

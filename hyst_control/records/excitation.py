@@ -165,7 +165,8 @@ def multi_frequency(
     if not f.shape == a.shape == p.shape or f.ndim != 1 or not f.size:
         raise InputError(f"frequencies: {f.size} of them, {a.size} amplitudes, {p.size} phases: lists of one length are due")
     time = _time(duration, sample_time)
-    return offset + sum(ai * np.sin(2 * np.pi * fi * time + pi) for fi, ai, pi in zip(f, a, p, strict=True))
+    waves = sum(ai * np.sin(2 * np.pi * fi * time + pi) for fi, ai, pi in zip(f, a, p, strict=True))
+    return np.asarray(offset + waves)
 
 
 def multisine_lines(
@@ -340,7 +341,7 @@ def sequence(sample_time: float, axes: int, parts: Sequence[Mapping[str, Any]], 
 def loops(sample_time: float, frequency: float, peak: float, cycles: float) -> Array:
     """One-sided loops from 0 to `peak` and back: peak (1 - cos 2π f t) / 2, rounded to whole cycles' samples."""
     count = _count(cycles / frequency, sample_time)
-    return 0.5 * peak * (1 - np.cos(2 * np.pi * frequency * np.arange(count) * sample_time))
+    return np.asarray(0.5 * peak * (1 - np.cos(2 * np.pi * frequency * np.arange(count) * sample_time)))
 
 
 def hampi_identification(

@@ -38,7 +38,7 @@ def read_plant_text(path: Path) -> Any:
 def _limited(text: str) -> None:
     size = 0
     starts: list[tuple[str | None, int]] = []
-    sizes: dict[str, int] = {}
+    sizes: dict[str | None, int] = {}
     for event in yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
         if isinstance(event, yaml.CollectionEndEvent):
             anchor, start = starts.pop()
