@@ -11,12 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 
 from hyst_control.chain import Chain, Parallel, Stage
 from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
+from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.stage import Array
 from hyst_control.identify import paper_mhl
@@ -348,7 +349,7 @@ def chain_stages(axes: Sequence[AxisFit]) -> list[Stage]:
         return values[0] if len(values) == 1 else list(values)
 
     chains = [axis.axis.stages(axis.vector, axis.offset) for axis in axes]
-    delays = [next((stage.tau for stage in chain if isinstance(stage, Delay)), 0.0) for chain in chains]
+    delays = [next((cast(float, stage.tau) for stage in chain if isinstance(stage, Delay)), 0.0) for chain in chains]
     dynamics = [
         next((stage for stage in chain if isinstance(stage, TransferFunction)), TransferFunction([1.0], [1.0])) for chain in chains
     ]
@@ -356,8 +357,11 @@ def chain_stages(axes: Sequence[AxisFit]) -> list[Stage]:
     rates = [stage.branches[1][0] for stage in parallel]
     rate = RateCorrection(**{key: per_axis([getattr(stage, key) for stage in rates]) for key in ("k1", "k2", "b1")})
     stages: list[Stage] = [Delay(per_axis(delays))] if any(delays) else []
-    stages.append(Parallel(((merged([stage.branches[0][0] for stage in parallel]),), (rate,))))
-    stages.append(TransferFunction(per_axis([stage.num for stage in dynamics]), per_axis([stage.den for stage in dynamics])))
+    hysteresis = merged([cast(Madelung, stage.branches[0][0]) for stage in parallel])
+    stages.append(Parallel(((hysteresis,), (rate,))))
+    num = per_axis([cast(Sequence[float], stage.num) for stage in dynamics])
+    den = per_axis([cast(Sequence[float], stage.den) for stage in dynamics])
+    stages.append(TransferFunction(num, den))
     if any(axis.axis.sign < 0 for axis in axes):
         stages.append(Gain(per_axis([axis.axis.sign for axis in axes])))
     return stages

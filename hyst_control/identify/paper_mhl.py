@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -258,7 +259,7 @@ def _fit_axis(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> A
         dynamics, structure = _with_pair(fast, curves, rate.parameters, dynamics, axis, late, options.nuisance)
         axis = replace(axis, structure=replace(structure, delay=True))
     covariance = block_diag(static.solution.covariance, rate.covariance, dynamics.covariance, (tau_error / TAU_UNIT) ** 2)
-    steps = {
+    steps: dict[str, dict[str, Any]] = {
         "delay": {"tau": tau, "steps": len(pieces.step)},
         "inverse": {
             "ascending": list(inverse.hysteresis.ascending),
