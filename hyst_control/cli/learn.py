@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from hyst_control.control.iterative_learning import RunningIterativeLearning
     from hyst_control.control.learning_filter import LearningFilter
+    from hyst_control.control.loop import Plant
     from hyst_control.model_file import Model
     from hyst_control.reporting.tables import Table
 
@@ -77,6 +78,7 @@ def run(arguments: argparse.Namespace) -> Table:
             raise InputError(f"--output: {arguments.output}: must end in .npy")
         check_writable(arguments.output)
     options = {name: getattr(arguments, name) for name in ("settling", "averaged", "gain", "trials")}
+    learner: RunningIterativeLearning | None
     if arguments.bags:
         if arguments.reference or arguments.plant or not arguments.period:
             raise InputError("give --period with bags, and neither --reference nor --plant")
@@ -132,16 +134,18 @@ def _simulated(
     sample_time = 1.0 / arguments.rate if arguments.rate else model.sample_time
     axes = len(model.axes)
     reference = np.asarray(build(read_description(arguments.reference), sample_time, axes))
-    limits = tuple(float(value) for value in np.array(model.valid.get("command", [0.0, 100.0]), dtype=float).reshape(-1, 2)[0])
+    lower, upper = np.array(model.valid.get("command", [0.0, 100.0]), dtype=float).reshape(-1, 2)[0]
+    limits = float(lower), float(upper)
+    plant: Plant
     if arguments.plant:
         effects = [{"name": "gain", "gain": arguments.gain_error}] if arguments.gain_error else None
         try:
-            plant = load_plant(arguments.plant, seed=arguments.seed, sample_time=sample_time, effects=effects)
+            truth = load_plant(arguments.plant, seed=arguments.seed, sample_time=sample_time, effects=effects)
         except PlantError as error:
             raise InputError(f"--plant: {error}") from None
-        if len(plant.axes) != axes:
-            raise InputError(f"--plant: {arguments.plant}: has {len(plant.axes)} axes, the model {axes}")
-        limits = plant.rating
+        if len(truth.axes) != axes:
+            raise InputError(f"--plant: {arguments.plant}: has {len(truth.axes)} axes, the model {axes}")
+        plant, limits = truth, truth.rating
     elif arguments.gain_error:
         raise InputError("--gain-error: is of a truth plant: give --plant")
     else:
