@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.signal import lfilter
@@ -141,11 +141,12 @@ class Member:
         )
         found = []
         for piece in self.problem.pieces:
+            assert piece.others is not None, "a coupling without records of other axes"
             other = piece.others.sum(axis=1)
             # The step-invariant low-pass with half a step of lag taken off: the mean of held and ahead.
             slow, _ = lfilter([0.5 * (1 - keep), 0.5 * (1 - keep)], [1.0, -keep], other, zi=[other[0] * (keep + 0.5 * (1 - keep))])
             found.append(piece.counted(values["coupling"] * (slow if keep else other)))
-        return np.concatenate(found) / self.problem.sigma[0]
+        return np.asarray(np.concatenate(found) / self.problem.sigma[0], dtype=np.float64)
 
     @cached_property
     def _line_scale(self) -> float:
@@ -192,9 +193,10 @@ class Member:
         """Of every piece the times (N,) and the polynomials (N, K) by which a line swells."""
         found = []
         for piece in self.problem.pieces:
-            time = piece.counted(np.arange(len(piece.command))) * self.problem.sample_time
+            time = piece.counted(np.arange(len(piece.command), dtype=np.float64)) * self.problem.sample_time
             span = max(len(piece.command) * self.problem.sample_time, 1e-12)
-            found.append((time, np.polynomial.legendre.legvander(2.0 * time / span - 1.0, self.line.swells - 1)))
+            shapes = np.polynomial.legendre.legvander(2.0 * time / span - 1.0, self.line.swells - 1)
+            found.append((time, np.asarray(shapes, dtype=np.float64)))
         return found
 
     def _flat(self, pieces: Sequence[Array]) -> Array:
@@ -235,7 +237,7 @@ class Candidate:
             return nominal
 
         def extra(x: Array) -> Array:
-            return sum(member.extra(x[part]) for member, part in parts if member.is_extra)
+            return cast(Array, sum(member.extra(x[part]) for member, part in parts if member.is_extra))
 
         def extra_columns(x: Array) -> tuple[list[int], Array]:
             added = [(part, member.extra_columns(x[part])) for member, part in parts if member.is_extra]

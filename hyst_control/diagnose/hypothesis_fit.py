@@ -100,6 +100,7 @@ class Linearised:
         stages = self.scatter.at(z)
         if unknowns is None:
             return self.problem.simulate(stages)
+        assert x is not None, "unknowns without their values"
         output = self.problem.simulate(unknowns.stages(stages, x))
         return output if unknowns.extra is None else output + unknowns.extra(x)
 
@@ -118,9 +119,13 @@ def fit(
     A step that does not lower Φ is halved a few times, then the fit ends where it is.
     """
     y = linearised.measured if measured is None else measured
-    x = np.zeros(0) if start is None or not len(start) else np.clip(start, unknowns.lower, unknowns.upper)
+    x = np.zeros(0)
+    if start is not None and len(start):
+        assert unknowns is not None, "a start without unknowns"
+        x = np.clip(start, unknowns.lower, unknowns.upper)
     z = np.zeros(linearised.count) if z is None else z
     count, size = linearised.count, len(x)
+    fitted = unknowns if size else None
     columns, gram = linearised.columns, linearised.gram
     if weight is not None:
         columns = columns * weight[:, None]
@@ -131,7 +136,7 @@ def fit(
         return found if weight is None else np.where(weight > 0, found, 0.0)  # where it ran away, 0 times it were none
 
     def misfit_of(residual: Array, z: Array, x: Array) -> float:
-        prior = x - unknowns.centre if size else x
+        prior = x if fitted is None else x - fitted.centre
         if not np.max(np.abs(residual), initial=0.0) < 1e100:  # an unstable chain
             return np.inf
         return 0.5 * float(residual @ residual + z @ z + prior @ prior)
@@ -140,18 +145,21 @@ def fit(
     misfit = misfit_of(residual, z, x)
     normal = np.eye(count + size)
     for _ in range(rounds):
-        design = _effect_columns(linearised, unknowns, z, x, y - residual, weight) if size else np.zeros((len(y), 0))
-        normal, right = _normal(columns, gram, design, residual, z, x - unknowns.centre if size else x)
-        step = np.linalg.solve(normal, right)
-        if size:
-            step = _within(normal, right, step, x, unknowns, count)
+        if fitted is None:
+            design, away = np.zeros((len(y), 0)), x
+        else:
+            design, away = _effect_columns(linearised, fitted, z, x, y - residual, weight), x - fitted.centre
+        normal, right = _normal(columns, gram, design, residual, z, away)
+        step = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
+        if fitted is not None:
+            step = _within(normal, right, step, x, fitted, count)
         if right @ step - 0.5 * step @ normal @ step < LEAST_GAIN + 1e-5 * misfit:
             break  # a linear step would gain next to nothing
         better = False
         for shorter in (1.0, 0.5, 0.25, 0.1, 0.03):
             new_z, new_x = z + shorter * step[:count], x + shorter * step[count:]
-            if size:
-                new_x = np.clip(new_x, unknowns.lower, unknowns.upper)
+            if fitted is not None:
+                new_x = np.clip(new_x, fitted.lower, fitted.upper)
             try:
                 new_residual = residual_of(new_z, new_x)
             except InputError:
@@ -166,8 +174,10 @@ def fit(
         z, x, residual, misfit = new_z, new_x, new_residual, new
         if gained < LEAST_GAIN + 1e-5 * misfit:
             break
-    covariance = np.linalg.inv(normal)
-    information = np.linalg.inv(covariance[count:, count:]) if size else np.zeros((0, 0))
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    information = np.zeros((0, 0))
+    if size:
+        information = np.asarray(np.linalg.inv(covariance[count:, count:]), dtype=np.float64)
     return Solution(misfit, z, x, residual, covariance, information)
 
 

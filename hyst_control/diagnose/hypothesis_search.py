@@ -257,10 +257,10 @@ def _grown(
                 wanted.append((pair, _merged(pair, candidate, solution.x, members[index], start)))
     fitted = forked(lambda i: _fitted(linearised, wanted[i][0], [wanted[i][1]], settings), len(wanted))
     grown = []
-    for (pair, _), found in zip(wanted, fitted, strict=True):
+    for (pair, _), end in zip(wanted, fitted, strict=True):
         progress("+".join(pair.names))
-        if found is not None:
-            grown.append((pair, found))
+        if end is not None:
+            grown.append((pair, end))
     better = _refined(linearised, grown, settings.refined // 2, before, configuration)
     return sorted(better, key=lambda item: item[1].misfit)
 

@@ -80,7 +80,8 @@ class Level:
         measured = self.measurement[:, :, realisations]
         squared = np.mean((measured - simulated[..., None]) ** 2, axis=(0, 2, 3))
         power = np.mean(measured**2, axis=(0, 2, 3))
-        return 100.0 * np.sqrt(np.concatenate([[squared.sum() / power.sum()], squared / power]))
+        errors: Array = 100.0 * np.sqrt(np.concatenate([[squared.sum() / power.sum()], squared / power]))
+        return errors
 
 
 def load_levels() -> list[Level]:
@@ -170,10 +171,10 @@ def run(json_path: str | Path | None = None, figures_dir: str | Path | None = No
         fits = [smallest_first(candidates[i :: len(levels)]) for i in range(len(levels))]
         # The model of all levels starts from the middle level's own.
         middle = fits[1]
-        linear = pool.submit(fit_all, levels, middle[0].model.states)
+        pending = pool.submit(fit_all, levels, middle[0].model.states)
         mean = soften(levels, middle[0].model, None)
         forced = list(pool.map(soften, [levels] * len(LAWS), [mean.scheduled] * len(LAWS), LAWS))
-        linear = linear.result()
+        linear = pending.result()
     largest = max(float(np.abs(level.command).max()) for level in levels)
     models = [
         model_of(found[0].model, f"fsm_{level.name}", float(np.abs(level.command).max()))
@@ -191,12 +192,13 @@ def run(json_path: str | Path | None = None, figures_dir: str | Path | None = No
         linear.model.parameters,
         linear.seconds,
     )
-    chosen = None
+    chosen: tuple[float, Model, str] | None = None
     for subject, found in zip(("softening modes", *map(law_name, LAWS)), (mean, *forced), strict=True):
         model = softening_model(found, levels)
         selected = report_one(table, levels, subject, model, states_of(found), found.parameters, found.seconds)
         if chosen is None or selected < chosen[0]:
             chosen = selected, model, subject
+    assert chosen is not None, "no model of all levels"
     table.add(ALL, "all", f"chosen on realisation 5: {chosen[2]}", "relative_error_select", "% of rms", chosen[0], n=1)
     report_laws(table, levels, [found[0].model for found in fits])
     report_shares(table, levels, chosen[1])
@@ -292,6 +294,7 @@ def report_nonparametric(table: Table, levels: Sequence[Level]) -> None:
         noise = float(np.sum(np.mean((level.measurement[..., 0] - level.measurement[..., 1]) ** 2, axis=(0, 2)) / 2.0))
         table.add(title, level.name, "noise of one period", "relative_error", "% of rms", 100.0 * np.sqrt(noise / power))
         bla = robust_bla(level.command, level.measurement, SAMPLE_TIME)
+        assert bla.distortion_variance is not None, "a single realisation tells no distortion"
         size = np.sum(np.abs(bla.response) ** 2)
         # Variances of the mean over two groups: a single group, hence a single realisation, has twice as much.
         for subject, variance in (("noise in the response", bla.noise_variance), ("nonlinear distortion", bla.distortion_variance)):

@@ -10,6 +10,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from hyst_control.chain.stage import Array
+from hyst_control.control.inverse_dynamics import Complex
 from hyst_control.identify.dataset import Dataset
 from hyst_control.model_file import Model, simulate
 from hyst_control.records import excitation
@@ -73,7 +74,7 @@ def step(model: Model, data: Dataset) -> go.Figure:
     return figure.update_xaxes(title="s").update_yaxes(title="um")
 
 
-def bode(responses: Mapping[str, Array]) -> go.Figure:
+def bode(responses: Mapping[str, Complex]) -> go.Figure:
     figure = make_subplots(rows=1, cols=2, subplot_titles=("gain [dB]", "phase [deg]"))
     for colour, (name, value) in enumerate(responses.items()):
         figure.add_trace(line(BODE, 20 * np.log10(np.abs(value)), name, colour), 1, 1)

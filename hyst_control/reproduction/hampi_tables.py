@@ -60,7 +60,8 @@ def response(model: Model, frequency: Array) -> Complex:
     """Response (F,) of a model's linear stages from held command to sample, gain 1 at rest."""
     z = np.exp(2j * np.pi * frequency * model.sample_time)
     found = sampled_response(dynamics(model), 1, model.sample_time, np.append(z, 1.0 + 1e-9j))[:, 0, 0]
-    return found[:-1] / abs(found[-1])
+    scaled: Complex = found[:-1] / abs(found[-1])
+    return scaled
 
 
 def phase_lags(table: Table, model: Model, data: Dataset, places: Sequence[Place]) -> None:
@@ -92,13 +93,14 @@ def step_response(model: Model, data: Dataset) -> tuple[Array, Array, Array]:
     rows = slice(max(step.begin - 20, 0), step.end)
     answer = simulate(model.with_stages(dynamics(model)), data.command[rows], data.sample_time, data.hold)[:, 0]
     measured = data.measurement[rows, 0]
-    return data.sample_time * np.arange(len(measured)), measured, answer * (answer @ measured) / (answer @ answer)
+    time = np.asarray(data.sample_time * np.arange(len(measured)), dtype=np.float64)
+    return time, measured, answer * (answer @ measured) / (answer @ answer)
 
 
 def step_fit(table: Table, model: Model, data: Dataset) -> None:
     """Fig. 2: 100 (1 - |y - model| / |y - mean|) of the step of 10 V."""
     _, measured, answer = step_response(model, data)
-    fit = 100.0 * (1.0 - np.linalg.norm(measured - answer) / np.linalg.norm(measured - measured.mean()))
+    fit = float(100.0 * (1.0 - np.linalg.norm(measured - answer) / np.linalg.norm(measured - measured.mean())))
     table.add("HAMPI Fig. 2", "step of 10 V", "LTI model", "fit", "%", fit, published=FIGURE_2)
     # The record begins at rest: what it scatters there no model can fit.
     begin = select_stretches([data], 0, "step")[0].begin

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
+from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from hyst_control.chain.stage import Array
@@ -62,7 +63,7 @@ def write(
     page.write(folder / "mhl.html")
 
 
-def line(x: Array, y: Array, name: str, colour: int, *, legend: bool = True, dash: str = "solid") -> go.Scatter:
+def line(x: NDArray[np.number[Any]], y: Array, name: str, colour: int, *, legend: bool = True, dash: str = "solid") -> go.Scatter:
     """A line thinned to what a page can show."""
     step = max(len(x) // MOST, 1)
     return go.Scatter(

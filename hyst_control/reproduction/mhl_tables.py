@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.chain.chain import Parallel
+from hyst_control.chain.linear import RateCorrection
 from hyst_control.chain.stage import Array
 from hyst_control.control.measured_margins import measured_margins
 from hyst_control.control.tuning import Tuning
@@ -73,14 +75,30 @@ Complex = NDArray[np.complex128]
 def errors(wanted: Array, actual: Array) -> tuple[float, float, float]:
     """NME and NRMSE in % of the range of `wanted` (paper Eq. 10, 11), and the NRMSE with the means removed."""
     error, span = actual - wanted, float(np.ptp(wanted))
-    return tuple(100.0 * float(value) / span for value in (np.abs(error).max(), np.sqrt(np.mean(error**2)), error.std()))
+    greatest, root, spread = (
+        100.0 * float(value) / span for value in (np.abs(error).max(), np.sqrt(np.mean(error**2)), error.std())
+    )
+    return greatest, root, spread
+
+
+def parallel_of(model: Model) -> Parallel:
+    """The first parallel stage of a model."""
+    return next(stage for stage in model.chain.stages if isinstance(stage, Parallel))
+
+
+def rate_correction_of(inverse: Model) -> RateCorrection:
+    """Ψ' of an inverse: the first stage of its parallel stage's second branch."""
+    correction = parallel_of(inverse).branches[1][0]
+    assert isinstance(correction, RateCorrection), f"{correction.name} is no rate correction"
+    return correction
 
 
 def parameters(table: Table, fit: Fit, inverse: Model) -> None:
     """Tables 1 and 2 and Fig. 5: the curves normalised to end at 1, both axes; the published ones are of another mirror."""
-    core = next(stage for stage in fit.model.chain.stages if stage.name == "parallel").branches[0][0]
-    inverted = next(stage for stage in inverse.chain.stages if stage.name == "parallel")
-    curves, correction = inverted.branches[0][0], inverted.branches[1][0]
+    core = parallel_of(fit.model).branches[0][0]
+    inverted = parallel_of(inverse)
+    curves, correction = inverted.branches[0][0], rate_correction_of(inverse)
+    k1, b1, k2 = (cast(Sequence[float], value) for value in (correction.k1, correction.b1, correction.k2))  # per axis
     for index, axis in enumerate(fit.model.axes):
         rows = {row["name"]: row["value"] for row in fit.report["parameters"] if row["axis"] == axis}
         for (curve, kind), published in TABLE_1.items():
@@ -99,9 +117,9 @@ def parameters(table: Table, fit: Fit, inverse: Model) -> None:
             ("model", "k1", "s", rows["k1"] * RATING_OVER / full),
             ("model", "b1", "", rows["b1"] / full),
             ("model", "k2", "s", rows["k2"]),
-            ("inverse", "k1'", "s", correction.k1[index] * full / RATING_OVER),
-            ("inverse", "b1'", "", correction.b1[index] / RATING_OVER),
-            ("inverse", "k2'", "s", correction.k2[index]),
+            ("inverse", "k1'", "s", k1[index] * full / RATING_OVER),
+            ("inverse", "b1'", "", b1[index] / RATING_OVER),
+            ("inverse", "k2'", "s", k2[index]),
         ):
             table.add("MHL Table 2", name, subject, key, unit, value, published=TABLE_2[key])
         delay = fit.report["steps"][index]["delay"]["tau"]
@@ -266,14 +284,14 @@ def feedback_effort(table: Table, tracked: Mapping[str, Mapping[str, Array]], pa
 
 def phases(table: Table, data: Dataset, scored: Sequence[slice], inverse: Model, rate_filter: Sequence[float]) -> None:
     """The lags of §4.4 at 100 Hz: of the mirror under the drive of Fig. 11, of Ψ' identified, and of N(s)."""
-    correction = next(stage for stage in inverse.chain.stages if stage.name == "parallel").branches[1][0]
+    k2 = cast(Sequence[float], rate_correction_of(inverse).k2)  # per axis
     s = 2j * np.pi * 100.0
     for index, axis in enumerate(data.axes):
         count = int(round(0.4 / data.sample_time))
         rows = slice(scored[index].stop - count, scored[index].stop)
         turn = np.exp(-s * data.sample_time * np.arange(count))
         lag = -np.degrees(np.angle((turn @ data.measurement[rows, index]) / (turn @ data.command[rows, index])))
-        lead = np.degrees(np.angle(s / (correction.k2[index] * s + 1.0)))
+        lead = np.degrees(np.angle(s / (k2[index] * s + 1.0)))
         table.add("MHL lags", f"100 Hz, axis {axis}", "mirror", "open loop", "deg", lag, published=LAGS["open loop"])
         table.add("MHL lags", f"100 Hz, axis {axis}", "inverse", "lead of Ψ'", "deg", lead, published=LAGS["lead of Ψ'"])
     lag = -np.degrees(np.angle(1.0 / np.polyval(np.asarray(rate_filter, dtype=float), s)))

@@ -40,7 +40,7 @@ def run_processes(
     ticks = len(reference)
     bag = folder / "bag"
     common = {"rate_hz": 1.0 / sample_time, "axes": list(axes), "unit": unit}
-    settings = {
+    settings: dict[str, dict[str, Any]] = {
         "reference_generator": {"signal": str(signal), "block": block, "lead": max(lead, block)},
         feedforward: {},
         "pi_feedback": {"feedback": False},

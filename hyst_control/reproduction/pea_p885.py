@@ -14,10 +14,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
+from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 from hyst_control.identify import identify
@@ -123,13 +125,15 @@ def nested_branches(command: Array, up: Callable[[float], float], down: Callable
 def other_branches(model: Model, record: Dataset, rule: str) -> Array:
     """The record (N,) as a Madelung model's curves predict it with another branch rule, under the record's own timing."""
     stage = model.chain.stages[0]
+    assert isinstance(stage, Madelung), f"{stage.name} has no branches"
     rising, falling = stage.curves(1)[0]
     full = float(rising(np.ones(1))[0])
     normalised = np.clip(record.command[:, 0] / stage.input_scale, 0.0, 1.0)
     turned = nested_branches(
         normalised, lambda x: float(rising(np.array([x]))[0]) / full, lambda x: float(falling(np.array([x]))[0]) / full, rule
     )
-    return stage.output_scale * full * np.concatenate([turned[:1], turned[:-1]])
+    output_scale = cast(float, stage.output_scale)  # of a single axis
+    return np.asarray(output_scale * full * np.concatenate([turned[:1], turned[:-1]]), dtype=np.float64)
 
 
 def with_delay(cycle: Dataset, record: Dataset) -> tuple[Prediction, float]:
@@ -150,14 +154,16 @@ def with_delay(cycle: Dataset, record: Dataset) -> tuple[Prediction, float]:
 def shifted(command: Array, delay: float) -> Array:
     """A closed cycle (N, 1), first and last sample alike, late by `delay` s, straight between the samples."""
     n = len(command) - 1
-    return np.interp(np.arange(n + 1) - delay / SAMPLE_TIME, np.arange(n + 1), command[:, 0], period=n)[:, None]
+    late: Array = np.interp(np.arange(n + 1) - delay / SAMPLE_TIME, np.arange(n + 1), command[:, 0], period=n)[:, None]
+    return late
 
 
 def odd_map(command: Array, highest: float, coefficients: Array) -> Array:
     """c + x + c3 x³ + c5 x⁵ + …, x the distance from mid-drive c in units of it: the input map of Hammerstein-like models."""
     center = 0.5 * highest
     x = (command - center) / center
-    return center * (1.0 + x + sum(value * x ** (2 * i + 3) for i, value in enumerate(coefficients)))
+    mapped: Array = center * (1.0 + x + sum(value * x ** (2 * i + 3) for i, value in enumerate(coefficients)))
+    return mapped
 
 
 def mapped_operators(cycle: Dataset, record: Dataset, count: int) -> Prediction:
@@ -232,7 +238,11 @@ def report_cycles(table: Table, available: Sequence[Dataset], nested: Dataset) -
     for case, rows in SCORED.items():
         measured = nested.measurement[rows, 0]
         errors = [score(measured, predict(identify([cycle], "madelung").model, nested)[rows]) for cycle in available[::4]]
-        for quantity, value in (("nrmse_mean", np.mean(errors)), ("nrmse_least", min(errors)), ("nrmse_greatest", max(errors))):
+        for quantity, value in (
+            ("nrmse_mean", float(np.mean(errors))),
+            ("nrmse_least", min(errors)),
+            ("nrmse_greatest", max(errors)),
+        ):
             table.add("P-885.91, every fourth cycle in turn", case, "Madelung, quintic", quantity, "%", value, n=len(errors))
 
 
