@@ -138,6 +138,10 @@ class RunningFeedbackErrorLearning:
             self._observed = max(self._observed, first + len(feedback))
 
 
+LARGEST = 1e9
+"""Voltage (V) beyond all drives to which rows are limited, so that no difference of two of them leaves the finite numbers."""
+
+
 @njit(cache=True)
 def _learn(feedforward: Array, feedback: Array, constants: Array, parameters: Array, state: Array) -> None:
     period, step, passed, least, least_slope, gain_bound, lag_bound = constants
@@ -146,6 +150,7 @@ def _learn(feedforward: Array, feedback: Array, constants: Array, parameters: Ar
             value, taught = feedforward[k, axis], feedback[k, axis]
             if not (np.isfinite(value) and np.isfinite(taught)):
                 continue
+            value, taught = min(max(value, -LARGEST), LARGEST), min(max(taught, -LARGEST), LARGEST)
             if np.isnan(state[0, axis]):
                 state[0, axis], state[1, axis], state[2, axis], state[3, axis], state[4, axis] = value, taught, 0.0, 0.0, 0.0
             state[0, axis] += passed * (value - state[0, axis])

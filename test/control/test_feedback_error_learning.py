@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hyst_control.chain import Chain
@@ -92,6 +92,7 @@ def test_a_constant_reference_for_hours_moves_nothing():
     ),
     st.integers(0, 10**6),
 )
+@example([1.797693124862316e308, -1e300, 0.0], 0)
 def test_wild_feedback_never_leaves_the_bounds(wild, seed):
     learner = FeedbackErrorLearning(TS, time=0.01, gain_bound=0.2, lag_bound=1e-3).start(1)
     feedforward = np.cumsum(np.random.default_rng(seed).standard_normal((len(wild), 1)), axis=0) * 10
