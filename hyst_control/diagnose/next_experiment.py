@@ -1,4 +1,4 @@
-"""What to measure next: the excitation that best separates the explanations that are still possible."""
+"""Choice of the next experiment: the excitation that best separates the explanations that are still possible."""
 
 from __future__ import annotations
 
