@@ -1,11 +1,11 @@
-"""Fitting a model with candidate effects to records, its scattered coefficients marginalised.
+"""Fitting a model with candidate effects to records, its scattered coefficients marginalized.
 
 The penalised misfit, all in units of the noise, for coefficients z with prior N(0, 1) and effect parameters x (scaled so that
 their broad prior is N(x0, 1)):
 
     Φ(z, x) = ½ ‖y - ŷ(z, x)‖² + ½ ‖z‖² + ½ ‖x - x0‖²
 
-is minimised by Gauss-Newton steps whose z-columns J = ∂ŷ/∂z are those of the nominal model: a scatter of a per cent changes them by
+is minimized by Gauss-Newton steps whose z-columns J = ∂ŷ/∂z are those of the nominal model: a scatter of a per cent changes them by
 a per cent, so a step leaves a per cent of the error, and only the effect's few columns are renewed. `refined` renews them all.
 """
 
@@ -56,7 +56,7 @@ class Solution:
     residual: Array
     covariance: Array
     information: Array
-    """(P, P): of x, z marginalised."""
+    """(P, P): of x, z marginalized."""
 
 
 class Linearised:

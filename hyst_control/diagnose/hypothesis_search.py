@@ -470,7 +470,7 @@ def _promising(
 def _after_step(
     linearised: Linearised, unknowns: Unknowns, pair: Candidate, member: Member, x: Array, settings: SearchSettings
 ) -> tuple[float, Array]:
-    """A linear step in the new effect's parameters from x, coefficients marginalised about the nominal ones: the misfit after it
+    """A linear step in the new effect's parameters from x, coefficients marginalized about the nominal ones: the misfit after it
     and where it leads."""
     nominal = np.zeros(linearised.count)
     simulated = linearised.simulate(nominal, unknowns, x)
@@ -496,7 +496,7 @@ def _after_step(
 
 
 def _misfit(linearised: Linearised, residual: Array) -> float:
-    """½ of a residual's squared size, coefficients marginalised."""
+    """½ of a residual's squared size, coefficients marginalized."""
     return 0.5 * float(residual @ linearised.unexplained(residual))
 
 

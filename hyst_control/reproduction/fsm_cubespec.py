@@ -3,8 +3,8 @@
 Floren, Peri, De Maeyer, De Munter, Vandepitte, Noel, "Data-driven state-space identification and nonlinearity assessment of the
 CubeSpec Fine Steering Mirror", ISMA-USD 2024.
 
-Three piezo actuators, three displacement sensors, three levels, six realisations of random-phase orthogonal multisines
-with two steady periods each. Models are fitted on realisations 1-4, chosen (number of states, law of the softening
+Three piezo actuators, three displacement sensors, three levels, six realizations of random-phase orthogonal multisines
+with two steady periods each. Models are fitted on realizations 1-4, chosen (number of states, law of the softening
 force) by their error on the fifth, and tested on the sixth, which takes part in nothing else. Every test is a simulation
 from the command alone: the period is run twice and the second run counts, so 8192 samples of initial transient are left
 out. The error is rms error / rms measurement, all three sensors and both measured periods together.
@@ -46,7 +46,7 @@ LEVELS = (100, 200, 300)
 FIT, SELECT, TEST = (0, 1, 2, 3), (4,), (5,)
 ORDERS = (46, 58, 64)
 LAWS = ((0.5,), (0.5, 1.0))
-"""Exponents of the softening force's terms among which the fifth realisation chooses."""
+"""Exponents of the softening force's terms among which the fifth realization chooses."""
 BANDS = (0, 500, 700, 1100, 1500, 2000, 3200)
 """Edges in Hz of the bands in which what is left is told."""
 PUBLISHED_OWN = {100: 8.4, 200: 8.0, 300: 5.6}

@@ -2,7 +2,7 @@
 
 Excite, record, identify in the paper's sequence and jointly, score on held-out loops, track open loop. The published figures are
 of the paper's actuator; the plant here is a simulated one like it, whose hysteresis and drag are not the model's own, and nothing
-is taken from its parameters. Its drag grows with the polarisation, and more while it rises: what HAMPI's dynamic weights are made
+is taken from its parameters. Its drag grows with the polarization, and more while it rises: what HAMPI's dynamic weights are made
 for. The second truth, Bouc-Wen hysteresis and a viscoelastic ladder, has nothing of the kind.
 
 The models of Fig. 11, those that track, and G(s) of Table 1 are identified at 50 V, in the paper's own sequence (§3.2: a step, loops

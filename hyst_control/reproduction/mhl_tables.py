@@ -221,7 +221,7 @@ def open_loop_responses(model: Model, data: Dataset, axis: int) -> tuple[Array, 
         Frequencies (F,) from 30 to 4000 Hz.
     measured
         Measured response (F,), mrad/V.
-    modelled
+    modeled
         Response of the model (F,), mrad/V.
     """
     command = data.command[:, axis]
