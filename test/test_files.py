@@ -62,7 +62,7 @@ def test_the_standard_output_by_its_name_takes_the_json_and_keeps_what_it_has(tm
         words = [sys.executable, "-c", "from hyst_control.cli import main; raise SystemExit(main())", "excite", "--list"]
         assert subprocess.run([*words, "--json", "/dev/stdout"], stdout=file, check=False).returncode == 0
     text = out.read_text()
-    assert '"schema": "hyst_control/excitations"' in text and "Each takes besides" in text
+    assert '"schema": "hyst_control/excitations"' in text and "cosine_ramp start stop duration" in text
 
 
 @pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])

@@ -6,7 +6,7 @@ result exact instead of approximate:
 - a delay commutes with every time-invariant stage, so it moves to the nearest linear stage, which carries its fraction of a
   sample exactly;
 - a linear stage distributes over parallel branches, so that a branch's own dynamics are not sampled in between;
-- neighbouring linear stages merge into one system;
+- neighboring linear stages merge into one system;
 - a lag of a held signal in front of a hysteresis (`effects.amplifier_lowpass`) bends it between the samples, and the hysteresis'
   output alike: it is followed at the samples, and bent on the way to what is linear behind.
 

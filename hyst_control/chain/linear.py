@@ -1,6 +1,6 @@
-"""Linear continuous-time stages, discretised exactly for the hold of the signal that enters them.
+"""Linear continuous-time stages, discretized exactly for the hold of the signal that enters them.
 
-A run of neighbouring linear stages and delays is one `LinearSystem` per axis (or one for all axes where a stage couples
+A run of neighboring linear stages and delays is one `LinearSystem` per axis (or one for all axes where a stage couples
 them), and is advanced by one matrix exponential: nothing is lost between its members, and a delay that is not a whole
 number of samples is exact too, because the held input is known between the samples.
 """

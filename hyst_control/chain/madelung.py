@@ -7,7 +7,7 @@ curves f0, g0 (MHL paper Eq. 1, 2) are moved to the turning point and scaled in 
     ascending from (a, y_a) towards (b, y_b):   y = y_a + (y_b - y_a) φ_up(u - a) / φ_up(b - a),   φ_up(d) = f0(d)
     descending from (b, y_b) towards (a, y_a):  y = y_b - (y_b - y_a) φ_dn(b - u) / φ_dn(b - a),   φ_dn(d) = F - g0(1 - d)
 
-with F = f0(1) = g0(1). Inputs are normalised to 0…1; beyond the ends of the major loop the curve continues straight, with its
+with F = f0(1) = g0(1). Inputs are normalized to 0…1; beyond the ends of the major loop the curve continues straight, with its
 slope there, and remembers nothing. The first curve from rest is the ascending one.
 """
 
@@ -58,7 +58,7 @@ def madelung_branches(
 ) -> int:
     """Follow one axis from row `start`; returns the row reached, less than N only when the stack is full.
 
-    source (N,), output (N,) normalised: input → output, or output → input with `inverse`. rising_breaks, rising and
+    source (N,), output (N,) normalized: input → output, or output → input with `inverse`. rising_breaks, rising and
     falling_breaks, falling: the curves φ_up and φ_dn. full = F; end_slope (2,) slopes dy/du at 0 and 1. stack (capacity, 2)
     turning points (u, y); stack_depth (1,) and last (3,) = (u, y, direction) are updated.
     """
@@ -182,7 +182,7 @@ class MadelungFilter(Filter):
 
 @remembered
 def full_output(curve: Curve) -> float:
-    """Value of a curve at the end of the normalised input."""
+    """Value of a curve at the end of the normalized input."""
     return float(curve(np.ones(1))[0])
 
 
@@ -218,7 +218,7 @@ def end_slope(curve: Curve, x: float) -> float:
 class Madelung(Stage):
     """Rate-independent hysteresis from the major loop's curves (MHL paper §2.1); see the module.
 
-    ascending, descending: coefficients p_n … p_1 of polynomials in the normalised input u / input_scale, or, with `knots`
+    ascending, descending: coefficients p_n … p_1 of polynomials in the normalized input u / input_scale, or, with `knots`
     (increasing from 0 to 1), the values of monotone piecewise cubics there. input_scale V; output_scale measurement unit.
     ascending(1) = descending(1). With `inverse` the stage runs from output to input.
     """

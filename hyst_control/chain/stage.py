@@ -147,7 +147,7 @@ class Stage:
 
     @property
     def linear(self) -> bool:
-        """True for a linear continuous-time system (see `chain.linear`), which may be merged with its neighbours."""
+        """True for a linear continuous-time system (see `chain.linear`), which may be merged with its neighbors."""
         return False
 
     @property

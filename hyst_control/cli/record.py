@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> Artifacts | int:
     for topic in metadata["rosbag2_bagfile_information"]["topics_with_message_count"]:
         name, count = topic["topic_metadata"]["name"], topic["message_count"]
         made.lines.append(
-            f"{name}: {count} messages" if count else f"{name}: nothing was heard: does its node run, under this name?"
+            f"{name}: {count} messages" if count else f"{name}: nothing was received: check that its node runs under this name"
         )
         made.add(name, "messages", "", count)
     return made

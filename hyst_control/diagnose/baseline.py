@@ -1,13 +1,16 @@
-"""Clean records beside the new one: what a model leaves on them is its own error, and no gap.
+"""Baseline of a diagnosis: clean records, on which a model's residual is its own error and not a gap.
 
-Where a clean record has the same command, up to a shift, the error is carried over sample by sample:
+A clean record is one that was measured when the plant was known to be healthy. If one has the same command as the new record, up to a
+time shift, the model's error on it is carried over sample by sample:
 
     predicted new record = E_out( y_clean + [ M_E(u_new) - M(u_clean) ] ) + zero(t)
 
-with E_out the sensor's effects, which act on the machine's whole output, and M_E the model with the effects of its drive. The
-coefficients' error cancels with the rest. Without a model the clean record alone says what the sensor's side should show.
+E_out are the sensor's effects, which act on the plant's whole output; M is the model, and M_E the model with the effects of the
+drive. The error of the model's coefficients cancels in the difference. Without a model, the clean record alone is the prediction, and
+only effects behind the mechanics can be found.
 
-Where no clean record has that command, the size of what the model leaves on the clean ones is an error that it states of itself.
+If no clean record has the same command, only the size of the model's error is known: the rms of its residual on the clean records, or
+the discrepancy that the model file states.
 """
 
 from __future__ import annotations
@@ -29,12 +32,12 @@ from hyst_control.records.record import Record
 from hyst_control.records.session_zero import SHAPES, without_zero
 
 LOW_SHARE = 0.02
-"""Share of a command's power below its lowest excited frequency."""
+"""Share of a command's power that lies below what counts as its lowest frequency."""
 
 
 @dataclass(frozen=True)
 class Match:
-    """Clean record with the same command: row k of the new record is row k + shift of the clean one, for k in begin … end."""
+    """Clean record with the same command: row k of the new record matches row k + shift of the clean one, for begin ≤ k < end."""
 
     clean: Piece
     shift: int
@@ -44,23 +47,23 @@ class Match:
 
 @dataclass(frozen=True)
 class Baseline:
-    """Clean records as a diagnosis uses them.
+    """Baseline of one problem: its model extended by the model's known error, and the size of that error.
 
     Parameters
     ----------
     problem : Problem
-        The new records, their model with what the clean ones taught.
+        The new records; their model has stages for the known error and the session's zero.
     carried : bool
-        Whether the model's error is carried sample by sample.
+        True when the model's error is carried over sample by sample.
     repeatability : ndarray, shape (A,)
-        Error (rms, measurement unit) between clean records of one command, or periods of one; of the model on clean records where
-        no command is the same; 0 where a single clean record tells nothing.
+        Rms difference between clean records of the same command, or between periods of one, measurement unit; rms of the model's
+        error if no clean record has that command; 0 if there is only one clean record and its command has no period.
     usual_zero : ndarray, shape (A, 3)
-        Largest zero, drift and curvature between clean records; NaN where there is but one.
+        Largest zero, drift and curvature between clean records, measurement unit; NaN if there is only one.
     floor : ndarray, shape (A,)
-        Rms (measurement unit) that an effect must take off to be told from what the clean records show.
+        Rms that an effect must remove from the residual to be named at all, measurement unit.
     clean : Problem or None
-        The clean records; None where the model file alone says what was left on them.
+        The clean records; None if the model file's discrepancy is used instead.
     """
 
     problem: Problem
@@ -72,12 +75,12 @@ class Baseline:
 
 
 def no_model(record: Record) -> Model:
-    """Make the model of a plant that nobody has modeled: it says 0, and the clean record all there is to say.
+    """Make a placeholder for a missing model: its output is 0, so that the clean record alone is the prediction.
 
     Parameters
     ----------
     record : Record
-        With command and measurement.
+        Record with command and measurement.
 
     Returns
     -------
@@ -86,7 +89,7 @@ def no_model(record: Record) -> Model:
     Raises
     ------
     InputError
-        Where the record lacks a signal.
+        If the record lacks a signal.
     """
     command, measurement = record.signal("command"), record.signal("measurement")
     units = {"command": command.unit, "measurement": measurement.unit}
@@ -95,7 +98,7 @@ def no_model(record: Record) -> Model:
 
 
 def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) -> Baseline:
-    """Take what clean records teach into a problem.
+    """Make the baseline of a problem from clean records.
 
     Parameters
     ----------
@@ -121,7 +124,7 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
 
 
 def with_discrepancy(problem: Problem, settings: BaselineSettings) -> Baseline:
-    """Take into a problem what its model left on the records that it was identified from, as its file says.
+    """Make the baseline of a problem from the discrepancy that its model file states, instead of from clean records.
 
     Parameters
     ----------
@@ -142,7 +145,7 @@ def with_discrepancy(problem: Problem, settings: BaselineSettings) -> Baseline:
 
 
 def _beside_own_error(problem: Problem, error: Array, usual: Array, clean: Problem | None, settings: BaselineSettings) -> Baseline:
-    """A model whose own error (A,) is known by its size alone."""
+    """Make the baseline of a model whose own error is known by its size (A,) alone; `usual` is the zero between clean records."""
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     noise = np.broadcast_to(np.atleast_1d(np.asarray(problem.model.noise.get("sigma", 0.0), dtype=float)), error.shape)
     stages = (*problem.model.chain.stages, _zero(problem, spans, settings))
@@ -192,9 +195,9 @@ def matching(command: Array, clean: Sequence[Piece], settings: BaselineSettings)
     Parameters
     ----------
     command : ndarray, shape (N, A)
-        Of the new record, V.
+        Command of the new record, V.
     clean : sequence of Piece
-        Candidates.
+        Clean records to search.
     settings : BaselineSettings
         Values of the configuration.
 
@@ -223,7 +226,7 @@ def _same(one: Array, other: Array, settings: BaselineSettings) -> bool:
 
 
 def _shift(command: Array, other: Array, least: int) -> int:
-    """Shift of the smallest mean square difference between two commands, over overlaps of at least so many rows."""
+    """Shift with the least mean square difference between two commands; the overlap has at least `least` rows."""
     rows, shifts = len(command), np.arange(-(len(command) - 1), len(other))
     begin, end = np.maximum(0, -shifts), np.minimum(rows, len(other) - shifts)
     squares = [np.concatenate([[0.0], np.cumsum(np.sum(values**2, axis=1))]) for values in (command, other)]
@@ -236,7 +239,7 @@ def _shift(command: Array, other: Array, least: int) -> int:
 
 
 def _between_periods(command: Array, error: Array, settings: BaselineSettings) -> list[Array]:
-    """Differences (N, A) between neighboring periods of a periodic command; none where it is not."""
+    """Differences (N, A) of the error between successive periods of a periodic command; empty if it is not periodic."""
     rows = command - command.mean(axis=0)
     total = np.sum([correlate(rows[:, axis], rows[:, axis], mode="full", method="fft") for axis in range(rows.shape[1])], axis=0)
     right = total[len(rows) :]  # from lag 1 on
@@ -258,7 +261,7 @@ def _simulated(problem: Problem, index: int, piece: Piece) -> Array:
 
 
 def _slowest(problem: Problem) -> float:
-    """Lowest frequency (Hz) of the command: a fiftieth of its power lies below."""
+    """Lowest frequency (Hz) of the commands; the share `LOW_SHARE` of their power lies below it."""
     found = []
     for piece in problem.pieces:
         rows = (piece.command - piece.command.mean(axis=0)) * np.hanning(len(piece.command))[:, None]

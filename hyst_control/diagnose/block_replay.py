@@ -21,7 +21,7 @@ class Block:
 
     @property
     def faithful(self) -> bool:
-        """Whether it did what it should."""
+        """True when the block's output is exactly as it should be."""
         return self.rms == 0.0
 
 

@@ -1,4 +1,7 @@
-"""A whole diagnosis: records and a model in, what the gap is and what explains it out."""
+"""Diagnosis of records against a model: the gap between measurement and simulation, and the effects that explain it.
+
+`problem_of` turns records into a problem, `diagnose` runs all steps on it: noise, record checks, threshold, search, evidence, decision.
+"""
 
 from __future__ import annotations
 
@@ -47,15 +50,15 @@ class AxisDiagnosis:
     linearised : Linearised
         The problem with the columns of its coefficients.
     found : Found
-        Fits of all hypotheses.
+        Result of the search, with the fits of all hypotheses.
     hypotheses : tuple of Scored
-        The same, in the order of the evidence.
+        Hypotheses in the order of the evidence.
     evidence : Evidence
         Numbers that the decision is based on.
     decision : Decision
-        Verdict, reasons, and what is named.
+        Verdict, its reasons, and the effects that are named.
     baseline : Baseline, optional
-        Clean records, as they were used.
+        Clean records or stated discrepancy that were used.
 
     """
 
@@ -75,16 +78,16 @@ class AxisDiagnosis:
 
     @property
     def listed(self) -> tuple[Scored, ...]:
-        """Explanations that the data cannot tell from it, best first, itself among them."""
+        """Explanations that the data cannot distinguish from the best one, best first, including it."""
         return tuple(self.hypotheses[index] for index in self.decision.listed)
 
     @property
     def coefficients(self) -> Array:
-        """Coefficients (K,) of the best explanation, in tolerances from the nominal ones."""
+        """Deviations (K,) of the best explanation's coefficients from the nominal ones, in tolerances."""
         return self.chosen.solution.z * self.chosen.tolerances
 
     def gap(self) -> Array:
-        """Gap of the model as it is given.
+        """Compute the gap of the nominal model.
 
         Returns
         -------
@@ -104,15 +107,15 @@ class Diagnosis:
     model : Model
         Nominal model.
     problem : Problem
-        The whole problem, which the parts were split from.
+        Problem of all axes.
     parts : tuple of AxisDiagnosis
-        One an axis, or one for all where the model mixes them.
+        One per axis, or a single one if the model mixes the axes.
     notes : tuple of str
-        Sentences on the records.
+        Remarks on the records, one sentence each.
     seed : int
-        Of everything drawn at random.
+        Seed of all random numbers.
     configuration : Configuration
-        All values.
+        Settings of the diagnosis.
 
     """
 
@@ -140,23 +143,23 @@ def diagnose(
     Parameters
     ----------
     records : sequence of Record
-        With command and measurement.
+        Records with command and measurement.
     model : Model or None
-        Nominal model; without one the clean records say what is to be expected, of the same command and from the sensor's side.
+        Nominal model; None: a clean record of the same command is the prediction, and only effects behind the mechanics are tried.
     seed : int
-        Of everything drawn at random.
+        Seed of all random numbers.
     without : sequence of str
-        Effects left out of the catalogue.
+        Names of effects that are not tried.
     cache : bool
-        Whether the null's threshold is kept between runs.
+        True to keep the threshold of the null distribution between runs.
     progress : callable
-        Is told what is being done.
+        Called with the name of each step.
     warm_up : float
-        s, as in `problem_of`.
+        Beginning of each record that is simulated but not counted, s; see `problem_of`.
     configuration : Configuration
-        All values.
+        Settings of the diagnosis.
     baseline : sequence of Record
-        Clean records of the same plant, or of its sisters.
+        Clean records of the same plant, or of plants of the same type.
 
     Returns
     -------
@@ -165,7 +168,7 @@ def diagnose(
     Raises
     ------
     InputError
-        Where the records cannot be used.
+        If the records cannot be used.
 
     """
     bare = model is None
@@ -195,30 +198,30 @@ def diagnose(
 def problem_of(
     records: Sequence[Record], model: Model, warm_up: float = 0.0, configuration: Configuration = CONFIGURATION
 ) -> tuple[Problem, list[str]]:
-    """Make pieces of one problem from records.
+    """Make one problem from records, cut into gapless pieces, and estimate its noise.
 
     Parameters
     ----------
     records : sequence of Record
-        With command and measurement.
+        Records with command and measurement.
     model : Model
         Nominal model.
     warm_up : float
-        s at the beginning of each record that bring the simulation into the plant's state and do not count, for records that do not
-        begin at rest.
+        Beginning of each record that is simulated but not counted, s; needed for records that do not begin at rest.
     configuration : Configuration
-        All values.
+        Settings of the diagnosis.
 
     Returns
     -------
     problem : Problem
+        All pieces, with the noise of each axis.
     notes : list of str
-        Sentences on what was met in the records.
+        Remarks on the records, one sentence each.
 
     Raises
     ------
     InputError
-        Where the records cannot be used.
+        If the records cannot be used.
 
     """
     least_rows = configuration.record.least_rows
@@ -245,7 +248,7 @@ def problem_of(
                 raise InputError(f"{record.source}: the command never moves: record with an excitation")
             keep = None
             if i or stretch is not stretches[0]:
-                # The memory of the hysteresis has to fill first.
+                # The piece does not begin at rest: its first rows fill the hysteresis' memory and do not count.
                 keep = np.arange(len(command)) >= len(command) // configuration.record.memory_part
             elif warm_up:
                 keep = np.arange(len(command)) >= round(warm_up / stretch.sample_time)
@@ -280,21 +283,21 @@ def _residuals(problem: Problem) -> Array:
 
 
 def _with_noise(problem: Problem, residuals: Array, configuration: Configuration) -> Problem:
-    """The same problem with the noise (A,) that the residuals' upper spectrum has."""
+    """The same problem with the noise (A,) estimated from the upper end of the residuals' spectrum."""
     measured = np.concatenate([piece.measurement for piece in problem.pieces])
     stated, sigma = stated_noise(problem.model), []
     for axis in range(residuals.shape[1]):
         lattice = lattice_of(measured[:, axis], configuration.checks)
-        # At rest a lattice hides the noise.
+        # On a quantized measurement, stretches at rest hide the noise.
         noise = white_noise(problem, residuals, axis, configuration.noise, rests=not lattice)
-        # Rounding adds to the noise; it follows the signal, so that the upper spectrum shows little of it.
+        # The rounding error counts as noise too, but it follows the signal: the upper spectrum shows little of it.
         rounded = float(np.hypot(lattice / np.sqrt(12.0), stated[axis])) if lattice else 0.0
         sigma.append(max(noise, configuration.noise.least * float(np.ptp(measured[:, axis])), rounded, 1e-12))
     return replace(problem, sigma=np.array(sigma))
 
 
 def _beside(problem: Problem, clean: Problem | None, configuration: Configuration) -> Baseline | None:
-    """What clean records, or else the model file, say of the model's own error."""
+    """Baseline from clean records, or else from the model file's discrepancy; None without either."""
     if clean is not None:
         return with_baseline(problem, clean, configuration.baseline)
     return with_discrepancy(problem, configuration.baseline) if problem.model.discrepancy else None
@@ -335,7 +338,7 @@ def _axis(
     record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
     findings = detected(record, checks, thresholds)
     suggested = lines(problem, linearised.unexplained(none.residual), configuration.checks)
-    # The first estimate of the noise still had the gap's own leakage in it.
+    # The first noise estimate still contained spectral leakage from the gap.
     problem = _with_noise(problem, problem.rows(none.residual), configuration)
     repeated = [finding.axis for finding in findings if finding.check is RecordCheck.REPEATED_VALUES]
     problem = _without_repeats(problem, repeated)
@@ -371,7 +374,7 @@ def _axis(
 
 
 def _shown_clean(clean: Problem, checks: frozenset[RecordCheck], configuration: Configuration) -> frozenset[RecordCheck]:
-    """Checks that find their effect in clean records too: it is usual there."""
+    """Checks that find their effect in the clean records too, where it is normal."""
     record = record_evidence(clean, _residuals(clean), configuration.checks, configuration.noise)
     return frozenset(finding.check for finding in detected(record, checks, configuration.policy))
 
@@ -391,14 +394,14 @@ def _outlier_notes(part: AxisDiagnosis) -> list[str]:
 
 
 def _floor(problem: Problem, stated: Array, configuration: Configuration) -> float:
-    """Practical size on a problem."""
+    """Least rms that matters in practice, in units of the noise."""
     measured = np.concatenate([piece.measurement for piece in problem.pieces])
     steps = np.array([lattice_of(column, configuration.checks) for column in measured.T])
     return practical_floor(np.ptp(measured, axis=0), steps, stated, problem.sigma, configuration.policy)
 
 
 def _without_repeats(problem: Problem, axes: Sequence[int]) -> Problem:
-    """The same problem without the rows that only repeat the one before on these axes: they say nothing of the plant."""
+    """The same problem without the rows that repeat the row before on one of these axes: they hold no new measurement."""
     if not axes:
         return problem
     pieces = []

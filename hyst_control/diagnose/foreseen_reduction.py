@@ -1,7 +1,8 @@
-"""How far the gap will shrink on a command that has not been played yet: from the fitted explanation alone, before it is measured.
+"""Predicted gap reduction on a command that has not been played yet.
 
-What a record shows of an effect depends on what it excites, and so does the shrink. On another command both gaps are those between
-models: the nominal and the augmented one against what was fitted, effects and coefficients together.
+A record shows only those effects that its command excites, so the gap shrinks differently on another command. No measurement of that
+command exists; the fitted model, effects and coefficients together, takes its place. The gaps of the nominal and of the augmented
+model are computed against it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where the gap lies: its energy by kind, frequency band, amplitude, axis and time span, each share with a 90 % interval."""
+"""Gap budget: energy of the gap by kind, frequency band, amplitude, axis and time span, each share with a 90 % interval."""
 
 from __future__ import annotations
 

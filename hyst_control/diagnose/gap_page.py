@@ -126,7 +126,24 @@ def _title(index: int, axis: str, pieces: int, diagnosis: Diagnosis) -> str:
 
 
 def envelope(time: Array, values: Array, bins: int = BINS) -> tuple[Array, Array]:
-    """Time and values (2 bins,) at the least and greatest sample of every bin, in order; all of a short signal."""
+    """Thin a signal to the least and greatest sample of every bin, in order; a short signal is kept whole.
+
+    Parameters
+    ----------
+    time : ndarray, shape (N,)
+        Time, s.
+    values : ndarray, shape (N,)
+        Signal, any unit.
+    bins : int
+        Number of bins.
+
+    Returns
+    -------
+    time
+        Times (2 bins,) of the kept samples, s, as float32.
+    values
+        Kept samples (2 bins,), as float32.
+    """
     if len(values) <= 2 * bins:
         return time.astype(np.float32), values.astype(np.float32)
     edges = np.linspace(0, len(values), bins + 1).astype(int)
@@ -183,8 +200,20 @@ def _waterfall(diagnosis: Diagnosis, document: Mapping[str, Any]) -> go.Figure:
 
 
 def steps(diagnosis: Diagnosis) -> tuple[list[str], Array]:
-    """Effects of the best explanation, the largest share first, and the mean squared residual as given, with each more of them,
-    and with fitted coefficients as well; over all samples of all axes."""
+    """Compute the mean squared residual as the effects of the best explanation are added one by one.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        Diagnosis of all axes.
+
+    Returns
+    -------
+    names
+        Effects (E,), the largest share first.
+    energies
+        Mean squares (E + 2,) over all axes: no effect, each more of them, and fitted coefficients as well.
+    """
     size: dict[str, float] = {}
     for part in diagnosis.parts:
         chosen = part.chosen

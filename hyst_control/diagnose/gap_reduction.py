@@ -1,9 +1,9 @@
-"""How far the gap shrinks once an explanation is added: on blocks that neither chose nor fitted it, toward the noise floor.
+"""Gap reduction by an explanation, on blocks of the record that neither chose nor fitted it, relative to the noise floor.
 
     shrink = 1 - (E_after² - floor²) / (E_before² - floor²)
 
 raw: the nominal model as given before, and with the effects added after; re-identified: its coefficients fitted within their
-tolerance on both sides. Fitted on every other block, evaluated on the rest, both ways round.
+tolerance on both sides. Every other block is fitted and the rest evaluated; then the two sets of blocks change roles.
 """
 
 from __future__ import annotations

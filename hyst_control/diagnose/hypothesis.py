@@ -38,25 +38,28 @@ class Member:
 
     @property
     def name(self) -> str:
+        """Name of the effect in the catalogue."""
         return self.effect.name
 
     @property
     def is_line(self) -> bool:
+        """True for an effect that shows as a line in the spectrum."""
         return self.effect.line is not None
 
     @property
     def line(self) -> Line:
-        """Form in the spectrum, of a line."""
+        """Shape of the line in the spectrum; only for an effect that is a line."""
         assert self.effect.line is not None, f"{self.name} is no line"
         return self.effect.line
 
     @property
     def is_extra(self) -> bool:
-        """True where it is added to the output instead of standing in the chain."""
+        """True when the effect is added to the output instead of being inserted into the chain."""
         return self.is_line or (self.effect.couples and len(self.problem.model.axes) == 1)
 
     @property
     def place(self) -> str:
+        """Place in the signal chain, such as "dac"."""
         return self.elsewhere or self.effect.place
 
     @property
@@ -65,12 +68,23 @@ class Member:
         return self.name, self.axis, round(self.frequency)
 
     def excludes(self, other: Member) -> bool:
-        """True where they make no combination: two of one kind, or an effect on all axes alike and once more on one of them."""
+        """True when two members cannot be combined: the same effect twice, or on all axes and again on one of them.
+
+        Parameters
+        ----------
+        other : Member
+            The other member.
+
+        Returns
+        -------
+        bool
+        """
         everywhere = len(self.problem.model.axes) > 1 and None in (self.axis, other.axis)
         return self.variant == other.variant or self.name == other.name and everywhere
 
     @property
     def size(self) -> int:
+        """Number P of scaled parameters."""
         return 2 * len(self.line.harmonics) * self.line.swells + 1 if self.is_line else len(self.parameters)
 
     def starts(self) -> list[Array]:
@@ -97,7 +111,17 @@ class Member:
         return lower, upper, centre
 
     def values(self, x: Array) -> dict[str, float]:
-        """Parameter values, by the names of the gap report."""
+        """Convert scaled parameters to values, under the names of the gap report.
+
+        Parameters
+        ----------
+        x : ndarray, shape (P,)
+            Scaled parameters.
+
+        Returns
+        -------
+        dict of str to float
+        """
         if self.is_line:
             swells = self.line.swells
             # Mean square of the swelling amplitude: that of a Legendre polynomial of degree i is 1 / (2 i + 1).
@@ -114,7 +138,18 @@ class Member:
         return {p.name: unit if p.unit == "unit" else p.unit for p in self.effect.parameters(self.problem.surroundings)}
 
     def stage(self, x: Array) -> Stage:
-        """The stage for scaled parameters."""
+        """Build the effect's stage for scaled parameters.
+
+        Parameters
+        ----------
+        x : ndarray, shape (P,)
+            Scaled parameters.
+
+        Returns
+        -------
+        Stage
+            Stage for all axes; other axes than the member's have the effect absent.
+        """
         values: dict[str, Any] = self.values(x)
         count = len(self.problem.model.axes)
         if self.axis is not None and count > 1:
@@ -123,11 +158,33 @@ class Member:
         return self.effect.stage(values, self.problem.surroundings)
 
     def extra(self, x: Array) -> Array:
-        """Part that is added to the output, flat, in units of the noise."""
+        """Compute the part that is added to the output.
+
+        Parameters
+        ----------
+        x : ndarray, shape (P,)
+            Scaled parameters.
+
+        Returns
+        -------
+        ndarray, shape (M,)
+            All pieces and axes, in units of the noise.
+        """
         return self._lines(x) if self.is_line else self._coupled(x)
 
     def extra_columns(self, x: Array) -> Array:
-        """∂extra/∂x, (M, P)."""
+        """Derivatives ∂extra/∂x of the part that is added to the output.
+
+        Parameters
+        ----------
+        x : ndarray, shape (P,)
+            Scaled parameters.
+
+        Returns
+        -------
+        ndarray, shape (M, P)
+            In units of the noise.
+        """
         if self.is_line:
             return self._line_columns(x)
         base, (_, upper, _) = self.extra(x), self.bounds()
@@ -214,6 +271,7 @@ class Candidate:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names of the effects, in signal order."""
         return tuple(member.name for member in self.members)
 
     def starts(self) -> list[Array]:
@@ -221,7 +279,7 @@ class Candidate:
         return self.members[0].starts()
 
     def slices(self) -> list[slice]:
-        """Which scaled parameters are whose."""
+        """Slice of the scaled parameters that belongs to each member."""
         edges = np.cumsum([0, *(member.size for member in self.members)])
         return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
 
@@ -249,12 +307,34 @@ class Candidate:
         return Unknowns(stages, extra, lower, upper, centre, extra_columns=extra_columns)
 
     def with_member(self, member: Member) -> Candidate:
-        """Together with another effect, in signal order."""
+        """Add an effect, in signal order.
+
+        Parameters
+        ----------
+        member : Member
+            The effect to add.
+
+        Returns
+        -------
+        Candidate
+            New candidate; this one does not change.
+        """
         order = list(EFFECTS)
         return Candidate(tuple(sorted((*self.members, member), key=lambda found: order.index(found.name))))
 
     def without(self, index: int) -> Candidate:
-        """Without one of its effects."""
+        """Remove one effect.
+
+        Parameters
+        ----------
+        index : int
+            Index of the effect among the members.
+
+        Returns
+        -------
+        Candidate
+            New candidate; this one does not change.
+        """
         return Candidate(tuple(member for i, member in enumerate(self.members) if i != index))
 
 

@@ -1,11 +1,11 @@
-"""Fitting a model with candidate effects to records, its scattered coefficients marginalised.
+"""Fitting a model with candidate effects to records, its scattered coefficients marginalized.
 
 The penalised misfit, all in units of the noise, for coefficients z with prior N(0, 1) and effect parameters x (scaled so that
 their broad prior is N(x0, 1)):
 
     Φ(z, x) = ½ ‖y - ŷ(z, x)‖² + ½ ‖z‖² + ½ ‖x - x0‖²
 
-is minimised by Gauss-Newton steps whose z-columns J = ∂ŷ/∂z are those of the nominal model: a scatter of a per cent changes them by
+is minimized by Gauss-Newton steps whose z-columns J = ∂ŷ/∂z are those of the nominal model: a scatter of a per cent changes them by
 a per cent, so a step leaves a per cent of the error, and only the effect's few columns are renewed. `refined` renews them all.
 """
 
@@ -56,7 +56,7 @@ class Solution:
     residual: Array
     covariance: Array
     information: Array
-    """(P, P): of x, z marginalised."""
+    """(P, P): of x, z marginalized."""
 
 
 class Linearised:
@@ -89,7 +89,18 @@ class Linearised:
         return np.zeros_like(self.nominal)
 
     def unexplained(self, vectors: Array) -> Array:
-        """Vectors (M, P) without what the scattered coefficients explain of them, shrunk by their prior."""
+        """Remove from vectors what the scattered coefficients explain, shrunk by their prior.
+
+        Parameters
+        ----------
+        vectors : ndarray, shape (M,) or (M, P)
+            In units of the noise.
+
+        Returns
+        -------
+        ndarray
+            The rest, of the same shape.
+        """
         return vectors - self.columns @ cho_solve(self.factor, self.columns.T @ vectors) if self.count else vectors
 
     def companions(self, z: Array) -> Array:
@@ -97,6 +108,22 @@ class Linearised:
         return z * self.scatter.companions if self.count else z
 
     def simulate(self, z: Array, unknowns: Unknowns | None = None, x: Array | None = None) -> Array:
+        """Simulate all records.
+
+        Parameters
+        ----------
+        z : ndarray, shape (K,)
+            Nuisance coefficients, in standard deviations.
+        unknowns : Unknowns or None
+            Parameters to fit besides z; None: z alone.
+        x : ndarray of shape (P,) or None
+            Scaled parameters of the unknowns; unused without them.
+
+        Returns
+        -------
+        ndarray, shape (M,)
+            Output with the unknowns' effects, in units of the noise.
+        """
         stages = self.scatter.at(z)
         if unknowns is None:
             return self.problem.simulate(stages)
@@ -114,9 +141,31 @@ def fit(
     measured: Array | None = None,
     weight: Array | None = None,
 ) -> Solution:
-    """Minimise Φ from z (0 unless given) and x = start. measured: in place of the record's own; weight (M,): 0 or 1 per value.
+    """Minimize Φ over z and x by damped Gauss-Newton steps.
 
-    A step that does not lower Φ is halved a few times, then the fit ends where it is.
+    A step that does not lower Φ is shortened a few times; the fit then ends at the last point.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem and columns of its coefficients.
+    unknowns : Unknowns or None
+        Parameters to fit besides z; None: z alone.
+    start : ndarray of shape (P,) or None
+        Start of x, clipped to its bounds.
+    z : ndarray of shape (K,) or None
+        Start of z; None: 0.
+    rounds : int
+        Largest number of steps.
+    measured : ndarray of shape (M,) or None
+        Replaces the record's own measurement, in units of the noise.
+    weight : ndarray of shape (M,) or None
+        1 for values that count, 0 for others; None: all count.
+
+    Returns
+    -------
+    Solution
+        Point with the least Φ that was reached.
     """
     y = linearised.measured if measured is None else measured
     x = np.zeros(0)
@@ -221,7 +270,24 @@ def _within(normal: Array, right: Array, step: Array, x: Array, unknowns: Unknow
 
 
 def refined(linearised: Linearised, unknowns: Unknowns | None, solution: Solution, rounds: int = 4) -> Solution:
-    """A fit gone on with columns taken where it ended, until that gains nothing more."""
+    """Continue a fit with columns taken at its end, until that gains nothing more.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with columns at the nominal coefficients.
+    unknowns : Unknowns or None
+        Parameters to fit besides z; None: z alone.
+    solution : Solution
+        Fit to continue.
+    rounds : int
+        Largest number of new linearizations.
+
+    Returns
+    -------
+    Solution
+        The better of the old and the new fit.
+    """
     for _ in range(rounds):
         try:
             here = Linearised(linearised.problem, linearised.scatter, solution.z, unknowns, solution.x)

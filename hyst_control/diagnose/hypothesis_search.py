@@ -1,11 +1,11 @@
-"""Which effect: every candidate fitted and weighed against the nominal model, then combinations by a beam search.
+"""Search for the effects that explain a gap: every candidate against the nominal model, then combinations by a beam search.
 
 The weight of a candidate is its evidence (Laplace) relative to "no effect":
 
     score = τ (Φ_0 - Φ_c) - ½ log det(1 + τ (I_c - 1)) - log(number of alternatives)
 
-τ ≤ 1 tempers the misfit where even the best explanation leaves more than noise: what is left is the same kind of thing all
-along the record, so its samples do not count as independent.
+τ ≤ 1 reduces the weight of the misfit when even the best explanation leaves more than noise: that residual is correlated along
+the record, so its samples are not independent.
 """
 
 from __future__ import annotations
@@ -470,7 +470,7 @@ def _promising(
 def _after_step(
     linearised: Linearised, unknowns: Unknowns, pair: Candidate, member: Member, x: Array, settings: SearchSettings
 ) -> tuple[float, Array]:
-    """A linear step in the new effect's parameters from x, coefficients marginalised about the nominal ones: the misfit after it
+    """A linear step in the new effect's parameters from x, coefficients marginalized about the nominal ones: the misfit after it
     and where it leads."""
     nominal = np.zeros(linearised.count)
     simulated = linearised.simulate(nominal, unknowns, x)
@@ -496,7 +496,7 @@ def _after_step(
 
 
 def _misfit(linearised: Linearised, residual: Array) -> float:
-    """½ of a residual's squared size, coefficients marginalised."""
+    """½ of a residual's squared size, coefficients marginalized."""
     return 0.5 * float(residual @ linearised.unexplained(residual))
 
 

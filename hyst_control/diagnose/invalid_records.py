@@ -102,7 +102,20 @@ def _document(trials: Sequence[Trial], model: Model, found: Sequence[Finding]) -
 
 
 def write_invalid_page(path: str, document: dict[str, Any]) -> None:
-    """Write the report's page. Raises `InputError` where it cannot be written."""
+    """Write the report's page on records that are not diagnosed.
+
+    Parameters
+    ----------
+    path : str
+        HTML file to write.
+    document : dict of str to object
+        Gap report with `invalid_records` and `notes`.
+
+    Raises
+    ------
+    InputError
+        Where the page cannot be written.
+    """
     from pathlib import Path
 
     from hyst_control.reporting.html_page import Page

@@ -1,4 +1,4 @@
-"""What to measure next: the excitation that best separates the explanations that are still possible."""
+"""Choice of the next experiment: the excitation that best separates the explanations that are still possible."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def _channel(rivals: Sequence[Scored]) -> str:
 
 
 def _distance(part: AxisDiagnosis, rivals: Sequence[Scored], command: Array) -> float:
-    """The smallest distance between two rivals' predictions, coefficients marginalised."""
+    """The smallest distance between two rivals' predictions, coefficients marginalized."""
     problem = part.problem
     axes = list(part.axes)
     others = None if problem.pieces[0].others is None else np.zeros((len(command), problem.pieces[0].others.shape[1]))

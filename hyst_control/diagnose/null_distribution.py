@@ -1,8 +1,8 @@
-"""What the best candidate scores when there is no gap: the threshold for any claim.
+"""Null distribution: the best candidate's score on records without a gap, and the threshold for any claim.
 
-With tens of thousands of samples an information criterion is certain of everything. So records without a gap are simulated
-from the nominal model with scattered coefficients, the user's own command and noise; each is searched in the linearised way,
-and the threshold is a quantile of the best score found in them. Kept in a cache; its key has all that it depends on: model, command,
+With tens of thousands of samples, an information criterion alone accepts almost any effect. Records without a gap are therefore
+simulated from the nominal model with scattered coefficients, the user's own command and noise. Each is searched with linearized
+candidates; the threshold is a quantile of the best scores. It is cached; the key contains all that it depends on: model, command,
 sample time, rows that count, noise, the catalogue's ranges and priors, the configuration and the version of this package.
 """
 

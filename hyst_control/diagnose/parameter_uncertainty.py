@@ -48,7 +48,18 @@ class Scatter:
         return np.array([float(coefficient.companion) for coefficient in self.coefficients])
 
     def size(self, coefficient: Coefficient) -> float:
-        """What a companion of 1 stands for, measurement unit."""
+        """Size of a companion whose nuisance value is 1.
+
+        Parameters
+        ----------
+        coefficient : Coefficient
+            A companion among the coefficients.
+
+        Returns
+        -------
+        float
+            In the measurement unit.
+        """
         return coefficient.tolerance * _find(self.model.chain.stages, coefficient.path).companion_size(coefficient.index)
 
     def at(self, z: Array) -> tuple[Stage, ...]:

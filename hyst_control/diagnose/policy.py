@@ -299,12 +299,12 @@ def practical_floor(spans: Array, steps: Array, stated: Array, noise: Array, thr
 
 
 def strained(strain: float, coefficients: int, thresholds: Thresholds) -> bool:
-    """Whether coefficients are further from the nominal ones than chance would have them.
+    """True when coefficients are further from the nominal ones than chance explains.
 
     Parameters
     ----------
     strain : float
-        Misfit that is their distance, nats: half their chi-square.
+        Misfit of their distance, nats: half their chi-square.
     coefficients : int
         Their number, the mean of the chi-square.
     thresholds : Thresholds
@@ -313,7 +313,6 @@ def strained(strain: float, coefficients: int, thresholds: Thresholds) -> bool:
     Returns
     -------
     bool
-
     """
     return 2.0 * strain >= coefficients + thresholds.strain_deviations * float(np.sqrt(2.0 * coefficients))
 

@@ -1,7 +1,8 @@
-"""Predictable share of a residual: how much of it repeats with the command.
+"""Predictable share of a residual: the part of its energy that the command determines.
 
-What is left of a gap is either a machine's own variation from run to run, which no model explains, or something that follows the
-command, which a model lacks. Features of the command's past are regressed on blocks of the record and judged on the others.
+A residual has two parts. One varies from run to run although the command is the same; no model can explain it. The other follows the
+command; the model lacks an effect. To separate them, the residual is regressed on features of the command's past. The regression is
+fitted on some blocks of the record and judged on the others.
 """
 
 from __future__ import annotations
@@ -14,29 +15,29 @@ from numba import njit
 from hyst_control.chain.parameter import Array
 
 PLAYS = (0.05, 0.15, 0.3, 0.5)
-"""Half widths of play operators, as shares of the command's range: what a hysteresis of any kind remembers."""
+"""Half widths of the play operators, as shares of the command's range; together they approximate the memory of any hysteresis."""
 LAGS = (1, 4, 16)
-"""Lags of the command's copies, as shares of its fastest time scale."""
+"""Lags of the command's copies, as multiples of a sixteenth of the time in which its fastest part crosses a quarter of its range."""
 RIDGE = 1e-6
 """Ridge of the regression, as a share of the features' energy."""
 
 
 def predictable_share(commands: Sequence[Array], residuals: Sequence[Array], blocks: int) -> float:
-    """Share of a residual's energy that features of the command predict on blocks that did not fit.
+    """Compute the share of a residual's energy that features of the command predict on blocks not used for the fit.
 
     Parameters
     ----------
     commands : sequence of ndarray, shape (N, A)
-        By record, V.
+        Commands of all records, V.
     residuals : sequence of ndarray, shape (N, A)
-        By record, any unit.
+        Residuals of the same records, any unit.
     blocks : int
-        Blocks that the records are cut into; each is predicted from the others.
+        Number of blocks that the records are divided into; each is predicted from all others.
 
     Returns
     -------
     float
-        0 to 1; 0 where a residual predicts no better than its mean.
+        0 to 1; 0 if the features predict the residual no better than its mean does.
     """
     design = np.concatenate([features(command) for command in commands])
     target = np.concatenate(residuals)
@@ -54,7 +55,18 @@ def predictable_share(commands: Sequence[Array], residuals: Sequence[Array], blo
 
 
 def features(command: Array) -> Array:
-    """Features (N, F) of a command (N, A): its powers, rate, products of these, play operators and lagged copies, and 1."""
+    """Compute features of a command: a constant, its powers, its rate, products of these, play operators and lagged copies.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N, A)
+        Command, V.
+
+    Returns
+    -------
+    ndarray, shape (N, F)
+        Features, each scaled to be independent of the command's unit.
+    """
     found = [np.ones(len(command))]
     for axis in range(command.shape[1]):
         span = max(float(np.ptp(command[:, axis])), 1e-300)

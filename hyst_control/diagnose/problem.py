@@ -30,7 +30,18 @@ class Piece:
     foreseen: bool = False
 
     def counted(self, values: Array) -> Array:
-        """The rows that count."""
+        """Select the rows that count.
+
+        Parameters
+        ----------
+        values : ndarray, shape (N, ...)
+            One row per sample of the piece.
+
+        Returns
+        -------
+        ndarray
+            Rows where `keep` is True, or all.
+        """
         return values if self.keep is None else values[self.keep]
 
 
@@ -114,7 +125,22 @@ def split(problem: Problem) -> list[Problem]:
 
 
 def check_units(model: Model, unit: str, source: str) -> None:
-    """Raise `InputError` unless the record's measurement has the model's unit."""
+    """Check that a record's measurement has the model's unit; an unknown unit passes.
+
+    Parameters
+    ----------
+    model : Model
+        Model of the plant.
+    unit : str
+        Unit of the record's measurement.
+    source : str
+        Name of the record, for the error.
+
+    Raises
+    ------
+    InputError
+        Where the units differ.
+    """
     if unit not in ("unknown", model.units["measurement"]):
         raise InputError(
             f"{source}: measurement is in {unit}, the model's in {model.units['measurement']}: give the model of this plant"

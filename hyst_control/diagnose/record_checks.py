@@ -91,7 +91,7 @@ def repeated_samples(values: Array, step: float, sigma: float, settings: CheckSe
 
     """
     if step > 0:
-        # On a lattice neighbours coincide by chance: only where the signal moves by several steps a sample does a repeat say much.
+        # On a lattice neighbors coincide by chance: only where the signal moves by several steps a sample does a repeat say much.
         smooth = np.convolve(values, np.ones(settings.repeat_smoothing) / settings.repeat_smoothing, "same")
         moving = np.abs(np.gradient(smooth)) > settings.repeat_motion * step
         # Before a step nothing moves yet, though the smoothed signal does.
@@ -114,7 +114,7 @@ def repeated_samples(values: Array, step: float, sigma: float, settings: CheckSe
 
 
 def _chance(values: Array, window: int) -> float:
-    """Share of neighbours that coincide by chance in numbers that are rounded to the smallest step that occurs."""
+    """Share of neighbors that coincide by chance in numbers that are rounded to the smallest step that occurs."""
     steps = np.abs(np.diff(values))
     if not steps.any():
         return 1.0

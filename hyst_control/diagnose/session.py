@@ -1,9 +1,10 @@
-"""Stages that differ from record to record: the zero of a session, and a model's error carried over from a clean record.
+"""Stages with different values for each record: the zero of a session, and a model's error carried over from a clean record.
 
     measurement = sensor effects( model with its effects(command) + carried(t) ) + zero(t)
 
-The sensor's zero and the piezo's remanence differ between sessions, and creep goes on through each: the zero is a companion of
-every hypothesis. What a model leaves on a clean record of the same command is known sample by sample: it is no gap of the next one.
+The sensor's zero and the piezo's remanence differ between sessions, and creep continues during each. The zero is therefore fitted
+together with every hypothesis. The model's error on a clean record of the same command is known sample by sample; the diagnosis
+adds it to the simulation, so that it is not mistaken for a gap.
 """
 
 from __future__ import annotations
@@ -23,7 +24,10 @@ from hyst_control.records.session_zero import SHAPES
 
 @dataclass(frozen=True)
 class SessionZero(TimedStage):
-    """Adds scale · Σ shares[record][axis][k] P_k(2 t / duration - 1): zero, drift and its curvature of each record."""
+    """Zero, drift and curvature of each record: adds scale · Σ shares[record][axis][k] P_k(2 t / duration - 1).
+
+    P_k is the Legendre polynomial of degree k = 0, 1, 2 (zero, drift, curvature), t the time since the record's start.
+    """
 
     name: ClassVar[str] = "session_zero"
     place: ClassVar[str] = "adc"
@@ -34,14 +38,18 @@ class SessionZero(TimedStage):
 
     @classmethod
     def absent(cls, scale: Array, durations: Array) -> SessionZero:
-        """A zero of 0 in every record.
+        """Make a stage whose zero, drift and curvature are 0 in every record.
 
         Parameters
         ----------
         scale : ndarray, shape (A,)
             Standard deviation of every share, measurement unit.
         durations : ndarray, shape (R,)
-            Length of the records, s.
+            Durations of the records, s.
+
+        Returns
+        -------
+        SessionZero
         """
         return cls(np.zeros((len(durations), len(scale), len(SHAPES))), scale, durations)
 
@@ -62,9 +70,9 @@ class SessionZero(TimedStage):
 
 
 class CarriedError(Stage):
-    """Adds a known series to each record: what the model left on a clean record of the same command.
+    """Known series that is added to each record: the model's error on a clean record of the same command.
 
-    It is no description, but data of a diagnosis: it stands in no model file.
+    It is data of one diagnosis and is never written to a model file.
 
     Parameters
     ----------
@@ -90,7 +98,7 @@ class CarriedError(Stage):
     __hash__ = object.__hash__
 
     def parameters(self) -> dict[str, Any]:
-        """A digest of the series, which tells one from another in a cache."""
+        """Return a digest of the series, by which caches tell them apart."""
         digest = sha256()
         for rows in self.series:
             digest.update(np.ascontiguousarray(rows).tobytes())
@@ -104,7 +112,15 @@ class CarriedError(Stage):
 
 
 class SeriesAdder(Filter):
-    """Streaming `CarriedError` of one record; beyond the end of the series its last row holds."""
+    """Streaming `CarriedError` of one record; after the end of the series its last row is added.
+
+    Parameters
+    ----------
+    series : ndarray, shape (N, A)
+        Error by sample, measurement unit.
+    sampling : Sampling
+        Sampling of the chain; `ahead` is the number of samples by which the filter runs ahead.
+    """
 
     def __init__(self, series: Array, sampling: Sampling) -> None:
         self.hold = sampling.hold

@@ -1,7 +1,7 @@
-"""Residual of an explanation, without what its own effects leave by nature.
+"""Residual of an explanation, without what the explanation's own effects leave unmodeled.
 
-A converter's rounding error follows the signal and is no white noise; a vibration that wanders has skirts that no few polynomials
-take off. Neither is a sign of something unknown.
+A converter's rounding error follows the signal and is not white noise. A vibration of varying frequency has sidebands that a few
+polynomials cannot remove. Neither shows an unknown effect.
 """
 
 from __future__ import annotations
@@ -14,7 +14,22 @@ from hyst_control.diagnose.problem import Problem
 
 
 def leftover(problem: Problem, scored: Scored, lattice: Array) -> Array:
-    """The residual (M,) of an explanation, in units of the noise, without what its effects leave. lattice (A,): steps, 0 without."""
+    """Remove from an explanation's residual what its own effects leave by nature.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and noise of the axes.
+    scored : Scored
+        The fitted explanation.
+    lattice : ndarray, shape (A,)
+        Quantization step of the measurement by axis, measurement unit; 0 without one.
+
+    Returns
+    -------
+    ndarray, shape (M,)
+        In units of the noise.
+    """
     rows = scored.solution.residual.reshape(-1, len(problem.model.axes))
     if scored.candidate is not None:
         for member, where in zip(scored.candidate.members, scored.candidate.slices(), strict=True):

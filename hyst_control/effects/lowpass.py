@@ -15,7 +15,7 @@ from hyst_control.effects.effect import Parameter, Surroundings
 
 @dataclass(frozen=True)
 class Lowpass(LinearStage):
-    """1 / (1 + s / (2π cutoff))^order; cutoff Hz, infinite: none on that axis. Exact: it merges with its linear neighbours."""
+    """1 / (1 + s / (2π cutoff))^order; cutoff Hz, infinite: none on that axis. Exact: it merges with its linear neighbors."""
 
     unit_gain: ClassVar[bool] = True
     cutoff: ScalarPerAxis = scalar("Hz", "of every low-pass", above=0.0, infinite=True)

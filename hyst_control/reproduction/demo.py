@@ -54,9 +54,24 @@ class Stretch:
 
 
 def run(folder: str | Path = "demo_out", progress: Callable[[str], None] = lambda step: None) -> Table:
-    """Run the demo into `folder`, which appears when all of it is done; returns the table.
+    """Run the demo into a folder, which appears only when everything is done; an earlier demo's folder is replaced.
 
-    An earlier demo's folder is replaced. Raises `InputError` when the folder is something else, or a node fails.
+    Parameters
+    ----------
+    folder : str or Path
+        Output folder.
+    progress : callable
+        Called with the name of each step.
+
+    Returns
+    -------
+    Table
+        Tracking errors, as written to `summary.json`.
+
+    Raises
+    ------
+    InputError
+        Where the folder is something else than an earlier demo's, or a node fails.
     """
     folder = Path(folder)
     if folder.exists() and not (folder / "summary.json").is_file():
@@ -125,7 +140,15 @@ def _run(work: Path, progress: Callable[[str], None]) -> Table:
 
 
 def tracking_reference() -> tuple[Array, list[Stretch]]:
-    """The reference (N, 1) in um: from 0 to the offset, then loops of 4 um at each frequency with rests between."""
+    """Build the reference: from 0 to the offset, then loops of 4 um at each frequency with rests between.
+
+    Returns
+    -------
+    reference
+        Reference (N, 1), um.
+    stretches
+        Scored rows of each frequency.
+    """
     pieces = [excitation.cosine_ramp(SAMPLE_TIME, 0.0, OFFSET, 0.05), excitation.rest(SAMPLE_TIME, 0.02, OFFSET)]
     stretches = []
     for frequency in FREQUENCIES:
@@ -138,7 +161,28 @@ def tracking_reference() -> tuple[Array, list[Stretch]]:
 
 
 def track(folder: Path, controller: str, reference: Array, results: dict[str, Result], models: Path, plant: str) -> Path:
-    """One tracking run; the bag."""
+    """Run one tracking experiment through the nodes.
+
+    Parameters
+    ----------
+    folder : Path
+        Working folder of the run.
+    controller : str
+        One of `CONTROLLERS`.
+    reference : ndarray, shape (N, 1)
+        Reference, um.
+    results : dict of str to Result
+        Identification results by model family.
+    models : Path
+        Folder of the model files.
+    plant : str
+        Plant file.
+
+    Returns
+    -------
+    Path
+        Recorded bag.
+    """
     family = {"no feedforward": "hampi", "HAPI": "hapi", "HAMPI": "hampi", "HAMPI + PI": "hampi"}[controller]
     kind = "none" if controller == "no feedforward" else family
     closed = controller == "HAMPI + PI"
@@ -163,13 +207,39 @@ def track(folder: Path, controller: str, reference: Array, results: dict[str, Re
 
 
 def aligned(bag: Path) -> dict[str, Array]:
-    """Every signal of a tracking bag on one clock, (N, 1) each."""
+    """Read every signal of a tracking bag on one clock.
+
+    Parameters
+    ----------
+    bag : Path
+        Bag of a tracking run.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Signals (N, 1) by name.
+    """
     signals = ("reference", "feedforward", "feedback", "command", "measurement")
     return dict(read_bag(bag).aligned(signals)[0].values)
 
 
 def score(measured: dict[str, dict[str, Array]], reference: Array, stretches: list[Stretch]) -> Table:
-    """Tracking errors of the last cycles of every frequency; NRMSE in % of the range (HAMPI paper Eq. 26)."""
+    """Compute the tracking error of the last cycles at every frequency: NRMSE in % of the range (HAMPI paper Eq. 26).
+
+    Parameters
+    ----------
+    measured : dict of str to dict of str to ndarray
+        Signals (N, 1) by controller and name, um or V.
+    reference : ndarray, shape (N, 1)
+        Reference, um.
+    stretches : list of Stretch
+        Scored rows of each frequency.
+
+    Returns
+    -------
+    Table
+        Rows beside the published values.
+    """
     table = Table("demo")
     for index, stretch in enumerate(stretches):
         rows = slice(stretch.begin, stretch.end)

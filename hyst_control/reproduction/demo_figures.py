@@ -34,7 +34,25 @@ def write(
     stretches: Sequence[tuple[float, int, int]],
     table: Table,
 ) -> None:
-    """Write `figures/*.svg` and `report.html` into the demo's folder."""
+    """Write `figures/*.svg` and `report.html` into the demo's folder.
+
+    Parameters
+    ----------
+    folder : Path
+        The demo's folder.
+    excitation : Path
+        Bag of the excitation run.
+    fits : mapping of str to Fit
+        Fits by model family.
+    reference : ndarray, shape (N, 1)
+        Reference, um.
+    measured : mapping of str to mapping of str to ndarray
+        Signals (N, 1) by controller and name, um or V.
+    stretches : sequence of (float, int, int)
+        Frequency (Hz), begin and end row of each scored stretch.
+    table : Table
+        Tracking errors.
+    """
     data = datasets_of(read_bag(excitation))[0]
     loops = _loops(data, fits)
     (folder / "figures").mkdir()

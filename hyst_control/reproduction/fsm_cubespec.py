@@ -3,8 +3,8 @@
 Floren, Peri, De Maeyer, De Munter, Vandepitte, Noel, "Data-driven state-space identification and nonlinearity assessment of the
 CubeSpec Fine Steering Mirror", ISMA-USD 2024.
 
-Three piezo actuators, three displacement sensors, three levels, six realisations of random-phase orthogonal multisines
-with two steady periods each. Models are fitted on realisations 1-4, chosen (number of states, law of the softening
+Three piezo actuators, three displacement sensors, three levels, six realizations of random-phase orthogonal multisines
+with two steady periods each. Models are fitted on realizations 1-4, chosen (number of states, law of the softening
 force) by their error on the fifth, and tested on the sixth, which takes part in nothing else. Every test is a simulation
 from the command alone: the period is run twice and the second run counts, so 8192 samples of initial transient are left
 out. The error is rms error / rms measurement, all three sensors and both measured periods together.
@@ -46,7 +46,7 @@ LEVELS = (100, 200, 300)
 FIT, SELECT, TEST = (0, 1, 2, 3), (4,), (5,)
 ORDERS = (46, 58, 64)
 LAWS = ((0.5,), (0.5, 1.0))
-"""Exponents of the softening force's terms among which the fifth realisation chooses."""
+"""Exponents of the softening force's terms among which the fifth realization chooses."""
 BANDS = (0, 500, 700, 1100, 1500, 2000, 3200)
 """Edges in Hz of the bands in which what is left is told."""
 PUBLISHED_OWN = {100: 8.4, 200: 8.0, 300: 5.6}
@@ -68,7 +68,22 @@ class Level:
     measurement: Array
 
     def spectra(self, realisations: Sequence[int], weight: float = 1.0) -> Spectra:
-        """Excited lines of the realisations, both periods averaged; sums of squares are those of the samples, times weight²."""
+        """Compute the spectra at the excited lines, both periods averaged.
+
+        Sums of squares equal those of the samples, times weight².
+
+        Parameters
+        ----------
+        realisations : sequence of int
+            Indices of realizations, 0 to 5.
+        weight : float
+            Factor of command and measurement.
+
+        Returns
+        -------
+        Spectra
+            Command and measurement at the excited lines.
+        """
         u = np.fft.rfft(self.command[:, :, realisations].mean(axis=3), axis=0)
         y = np.fft.rfft(self.measurement[:, :, realisations].mean(axis=3), axis=0)
         lines = excited_lines(np.sum(np.abs(u) ** 2, axis=(1, 2)))
@@ -76,7 +91,20 @@ class Level:
         return Spectra(2 * np.pi * lines / PERIOD, scale * u[lines], scale * y[lines], True)
 
     def error(self, simulated: Array, realisations: Sequence[int]) -> Array:
-        """Relative errors in %: all sensors together, then each; simulated (8192, 3, R)."""
+        """Compute relative errors of a simulation.
+
+        Parameters
+        ----------
+        simulated : ndarray, shape (8192, 3, R)
+            Simulated measurement, um.
+        realisations : sequence of int
+            Indices of realizations, 0 to 5.
+
+        Returns
+        -------
+        ndarray, shape (4,)
+            Relative errors, %: all sensors together, then each.
+        """
         measured = self.measurement[:, :, realisations]
         squared = np.mean((measured - simulated[..., None]) ** 2, axis=(0, 2, 3))
         power = np.mean(measured**2, axis=(0, 2, 3))
@@ -85,7 +113,13 @@ class Level:
 
 
 def load_levels() -> list[Level]:
-    """The measurements. Raises `InputError` when they are absent or have another shape than the benchmark's."""
+    """Load the measurements of all levels.
+
+    Raises
+    ------
+    InputError
+        Where they are absent or have another shape than the benchmark's.
+    """
     folder = data_folder("fsm_cubespec")
     levels = []
     for level in LEVELS:
@@ -104,7 +138,22 @@ def load_levels() -> list[Level]:
 
 
 def model_of(modal: ModalModel, name: str, command: float) -> Model:
-    """A model file's content; command: largest voltage it was fitted on."""
+    """Convert a modal model to the content of a model file.
+
+    Parameters
+    ----------
+    modal : ModalModel
+        Identified modal model.
+    name : str
+        Name of the model.
+    command : float
+        Largest voltage of the fitted records, V.
+
+    Returns
+    -------
+    Model
+        Model in V and um.
+    """
     return Model(
         name=name,
         axes=AXES,
@@ -117,18 +166,63 @@ def model_of(modal: ModalModel, name: str, command: float) -> Model:
 
 
 def steady_state(model: Model, command: Array) -> Array:
-    """Simulated steady period (8192, 3, R) for periodic commands (8192, 3, R): run twice, the second run counts."""
+    """Simulate the steady period for periodic commands: the period runs twice, and the second run counts.
+
+    Parameters
+    ----------
+    model : Model
+        Model to simulate.
+    command : ndarray, shape (8192, 3, R)
+        Periodic commands, V.
+
+    Returns
+    -------
+    ndarray, shape (8192, 3, R)
+        Simulated measurement, um.
+    """
     simulated = [simulate(model, np.tile(command[:, :, r], (2, 1)))[PERIOD:] for r in range(command.shape[2])]
     return np.stack(simulated, axis=2)
 
 
 def simulation_error(model: Model, level: Level, realisations: Sequence[int]) -> Array:
-    """Relative errors in % of a model simulated from the command alone: all sensors together, then each."""
+    """Compute the relative errors of a model simulated from the command alone.
+
+    Parameters
+    ----------
+    model : Model
+        Model to simulate.
+    level : Level
+        Records of one level.
+    realisations : sequence of int
+        Indices of realizations, 0 to 5.
+
+    Returns
+    -------
+    ndarray, shape (4,)
+        Relative errors, %: all sensors together, then each.
+    """
     return level.error(steady_state(model, level.command[:, :, realisations].mean(axis=3)), realisations)
 
 
 def response_error(response: np.ndarray, lines: Array, level: Level, realisations: Sequence[int]) -> Array:
-    """Relative errors in % of a nonparametric response (F, 3, 3) at `lines` of the period: all sensors together, then each."""
+    """Compute the relative errors of a nonparametric frequency response.
+
+    Parameters
+    ----------
+    response : ndarray, shape (F, 3, 3)
+        Response, um/V.
+    lines : ndarray, shape (F,)
+        Its lines of the period, as integers.
+    level : Level
+        Records of one level.
+    realisations : sequence of int
+        Indices of realizations, 0 to 5.
+
+    Returns
+    -------
+    ndarray, shape (4,)
+        Relative errors, %: all sensors together, then each.
+    """
     u = np.fft.rfft(level.command[:, :, realisations].mean(axis=3), axis=0)
     y = np.zeros_like(u)
     y[lines] = np.einsum("koj,kjr->kor", response, u[lines])
@@ -136,30 +230,83 @@ def response_error(response: np.ndarray, lines: Array, level: Level, realisation
 
 
 def fit_level(level: Level, order: int) -> Candidate:
-    """The level's linear model with this many states, fitted on realisations 1-4, with its relative error on the fifth."""
+    """Fit a level's linear model on realizations 1-4 and evaluate it on the fifth.
+
+    Parameters
+    ----------
+    level : Level
+        Records of one level.
+    order : int
+        Number of real states.
+
+    Returns
+    -------
+    Candidate
+        Fit with its relative error on the fifth realization.
+    """
     data = [level.spectra(FIT)]
     fit = refined(data, subspace(data, [order], np.zeros(3), "zoh")[0], True, False, 25)
     return replace(fit, held_out=error_of(fit.model, [level.spectra(SELECT)]))
 
 
 def smallest_first(found: Sequence[Candidate]) -> list[Candidate]:
-    """The candidates with the chosen one first: the smallest that is within 1 % of the best on the fifth realisation."""
+    """Put the chosen candidate first: the smallest one within 1 % of the best on the fifth realization.
+
+    Parameters
+    ----------
+    found : sequence of Candidate
+        Candidates with their error on the fifth realization.
+
+    Returns
+    -------
+    list of Candidate
+        The same candidates, reordered.
+    """
     good = 1.01 * min(fit.held_out for fit in found)
     return sorted(found, key=lambda fit: (fit.held_out > good, fit.model.states))
 
 
 def fit_all(levels: Sequence[Level], order: int, hold: str = "zoh") -> Candidate:
-    """One linear model for all levels, every level's relative error weighing the same."""
+    """Fit one linear model for all levels, with the same weight for every level's relative error.
+
+    Parameters
+    ----------
+    levels : sequence of Level
+        Records of all levels.
+    order : int
+        Number of real states.
+    hold : str
+        Behavior of the command between samples: "zoh" or "foh".
+
+    Returns
+    -------
+    Candidate
+        Fit on realizations 1-4.
+    """
     data = [level.spectra(FIT, 1.0 / float(np.std(level.measurement))) for level in levels]
     start = subspace(data, [order], np.zeros(3), hold)[0]
     return refined(data, start, True, False, 25)
 
 
 def run(json_path: str | Path | None = None, figures_dir: str | Path | None = None) -> Table:
-    """Print-ready table of every model on every level.
+    """Compare every model on every level and return the table.
 
-    Writes it as JSON where asked to, and into the folder the spectra, the model file and the table of shares. Raises
-    `InputError` when the measurements are absent.
+    Parameters
+    ----------
+    json_path : str or Path or None
+        JSON file to write the table to; None: none.
+    figures_dir : str or Path or None
+        Folder for the spectra, the model file and the table of shares; None: none.
+
+    Returns
+    -------
+    Table
+        All rows of the experiment.
+
+    Raises
+    ------
+    InputError
+        Where the measurements are absent.
     """
     levels = load_levels()
     table = Table("reproduce fsm-cubespec")
@@ -215,14 +362,40 @@ def run(json_path: str | Path | None = None, figures_dir: str | Path | None = No
 
 
 def law_name(exponents: Sequence[float]) -> str:
-    """The softening force's law in words."""
+    """Name of the softening force's law.
+
+    Parameters
+    ----------
+    exponents : sequence of float
+        Exponents of its terms.
+
+    Returns
+    -------
+    str
+        Text for tables.
+    """
     return "and force " + " + ".join(f"q|q|^{exponent:g}" for exponent in exponents)
 
 
 def soften(
     levels: Sequence[Level], start: ModalModel | softening_modes.Scheduled, law: Sequence[float] | None
 ) -> softening_modes.SofteningFit:
-    """One model for all levels on realisations 1-4, with a softening force of these exponents or none."""
+    """Fit one model for all levels on realizations 1-4, with or without a softening force.
+
+    Parameters
+    ----------
+    levels : sequence of Level
+        Records of all levels.
+    start : ModalModel or softening_modes.Scheduled
+        Model from which the fit starts.
+    law : sequence of float or None
+        Exponents of the softening force; None: no force.
+
+    Returns
+    -------
+    softening_modes.SofteningFit
+        Fit with its scheduled model.
+    """
     periods = [
         softening_modes.Level(level.command[:, :, FIT].mean(axis=3), level.measurement[:, :, FIT].mean(axis=3)) for level in levels
     ]
@@ -232,9 +405,21 @@ def soften(
 
 
 def softening_model(found: softening_modes.SofteningFit, levels: Sequence[Level]) -> Model:
-    """The fit as a model file's content; the noise is that of one period in the middle one of all realisations.
+    """Convert a fit to the content of a model file, with the median noise of one period over all realizations.
 
-    The median, because the periods of realisations 2 and 3 at 100 mV differ six times as much as those of the others.
+    The median, because the periods of realizations 2 and 3 at 100 mV differ six times as much as those of the others.
+
+    Parameters
+    ----------
+    found : softening_modes.SofteningFit
+        Fit of the model of all levels.
+    levels : sequence of Level
+        Records of all levels.
+
+    Returns
+    -------
+    Model
+        Model with noise and tolerances.
     """
     largest = max(float(np.abs(level.command).max()) for level in levels)
     differences = np.concatenate([level.measurement[..., 0] - level.measurement[..., 1] for level in levels], axis=2)
@@ -248,12 +433,34 @@ def softening_model(found: softening_modes.SofteningFit, levels: Sequence[Level]
 
 
 def states_of(found: softening_modes.SofteningFit) -> int:
-    """Real states: two for a complex mode, and as many again for what the force moves."""
+    """Count the real states: two for a complex mode, and as many again where the force acts.
+
+    Parameters
+    ----------
+    found : softening_modes.SofteningFit
+        Fit of the model of all levels.
+
+    Returns
+    -------
+    int
+    """
     return found.scheduled.centre.states * (2 if np.ndim(found.stage.force_inputs) else 1)
 
 
 def report_linear(table: Table, levels: Sequence[Level], fits: Sequence[Sequence[Candidate]], models: Sequence[Model]) -> None:
-    """A model per level on its own level, and the numbers of states that were tried."""
+    """Add the error of each level's model on its own level, and the numbers of states that were tried.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    levels : sequence of Level
+        Records of all levels.
+    fits : sequence of sequence of Candidate
+        Candidates of each level, the chosen one first.
+    models : sequence of Model
+        Linear models, one per level.
+    """
     title = "Linear model per level, realisation 6"
     for level, found, model in zip(levels, fits, models, strict=True):
         began = time.perf_counter()
@@ -275,7 +482,17 @@ def report_linear(table: Table, levels: Sequence[Level], fits: Sequence[Sequence
 
 
 def report_nonparametric(table: Table, levels: Sequence[Level]) -> None:
-    """Responses without a model, fitted and tested alike: what any linear model of a level could reach, and the noise."""
+    """Add the errors of responses without a model, fitted and tested alike.
+
+    They show the accuracy that any linear model of a level could reach, and the noise.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    levels : sequence of Level
+        Records of all levels.
+    """
     title = "Nonparametric response per level, realisation 6"
     for level in levels:
         records = [level.command[:, :, r].mean(axis=2) for r in FIT], [level.measurement[:, :, r].mean(axis=2) for r in FIT]
@@ -302,7 +519,17 @@ def report_nonparametric(table: Table, levels: Sequence[Level]) -> None:
 
 
 def report_across(table: Table, levels: Sequence[Level], models: Sequence[Model]) -> None:
-    """Each level's model on the other levels."""
+    """Add the errors of each level's model on the other levels.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    levels : sequence of Level
+        Records of all levels.
+    models : sequence of Model
+        Linear models, one per level.
+    """
     title = "Linear model of one level on another, realisation 6 (published: 15 to 33 %)"
     for level in levels:
         for other, model in zip(levels, models, strict=True):
@@ -324,7 +551,30 @@ ALL = "One model for all levels, realisation 6"
 def report_one(
     table: Table, levels: Sequence[Level], subject: str, model: Model, states: int, parameters: int, seconds: float
 ) -> float:
-    """Errors of one model on the sixth realisation and the fifth, its size and speed; the root mean square of those on the fifth."""
+    """Add the errors of one model of all levels on the sixth realization and the fifth, its size and its speed.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    levels : sequence of Level
+        Records of all levels.
+    subject : str
+        Name of the model in the table.
+    model : Model
+        Model to simulate.
+    states : int
+        Number of real states.
+    parameters : int
+        Number of parameters.
+    seconds : float
+        Duration of the fit, s.
+
+    Returns
+    -------
+    float
+        Root mean square over the levels of the errors on the fifth realization, %.
+    """
     squares = []
     for level in levels:
         mv = int(level.name.split()[0])
@@ -343,7 +593,17 @@ def report_one(
 
 
 def report_laws(table: Table, levels: Sequence[Level], models: Sequence[ModalModel]) -> None:
-    """Candidate forces beside each level's linear model (`fsm_cubespec_laws`), on the fifth realisation, to choose on, and the sixth."""
+    """Add candidate forces beside each level's linear model (`fsm_cubespec_laws`): fifth realization, to choose on, and sixth.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    levels : sequence of Level
+        Records of all levels.
+    models : sequence of ModalModel
+        Linear modal models, one per level.
+    """
     title = "Force laws by regression on the error of each level's linear model"
     for level, model in zip(levels, models, strict=True):
         command, measurement = level.command.mean(axis=3), level.measurement.mean(axis=3)
@@ -366,11 +626,20 @@ EFFECTS = {
 
 
 def report_shares(table: Table, levels: Sequence[Level], model: Model) -> None:
-    """What the gap between a linear simulator, the chosen model with every effect off, and the mirror is made of.
+    """Add each effect's share of the gap between the linear simulator and the mirror.
 
-    Shapley values of the mean square error on the sixth realisation: an effect's share is the mean of what it takes off
-    over all orders in which the effects can be switched on. Nothing is fitted again. The noise is that of the measured
-    period, the rest is not explained; all add up to the gap.
+    The linear simulator is the chosen model with every effect off. Shapley values of the mean square error on the sixth realization: an
+    effect's share is the mean of its reduction over all orders in which the effects can be switched on. Nothing is fitted again. The
+    noise is that of the measured period, the rest is not explained; all add up to the gap.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    levels : sequence of Level
+        Records of all levels.
+    model : Model
+        Chosen model of all levels.
     """
     title = SHARES
     stage = model.chain.stages[0]
@@ -405,7 +674,18 @@ SHARES = "Shares of the gap between the linear simulator and the mirror, realisa
 
 
 def shares_page(table: Table) -> str:
-    """The shares as a Markdown table, effect by effect, with the gap in % of rms in the last row."""
+    """Format the shares as a Markdown table, effect by effect, with the gap in % of rms in the last row.
+
+    Parameters
+    ----------
+    table : Table
+        Table with the rows of `report_shares`.
+
+    Returns
+    -------
+    str
+        Markdown text.
+    """
     rows = [row for row in table.rows if row.table == SHARES]
     cases = list(dict.fromkeys(row.case for row in rows))
     names = dict.fromkeys(row.subject for row in rows if row.quantity == "share")
@@ -417,7 +697,17 @@ def shares_page(table: Table) -> str:
 
 
 def report_residual(table: Table, levels: Sequence[Level], model: Model) -> None:
-    """Where in frequency lies what the chosen model leaves: each band's share of it, and the band's own relative error."""
+    """Add the chosen model's residual by frequency band: each band's share of it, and the band's own relative error.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    levels : sequence of Level
+        Records of all levels.
+    model : Model
+        Chosen model of all levels.
+    """
     title = "What the chosen model leaves, by frequency, realisation 6"
     for level in levels:
         measured = level.measurement[:, :, TEST].mean(axis=3)
@@ -433,7 +723,17 @@ def report_residual(table: Table, levels: Sequence[Level], model: Model) -> None
 
 
 def draw(folder: Path, levels: Sequence[Level], models: Sequence[Model]) -> None:
-    """Where in frequency the error of the linear models is: measured, error and noise spectra of every level."""
+    """Draw the measured, error and noise spectra of every level's linear model.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder for the figure; created if missing.
+    levels : sequence of Level
+        Records of all levels.
+    models : sequence of Model
+        Linear models, one per level.
+    """
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,9 +1,9 @@
-"""Which nonlinear force explains what a linear model of the measured mirror leaves: a regression per law and level.
+"""Regression of a linear model's error on candidate nonlinear forces of the measured mirror, per force law and level.
 
-The linear model's error is regressed, in windows of neighbouring lines, on the command and on candidate forces computed
-from the linear model's own output, which the command alone causes. Every force has a frequency response of its own, so
-nothing is assumed of where it acts. Fitted on the realisations of `FIT`, judged on the others: a law that is wrong, or has
-more unknowns than it explains, does worse than none.
+The linear model's error is regressed, in windows of neighboring lines, on the command and on candidate forces computed from the
+linear model's own output, which the command alone causes. Every force has a frequency response of its own, so no assumption is
+made about where it acts. The regression is fitted on the realizations of `FIT` and judged on the others: a law that is wrong, or
+has more unknowns than it explains, does worse than none.
 """
 
 from __future__ import annotations
@@ -60,7 +60,24 @@ LAWS: dict[str, Callable[[Motion], Sequence[Array]]] = {
 
 
 def motion_of(model: ModalModel, command: Array, sample_time: float) -> tuple[Motion, Array]:
-    """What the command (N, A, R) of one period causes in a linear model: the motion, and the output (N, A, R)."""
+    """Compute the motion and the output that a periodic command causes in a linear model.
+
+    Parameters
+    ----------
+    model : ModalModel
+        Linear modal model.
+    command : ndarray, shape (N, A, R)
+        One period of each realization, V.
+    sample_time : float
+        Sample time, s.
+
+    Returns
+    -------
+    motion
+        Elongation, velocity and command, each scaled to an rms of 1.
+    output
+        Simulated measurement (N, A, R), um.
+    """
     samples = len(command)
     lines = np.arange(1, samples // 2)
     spectrum = np.zeros((samples // 2 + 1, *command.shape[1:]), dtype=complex)
@@ -76,7 +93,22 @@ def motion_of(model: ModalModel, command: Array, sample_time: float) -> tuple[Mo
 
 
 def left_over(error: Array, regressors: Array, fit: Sequence[int]) -> Array:
-    """Mean squares (R,) of the error (N, A, R) that its regression on the regressors (N, K, R) leaves in each realisation."""
+    """Compute the mean square of an error that its regression leaves in each realization.
+
+    Parameters
+    ----------
+    error : ndarray, shape (N, A, R)
+        Error, um.
+    regressors : ndarray, shape (N, K, R)
+        Regressors, any unit.
+    fit : sequence of int
+        Realizations on which the regression is fitted.
+
+    Returns
+    -------
+    ndarray, shape (R,)
+        Mean squares summed over the axes, um².
+    """
     samples = len(error)
     y, x = (np.fft.rfft(part, axis=0)[1:-1] for part in (error, regressors))
     left = np.zeros(error.shape[2])

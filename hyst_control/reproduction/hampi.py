@@ -2,7 +2,7 @@
 
 Excite, record, identify in the paper's sequence and jointly, score on held-out loops, track open loop. The published figures are
 of the paper's actuator; the plant here is a simulated one like it, whose hysteresis and drag are not the model's own, and nothing
-is taken from its parameters. Its drag grows with the polarisation, and more while it rises: what HAMPI's dynamic weights are made
+is taken from its parameters. Its drag grows with the polarization, and more while it rises: what HAMPI's dynamic weights are made
 for. The second truth, Bouc-Wen hysteresis and a viscoelastic ladder, has nothing of the kind.
 
 The models of Fig. 11, those that track, and G(s) of Table 1 are identified at 50 V, in the paper's own sequence (§3.2: a step, loops
@@ -57,10 +57,26 @@ BLOCK = 500
 
 @dataclass(frozen=True)
 class Extent:
-    """How much is run.
+    """Selection of what is run.
 
-    Frequencies (Hz) and peaks (V) of held-out loops, of the lags and of the tracked reference, the excitation's own options, the methods
-    whose models track, whether the feedback's margins are measured, and whether the second truth has its turn.
+    Parameters
+    ----------
+    frequencies : tuple of float
+        Frequencies of the held-out loops, Hz.
+    peaks : tuple of float
+        Peaks of the held-out loops, V.
+    lags : tuple of float
+        Frequencies at which phase lags are measured, Hz.
+    tracked : tuple of float
+        Frequencies of the tracked reference, Hz.
+    excitation : tuple of (str, object)
+        Options of the excitation, name and value.
+    methods : tuple of str
+        Identification methods whose models track.
+    margins : bool
+        True to measure the feedback's margins.
+    second_truth : bool
+        True to run the second truth plant too.
     """
 
     frequencies: tuple[float, ...] = FREQUENCIES
@@ -74,7 +90,29 @@ class Extent:
 
 
 def run(json_path: str | None = None, figures: str | None = None, plant: str = "pea", extent: Extent | None = None) -> Table:
-    """Record, identify, score, track; the table. plant: "pea" or "third". Raises `InputError` when a node fails."""
+    """Record, identify, score and track, and return the table.
+
+    Parameters
+    ----------
+    json_path : str or None
+        JSON file to write the table to; None: none.
+    figures : str or None
+        Folder for the page of figures; None: none.
+    plant : str
+        Name of the truth plant: "pea" or "third".
+    extent : Extent or None
+        Selection of what is run; None: all.
+
+    Returns
+    -------
+    Table
+        All rows of the experiment.
+
+    Raises
+    ------
+    InputError
+        Where a node fails.
+    """
     extent = extent or Extent()
     table = Table("reproduce hampi")
     with tempfile.TemporaryDirectory() as temporary:
@@ -134,7 +172,17 @@ def run(json_path: str | None = None, figures: str | None = None, plant: str = "
 
 
 def second_truth(table: Table, folder: Path, extent: Extent) -> None:
-    """Fig. 11 and Table 5 by the paper's sequence on a truth without a drag of its polarisation (`third`)."""
+    """Add Fig. 11 and Table 5 for a truth plant without a drag of its polarization (`third`), by the paper's sequence.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    folder : Path
+        Working folder of the run.
+    extent : Extent
+        Selection of what is run.
+    """
     steps = record(folder / "sequence", paper_sequence(LOW, extent), SEED + 7, SECOND)
     loops, places = held_out_loops(replace(extent, peaks=(LOW,)))
     held_out = record(folder / "held_out", loops, SEED + 8, SECOND)
@@ -146,12 +194,38 @@ def second_truth(table: Table, folder: Path, extent: Extent) -> None:
 
 
 def in_sequence(data: Dataset, families: Sequence[str] = ("hapi", "rdpi", "hampi")) -> dict[str, Model]:
-    """Models by name from the paper's own records and steps; RDPI, which has no steps, from the same records at once."""
+    """Identify models by the paper's own steps; RDPI, which has no steps, from the same records at once.
+
+    Parameters
+    ----------
+    data : Dataset
+        The paper's records in one dataset.
+    families : sequence of str
+        Model families.
+
+    Returns
+    -------
+    dict of str to Model
+        Models by name, in capitals.
+    """
     return {family.upper(): identify([data], family, "joint" if family == "rdpi" else "paper").model for family in families}
 
 
 def paper_sequence(peak: float, extent: Extent) -> Array:
-    """The records (N, 1) in V of paper §3.2 alone: a step of 10 V, loops of 1 Hz to the peak, loops of 100 Hz to the peak."""
+    """Build the drive of paper §3.2 alone: a step of 10 V, loops of 1 Hz and loops of 100 Hz up to the peak.
+
+    Parameters
+    ----------
+    peak : float
+        Highest voltage of the loops, V.
+    extent : Extent
+        Selection of what is run.
+
+    Returns
+    -------
+    ndarray, shape (N, 1)
+        Drive, V.
+    """
     ts, slow = SAMPLE_TIME, dict(extent.excitation).get("quasi_static", 1.0)
     return np.concatenate(
         [
@@ -163,12 +237,36 @@ def paper_sequence(peak: float, extent: Extent) -> Array:
 
 
 def training_drive(extent: Extent) -> Array:
-    """The excitation (N, 1) in V from which loops of 100 and 140 V are foretold."""
+    """Build the excitation of the models that predict loops of 100 and 140 V.
+
+    Parameters
+    ----------
+    extent : Extent
+        Selection of what is run.
+
+    Returns
+    -------
+    ndarray, shape (N, 1)
+        Drive, V.
+    """
     return identification(TRAINING_PEAK, replace(extent, excitation=(*extent.excitation, ("frequencies", TRAINING_FREQUENCIES))))
 
 
 def identification(peak: float, extent: Extent) -> Array:
-    """The excitation (N, 1) in V of paper §3.2, up to `peak`."""
+    """Build the excitation of paper §3.2.
+
+    Parameters
+    ----------
+    peak : float
+        Highest voltage, V.
+    extent : Extent
+        Selection of what is run.
+
+    Returns
+    -------
+    ndarray, shape (N, 1)
+        Drive, V.
+    """
     return excitation.build(
         {
             "signal": "hampi_identification",
@@ -183,7 +281,20 @@ def identification(peak: float, extent: Extent) -> Array:
 
 
 def held_out_loops(extent: Extent) -> tuple[Array, list[Place]]:
-    """Loops of every height at every frequency with rests between; and the rows of the last cycles of each."""
+    """Build loops of every height at every frequency, with rests between.
+
+    Parameters
+    ----------
+    extent : Extent
+        Selection of what is run.
+
+    Returns
+    -------
+    drive
+        Drive (N, 1), V.
+    places
+        Rows of the last cycles of each loop.
+    """
     pieces, places = [excitation.rest(SAMPLE_TIME, 0.02)], []
     for peak in extent.peaks:
         for frequency in extent.frequencies:
@@ -196,7 +307,20 @@ def held_out_loops(extent: Extent) -> tuple[Array, list[Place]]:
 
 
 def harmonic_drive(extent: Extent) -> tuple[Array, list[Place]]:
-    """Sines of 0 to 50 V (paper Fig. 4, Table 1), and the rows of the last whole cycles of each."""
+    """Build sines of 0 to 50 V (paper Fig. 4, Table 1).
+
+    Parameters
+    ----------
+    extent : Extent
+        Selection of what is run.
+
+    Returns
+    -------
+    drive
+        Drive (N, 1), V.
+    places
+        Rows of the last whole cycles of each sine.
+    """
     pieces, places = [excitation.rest(SAMPLE_TIME, 0.02)], []
     for frequency in extent.lags:
         begin, cycles = sum(map(len, pieces)), max(2, int(round(0.05 * frequency)))
@@ -207,7 +331,20 @@ def harmonic_drive(extent: Extent) -> tuple[Array, list[Place]]:
 
 
 def tracking_reference(extent: Extent) -> tuple[Array, list[Place]]:
-    """The reference (N, 1) in um: up to its top and down to its offset once, then sines at every frequency; and the rows scored."""
+    """Build the reference: up to its top and down to its offset once, then sines at every frequency.
+
+    Parameters
+    ----------
+    extent : Extent
+        Selection of what is run.
+
+    Returns
+    -------
+    reference
+        Reference (N, 1), um.
+    places
+        Scored rows of each sine.
+    """
     ts, top = SAMPLE_TIME, OFFSET + STROKE
     pieces = [excitation.rest(ts, 0.02), excitation.cosine_ramp(ts, 0.0, top, 0.1), excitation.cosine_ramp(ts, top, OFFSET, 0.1)]
     places = []
@@ -222,7 +359,24 @@ def tracking_reference(extent: Extent) -> tuple[Array, list[Place]]:
 
 
 def record(folder: Path, signal: Array, seed: int, plant: str) -> Dataset:
-    """An open-loop record of the truth actuator for a drive (N, 1) in V, through the five nodes."""
+    """Record the truth actuator in open loop, through the five nodes.
+
+    Parameters
+    ----------
+    folder : Path
+        Working folder of the run.
+    signal : ndarray, shape (N, 1)
+        Drive, V.
+    seed : int
+        Seed of the plant's noise.
+    plant : str
+        Name of the truth plant: "pea" or "third".
+
+    Returns
+    -------
+    Dataset
+        The record.
+    """
     bag = run_processes(
         folder,
         signal,
@@ -238,7 +392,26 @@ def record(folder: Path, signal: Array, seed: int, plant: str) -> Dataset:
 
 
 def track(folder: Path, kind: str, model: Model, reference: Array, plant: str) -> dict[str, Array]:
-    """One open-loop tracking run with a compensator; every signal (N, 1)."""
+    """Run one open-loop tracking experiment with a compensator.
+
+    Parameters
+    ----------
+    folder : Path
+        Working folder of the run.
+    kind : str
+        Kind of compensator, such as "hampi".
+    model : Model
+        Model that the compensator inverts.
+    reference : ndarray, shape (N, 1)
+        Reference, um.
+    plant : str
+        Name of the truth plant: "pea" or "third".
+
+    Returns
+    -------
+    dict of str to ndarray
+        Signals (N, 1) by name.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "model.yaml"
     save_model(model, path)

@@ -48,16 +48,40 @@ class Place:
 
     @property
     def rows(self) -> slice:
+        """The rows as a slice."""
         return slice(self.begin, self.end)
 
 
 def dynamics(model: Model) -> list[LinearStage]:
-    """The linear stages of a model."""
+    """Select the linear stages of a model.
+
+    Parameters
+    ----------
+    model : Model
+        Identified model.
+
+    Returns
+    -------
+    list of LinearStage
+    """
     return [stage for stage in model.chain.stages if isinstance(stage, LinearStage)]
 
 
 def response(model: Model, frequency: Array) -> Complex:
-    """Response (F,) of a model's linear stages from held command to sample, gain 1 at rest."""
+    """Compute the frequency response of a model's linear stages from held command to sample, with gain 1 at rest.
+
+    Parameters
+    ----------
+    model : Model
+        Model with linear stages.
+    frequency : ndarray, shape (F,)
+        Frequencies, Hz.
+
+    Returns
+    -------
+    ndarray, shape (F,)
+        Complex response.
+    """
     z = np.exp(2j * np.pi * frequency * model.sample_time)
     found = sampled_response(dynamics(model), 1, model.sample_time, np.append(z, 1.0 + 1e-9j))[:, 0, 0]
     scaled: Complex = found[:-1] / abs(found[-1])
@@ -65,9 +89,20 @@ def response(model: Model, frequency: Array) -> Complex:
 
 
 def phase_lags(table: Table, model: Model, data: Dataset, places: Sequence[Place]) -> None:
-    """Table 1: lag of G(s) and of the actuator, both from what they lag at the lowest frequency: the hysteresis' own is removed.
+    """Add Table 1: lags of G(s) and of the actuator relative to the lowest frequency, which removes the hysteresis' own.
 
-    At that frequency itself both are 0 by that and have no row.
+    At that frequency itself both are 0 by definition and have no row.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    model : Model
+        Model with G(s).
+    data : Dataset
+        Record of the truth actuator.
+    places : sequence of Place
+        Scored rows.
     """
     lag = {}
     for place in places:
@@ -88,7 +123,24 @@ def phase_lags(table: Table, model: Model, data: Dataset, places: Sequence[Place
 
 
 def step_response(model: Model, data: Dataset) -> tuple[Array, Array, Array]:
-    """Time (s), measured step (N,) and G(s)'s, with the gain that fits best."""
+    """Compute the measured step and that of G(s), with the gain that fits best.
+
+    Parameters
+    ----------
+    model : Model
+        Model with G(s).
+    data : Dataset
+        Record with a step.
+
+    Returns
+    -------
+    time
+        Times (N,), s.
+    measured
+        Measured displacement (N,), um.
+    answer
+        Simulated displacement (N,), um.
+    """
     step = select_stretches([data], 0, "step")[0]
     rows = slice(max(step.begin - 20, 0), step.end)
     answer = simulate(model.with_stages(dynamics(model)), data.command[rows], data.sample_time, data.hold)[:, 0]
@@ -98,7 +150,17 @@ def step_response(model: Model, data: Dataset) -> tuple[Array, Array, Array]:
 
 
 def step_fit(table: Table, model: Model, data: Dataset) -> None:
-    """Fig. 2: 100 (1 - |y - model| / |y - mean|) of the step of 10 V."""
+    """Add Fig. 2: the fit 100 (1 - |y - model| / |y - mean|) of the step of 10 V.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    model : Model
+        Model with G(s).
+    data : Dataset
+        Record with a step.
+    """
     _, measured, answer = step_response(model, data)
     fit = float(100.0 * (1.0 - np.linalg.norm(measured - answer) / np.linalg.norm(measured - measured.mean())))
     table.add("HAMPI Fig. 2", "step of 10 V", "LTI model", "fit", "%", fit, published=FIGURE_2)
@@ -110,7 +172,15 @@ def step_fit(table: Table, model: Model, data: Dataset) -> None:
 
 
 def bode(table: Table, model: Model) -> None:
-    """Fig. 3: "in the range of 1 to 500 Hz the amplitude first decreases and then increases, the phase continues to decrease" (§2)."""
+    """Add Fig. 3: "in the range of 1 to 500 Hz the amplitude first decreases and then increases, the phase continues to decrease" (§2).
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    model : Model
+        Model with G(s).
+    """
     frequency = np.geomspace(1.0, 500.0, 400)
     value = response(model, frequency)
     gain, phase = 20 * np.log10(np.abs(value)), np.degrees(np.unwrap(np.angle(value)))
@@ -125,7 +195,17 @@ def bode(table: Table, model: Model) -> None:
 
 
 def dynamic_weights(table: Table, model: Model) -> None:
-    """Table 2 and §3.2: m1, m2, k and b of step 3; the published ones belong to the paper's actuator and units, their signs do not."""
+    """Add Table 2 and §3.2: m1, m2, k and b of step 3.
+
+    The published values belong to the paper's actuator and units; their signs do not.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    model : Model
+        HAMPI model.
+    """
     core = next(stage for stage in model.chain.stages if isinstance(stage, ModifiedPrandtlIshlinskii))
     for name, unit in (("m1", "s/V"), ("m2", "s/V"), ("k", "1/V"), ("b", "")):
         value = float(np.ravel(getattr(core, name))[0])
@@ -133,9 +213,20 @@ def dynamic_weights(table: Table, model: Model) -> None:
 
 
 def rotation(table: Table, models: Mapping[str, Model], data: Dataset, places: Sequence[Place]) -> None:
-    """Figs. 1 and 6: how loops turn and widen with the rate, the highest drive: measured, and as the models have it.
+    """Add Figs. 1 and 6: rotation and widening of the highest loops with the rate, measured and simulated.
 
-    Tilt (the part of the motion in phase with the drive) and stroke over those of the slowest loops, and area over the loop's box.
+    Tilt (the part of the motion in phase with the drive) and stroke are relative to the slowest loops, area is relative to the loop's box.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    models : mapping of str to Model
+        Models by name.
+    data : Dataset
+        Record of the truth actuator.
+    places : sequence of Place
+        Scored rows.
     """
     own = [place for place in places if place.height == max(place.height for place in places)]
     series = {"actuator": data.measurement[:, 0]}
@@ -155,13 +246,41 @@ def rotation(table: Table, models: Mapping[str, Model], data: Dataset, places: S
 
 
 def in_phase(command: Array, measurement: Array) -> float:
-    """The slope of the line that fits a loop best: how far it is turned."""
+    """Slope of the line that fits a loop best: its tilt.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N,)
+        Drive, V.
+    measurement : ndarray, shape (N,)
+        Displacement, um.
+
+    Returns
+    -------
+    float
+        In um/V.
+    """
     moving = command - command.mean()
     return float(moving @ measurement / (moving @ moving))
 
 
 def compensated(model: Model, sample_time: float, frequency: Array) -> dict[str, Complex]:
-    """Fig. 8: inverse times G(s) (F,), the preview taken out, by method."""
+    """Compute Fig. 8: inverse times G(s), without the preview, by inversion method.
+
+    Parameters
+    ----------
+    model : Model
+        Model with G(s).
+    sample_time : float
+        Sample time, s.
+    frequency : ndarray, shape (F,)
+        Frequencies, Hz.
+
+    Returns
+    -------
+    dict of str to Complex
+        Complex responses (F,) by method.
+    """
     z = np.exp(2j * np.pi * frequency * sample_time)
     sampling = Sampling(sample_time, 1, "zoh")
     plant = sampled_systems(dynamics(model), sampling)[0].response(z)
@@ -173,14 +292,39 @@ def compensated(model: Model, sample_time: float, frequency: Array) -> dict[str,
 
 
 def inverses(table: Table, model: Model, sample_time: float) -> None:
-    """Fig. 8: the farthest that gain and phase of the compensated dynamics come from 1 between 10 and 500 Hz."""
+    """Add Fig. 8: the largest deviations of the compensated dynamics' gain and phase from 1 between 10 and 500 Hz.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    model : Model
+        Model with G(s).
+    sample_time : float
+        Sample time, s.
+    """
     for method, value in compensated(model, sample_time, np.linspace(10.0, 500.0, 200)).items():
         table.add("HAMPI Fig. 8", "10 to 500 Hz", method, "largest gain error", "dB", np.abs(20 * np.log10(np.abs(value))).max())
         table.add("HAMPI Fig. 8", "10 to 500 Hz", method, "largest phase error", "deg", np.abs(np.degrees(np.angle(value))).max())
 
 
 def errors(model: Model, data: Dataset, places: Sequence[Place]) -> list[tuple[float, float, float]]:
-    """RMSE (um) and NRMSE (% of the measured range, paper Eq. 25 and 26), means kept, of every place; the NRMSE with means removed."""
+    """Compute a model's errors on every scored stretch (paper Eq. 25 and 26).
+
+    Parameters
+    ----------
+    model : Model
+        Model to simulate.
+    data : Dataset
+        Record of the truth actuator.
+    places : sequence of Place
+        Scored rows.
+
+    Returns
+    -------
+    list of (float, float, float)
+        RMSE (um), NRMSE (% of the measured range), and NRMSE with means removed.
+    """
     error = residual(model, data)[:, 0]
     found = []
     for place in places:
@@ -192,7 +336,21 @@ def errors(model: Model, data: Dataset, places: Sequence[Place]) -> list[tuple[f
 def predictions(
     table: Table, models: Mapping[str, Model], data: Dataset, places: Sequence[Place], where: str | None = None
 ) -> None:
-    """Table 4 and Figs. 11, 12: held-out loops; the paper gives figures for 140 V alone. where: another table for them all."""
+    """Add Table 4 and Figs. 11, 12: errors on held-out loops; the paper gives figures for 140 V alone.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    models : mapping of str to Model
+        Models by name.
+    data : Dataset
+        Record of the truth actuator.
+    places : sequence of Place
+        Scored rows.
+    where : str or None
+        Another table for all rows; None: the one of the loops' height.
+    """
     for name, model in models.items():
         for place, (rmse, nrmse, _) in zip(places, errors(model, data, places), strict=True):
             title = where or {50.0: "HAMPI Fig. 11", 100.0: "HAMPI Fig. 12"}.get(place.height, "HAMPI Table 4")
@@ -223,7 +381,21 @@ def predictions(
 def methods(
     table: Table, joint: Mapping[str, Model], sequence: Mapping[str, Model], data: Dataset, places: Sequence[Place]
 ) -> None:
-    """The joint identification beside the paper's sequence, on the same held-out loops."""
+    """Add the joint identification beside the paper's sequence, on the same held-out loops.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    joint : mapping of str to Model
+        Jointly identified models by name.
+    sequence : mapping of str to Model
+        Models of the paper's sequence by name.
+    data : Dataset
+        Record of the truth actuator.
+    places : sequence of Place
+        Scored rows.
+    """
     for name in (name for name in sequence if name in joint and name != "RDPI"):
         model = sequence[name]
         for place, ours, theirs in zip(places, errors(joint[name], data, places), errors(model, data, places), strict=True):
@@ -235,10 +407,19 @@ def methods(
 def pooled(
     table: Table, compared: Sequence[tuple[Mapping[str, Model], Mapping[str, Model], Sequence[Place]]], data: Dataset
 ) -> None:
-    """Joint identification and the paper's sequence over all held-out loops together, means removed: rms of the NRMSE.
+    """Add joint identification and the paper's sequence over all held-out loops together: rms of the NRMSE.
 
-    The mean of a loop moves with its rate and with the height that the drive has been at before, which neither HAPI nor HAMPI can
-    express: its shape is what both are about.
+    The mean of a loop moves with its rate and with the drive's past height, which neither HAPI nor HAMPI can express. The errors with
+    means removed therefore compare the loops' shape, which both models describe.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    compared : sequence of (mapping of str to Model, mapping of str to Model, sequence of Place)
+        Joint models, models of the sequence, and the places on which they are compared.
+    data : Dataset
+        Record of the truth actuator.
     """
     for name in ("HAPI", "HAMPI"):
         for subject in ("joint", "paper's sequence"):
@@ -260,7 +441,19 @@ def pooled(
 
 
 def attenuation(table: Table, tracked: Mapping[str, Mapping[str, Array]], places: Sequence[Place], sample_time: float) -> None:
-    """Figs. 15 and 16: amplitude of the tracked sine over the reference's; rotation that is not compensated takes some off."""
+    """Add Figs. 15 and 16: amplitude of the tracked sine relative to the reference; uncompensated rotation reduces it.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    tracked : mapping of str to mapping of str to ndarray
+        Signals (N, 1) by compensator and name, um or V.
+    places : sequence of Place
+        Scored rows.
+    sample_time : float
+        Sample time, s.
+    """
     for name, signals in tracked.items():
         for place in places:
             turn = np.exp(-2j * np.pi * place.frequency * sample_time * np.arange(place.end - place.begin))
@@ -275,7 +468,21 @@ def tracking(
     stroke: float,
     title: str = "HAMPI Table 5",
 ) -> None:
-    """Table 5: open-loop tracking, means kept; published figures are of the paper's own sequence."""
+    """Add Table 5: open-loop tracking errors, means kept; the published values are of the paper's own sequence.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    tracked : mapping of str to mapping of str to ndarray
+        Signals (N, 1) by compensator and name, um or V.
+    places : sequence of Place
+        Scored rows.
+    stroke : float
+        Stroke of the reference, um.
+    title : str
+        Title of the table.
+    """
     for name, signals in tracked.items():
         error = (signals["measurement"] - signals["reference"])[:, 0]
         published = TABLE_5[name.split(",")[0]]

@@ -26,7 +26,18 @@ NOT_ITS_PHYSICS = "a truth whose loops do not turn the way HAMPI's weights do"
 
 
 def hampi_targets(rows: Rows) -> list[Target]:
-    """The targets of the HAMPI experiments."""
+    """List the targets of the HAMPI experiments.
+
+    Parameters
+    ----------
+    rows : Rows
+        Rows of the experiments' result.
+
+    Returns
+    -------
+    list of Target
+        Targets with values and bounds.
+    """
     found: list[Target] = []
 
     def add(claim: str, name: str, value: float, bound: float, unit: str = "", at_least: bool = False, cause: str = "") -> None:

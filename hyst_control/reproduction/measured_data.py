@@ -1,4 +1,4 @@
-"""Where the public measurements are: the folder named by `HYST_DATA`, or `../shared/data` beside the repository."""
+"""Location of the public measurements: the folder named by `HYST_DATA`, or `../shared/data` beside the repository."""
 
 from __future__ import annotations
 
@@ -9,7 +9,23 @@ from hyst_control.errors import InputError
 
 
 def data_folder(name: str) -> Path:
-    """The folder of one set of measurements, "fsm_cubespec", say. Raises `InputError` when it is not there."""
+    """Find the folder of one set of measurements.
+
+    Parameters
+    ----------
+    name : str
+        Name of the set, such as "fsm_cubespec".
+
+    Returns
+    -------
+    Path
+        Existing folder.
+
+    Raises
+    ------
+    InputError
+        Where the folder does not exist.
+    """
     given = os.environ.get("HYST_DATA")
     root = Path(given) if given else Path(__file__).resolve().parents[2].parent / "shared" / "data"
     if (root / name).is_dir():

@@ -90,7 +90,25 @@ class Part:
 
 
 def run(json_path: str | None = None, figures: str | None = None) -> Table:
-    """Record, identify, tune, track, score; the table. Raises `InputError` when a node fails."""
+    """Record, identify, tune, track and score, and return the table.
+
+    Parameters
+    ----------
+    json_path : str or None
+        JSON file to write the table to; None: none.
+    figures : str or None
+        Folder for the page of figures; None: none.
+
+    Returns
+    -------
+    Table
+        All rows of the experiment.
+
+    Raises
+    ------
+    InputError
+        Where a node fails.
+    """
     table = Table("reproduce mhl")
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -165,7 +183,20 @@ def run(json_path: str | None = None, figures: str | None = None) -> Table:
 
 
 def identification(sample_time: float, sweep_time: float) -> Array:
-    """The excitation (N, 2) in V of paper §4.2, one axis after the other."""
+    """Build the excitation of paper §4.2, one axis after the other.
+
+    Parameters
+    ----------
+    sample_time : float
+        Sample time, s.
+    sweep_time : float
+        Duration of each sweep, s.
+
+    Returns
+    -------
+    ndarray, shape (N, 2)
+        Drive, V.
+    """
     return excitation.build(
         {"signal": "mhl_identification", "peak": RATING[1], "sweep_time": sweep_time, "lower": RATING[0], "upper": RATING[1]},
         sample_time,
@@ -198,9 +229,23 @@ def fast_check() -> tuple[Array, list[tuple[float, slice, slice]]]:
 
 
 def one_after_the_other(wave: Array, sample_time: float) -> tuple[Array, list[slice]]:
-    """A wave (N,) on each axis in turn, the other at rest at 0 V; and the rows of each from the top of its major loop to its end.
+    """Put a wave on each axis in turn, with the other axis at rest at 0 V.
 
-    The paper's model has no cross-coupling: what an axis does is asked of it alone.
+    The paper's model has no cross-coupling, so each axis is scored alone.
+
+    Parameters
+    ----------
+    wave : ndarray, shape (N,)
+        Drive of one axis, V.
+    sample_time : float
+        Sample time, s.
+
+    Returns
+    -------
+    drive
+        Drive (M, 2), V.
+    scored
+        Rows of each axis, from the top of its major loop to the end of the wave.
     """
     back = [excitation.cosine_ramp(sample_time, float(wave[-1]), 0.0, 0.1), excitation.rest(sample_time, 0.05)]
     own = np.concatenate([wave, *back])
@@ -211,7 +256,20 @@ def one_after_the_other(wave: Array, sample_time: float) -> tuple[Array, list[sl
 
 
 def conditioned(sample_time: float, end: float) -> Array:
-    """Up to the rating, down to 0 and to `end` V."""
+    """Build a ramp to the rating, down to 0 and to a final voltage, which fills the hysteresis' memory.
+
+    Parameters
+    ----------
+    sample_time : float
+        Sample time, s.
+    end : float
+        Final voltage, V.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Drive, V.
+    """
     return np.concatenate(
         [excitation.cosine_ramp(sample_time, *step, 0.2) for step in ((0.0, RATING[1]), (RATING[1], 0.0), (0.0, end))]
         + [excitation.rest(sample_time, 0.02, end)]
@@ -259,17 +317,56 @@ def tracking_reference() -> tuple[Array, dict[str, Part]]:
 
 
 def faded_in(wave: Array) -> Array:
-    """A wave (N,) about the centre that grows along half a cosine from rest at the centre to itself."""
+    """Fade a wave in along half a cosine, from rest at the center.
+
+    Parameters
+    ----------
+    wave : ndarray, shape (N,)
+        Reference about the center, mrad.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Reference, mrad.
+    """
     return CENTRE + (wave - CENTRE) * (0.5 - 0.5 * np.cos(np.pi * np.arange(len(wave)) / len(wave)))
 
 
 def without_coupling(model: Model) -> Model:
-    """The model's axes by themselves: the compensators treat each alone."""
+    """Remove the cross-coupling from a model: the compensators treat each axis alone.
+
+    Parameters
+    ----------
+    model : Model
+        Identified model.
+
+    Returns
+    -------
+    Model
+        Model with the other stages.
+    """
     return model.with_stages([stage for stage in model.chain.stages if not isinstance(stage, CrossCoupling)])
 
 
 def record(folder: Path, signal: Array, sample_time: float, seed: int) -> Dataset:
-    """An open-loop record of the truth mirror for a drive (N, 2) in V."""
+    """Record the truth mirror in open loop, through the five nodes.
+
+    Parameters
+    ----------
+    folder : Path
+        Working folder of the run.
+    signal : ndarray, shape (N, 2)
+        Drive, V.
+    sample_time : float
+        Sample time, s.
+    seed : int
+        Seed of the plant's noise.
+
+    Returns
+    -------
+    Dataset
+        The record.
+    """
     bag = run_processes(
         folder,
         signal,
@@ -296,7 +393,30 @@ def track(
     tuning: Tuning | None,
     settings: Mapping[str, Any],
 ) -> dict[str, Array]:
-    """One tracking run with a compensator, and feedback where it is tuned; settings: the feedforward's; every signal (N, 2)."""
+    """Run one tracking experiment with a compensator, and with feedback if it is tuned.
+
+    Parameters
+    ----------
+    folder : Path
+        Working folder of the run.
+    kind : str
+        Kind of compensator, such as "mhl".
+    path : Path
+        Model file for the feedforward node.
+    model : Model
+        The same model.
+    reference : ndarray, shape (N, 2)
+        Reference, mrad.
+    tuning : Tuning or None
+        Tuned PI feedback; None: open loop.
+    settings : mapping of str to object
+        Further parameters of the feedforward node.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Signals (N, 2) by name, mrad or V.
+    """
     smoothing = settings.get("smoothing", 0)
     preview = build_compensator(model, kind, sample_time=SAMPLE_TIME, limits=RATING, smoothing=smoothing).preview
     feedback = {"lower": RATING[0], "upper": RATING[1], "slew_limit": SLEW_LIMIT, "feedback": tuning is not None}
@@ -321,7 +441,22 @@ def track(
 
 
 def lifted(folder: Path, model: Model, reference: Array) -> dict[str, Array]:
-    """The ceiling of a feedforward: the whole model inverted over the whole reference by iteration, driven open loop."""
+    """Track open loop with the whole model inverted over the whole reference by iteration: the limit of any feedforward.
+
+    Parameters
+    ----------
+    folder : Path
+        Working folder of the run.
+    model : Model
+        Model that is inverted.
+    reference : ndarray, shape (N, 2)
+        Reference, mrad.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Signals (N, 2) by name, mrad or V.
+    """
     command = lifted_inverse(model, reference, sample_time=SAMPLE_TIME, limits=RATING).command
     bag = run_processes(
         folder,
@@ -341,5 +476,16 @@ def lifted(folder: Path, model: Model, reference: Array) -> dict[str, Array]:
 
 
 def signals_of(bag: Path) -> dict[str, Array]:
-    """The signals of a tracking run on one clock."""
+    """Read every signal of a tracking bag on one clock.
+
+    Parameters
+    ----------
+    bag : Path
+        Bag of a tracking run.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Signals (N, 2) by name, mrad or V.
+    """
     return dict(read_bag(bag).aligned(("reference", "feedforward", "feedback", "command", "measurement"))[0].values)

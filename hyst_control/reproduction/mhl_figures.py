@@ -35,7 +35,27 @@ def write(
     tracked: Mapping[str, Mapping[str, Array]],
     parts: Mapping[str, Any],
 ) -> None:
-    """Write `mhl.html` into the folder."""
+    """Write the page of figures, `mhl.html`.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder for the page; created if missing.
+    table : Table
+        Table with the rows of the experiment.
+    fits : mapping of str to Fit
+        Fits by identification method.
+    fine : Fit
+        Fit to the record at 20 kHz.
+    records : mapping of str to Dataset
+        Records "static", "multi", "fast" and "fine".
+    places : sequence of (float, slice, slice)
+        Frequency (Hz) and rows of each axis in the record "fast".
+    tracked : mapping of str to mapping of str to ndarray
+        Signals (N, 2) by compensator and name, mrad or V.
+    parts : mapping of str to object
+        Parts of the tracking run by name.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     page = Page(
         "MHL: modelling and control of a fast steering mirror",
@@ -64,7 +84,27 @@ def write(
 
 
 def line(x: NDArray[np.number[Any]], y: Array, name: str, colour: int, *, legend: bool = True, dash: str = "solid") -> go.Scatter:
-    """A line thinned to what a page can show."""
+    """Make a line, thinned when it has twice `MOST` points or more.
+
+    Parameters
+    ----------
+    x : ndarray, shape (N,)
+        Horizontal values.
+    y : ndarray, shape (N,)
+        Vertical values.
+    name : str
+        Name in the legend.
+    colour : int
+        Index of the color.
+    legend : bool
+        True to show the name in the legend.
+    dash : str
+        Style of the line: "solid", "dash" or "dot".
+
+    Returns
+    -------
+    go.Scatter
+    """
     step = max(len(x) // MOST, 1)
     return go.Scatter(
         x=x[::step],
@@ -77,6 +117,19 @@ def line(x: NDArray[np.number[Any]], y: Array, name: str, colour: int, *, legend
 
 
 def prediction(data: Dataset, fits: Mapping[str, Fit]) -> go.Figure:
+    """Draw tilt over drive and the prediction errors over time, axis x.
+
+    Parameters
+    ----------
+    data : Dataset
+        Record of the truth mirror.
+    fits : mapping of str to Fit
+        Fits by identification method.
+
+    Returns
+    -------
+    go.Figure
+    """
     figure = make_subplots(rows=1, cols=2, subplot_titles=("tilt over drive [mrad over V]", "error over time [mrad over s]"))
     time = data.sample_time * np.arange(len(data.command))
     figure.add_trace(line(data.command[:, 0], data.measurement[:, 0], "measured", 0), 1, 1)
@@ -88,7 +141,19 @@ def prediction(data: Dataset, fits: Mapping[str, Fit]) -> go.Figure:
 
 
 def open_loop(data: Dataset, fit: Fit) -> go.Figure:
-    """Responses by cross spectra of the last small sweep of axis x."""
+    """Draw Fig. 10: measured and modeled responses by cross spectra of the last small sweep of axis x.
+
+    Parameters
+    ----------
+    data : Dataset
+        Record with the small sweep.
+    fit : Fit
+        Fit of the model.
+
+    Returns
+    -------
+    go.Figure
+    """
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, subplot_titles=("gain [dB re 1 mrad/V]", "phase [deg]"))
     frequency, measured, modelled = mhl_tables.open_loop_responses(fit.model, data, 0)
     for colour, (name, value) in enumerate((("measured", measured), ("model", modelled))):
@@ -100,6 +165,21 @@ def open_loop(data: Dataset, fit: Fit) -> go.Figure:
 
 
 def fast_loops(data: Dataset, fit: Fit, places: Sequence[tuple[float, slice, slice]]) -> go.Figure:
+    """Draw Figs. 12 and 13: the last two loops at every frequency, measured and simulated, means removed.
+
+    Parameters
+    ----------
+    data : Dataset
+        Record of the truth mirror.
+    fit : Fit
+        Fit of the model.
+    places : sequence of (float, slice, slice)
+        Frequency (Hz) and rows of each axis.
+
+    Returns
+    -------
+    go.Figure
+    """
     figure = make_subplots(rows=2, cols=3, subplot_titles=[f"{frequency:g} Hz" for frequency, _, _ in places])
     predicted = simulate(fit.model, data.command, data.sample_time)[:, 0]
     for place, (frequency, scored, _) in enumerate(places):
@@ -123,6 +203,19 @@ def fast_loops(data: Dataset, fit: Fit, places: Sequence[tuple[float, slice, sli
 
 
 def tracking(tracked: Mapping[str, Mapping[str, Array]], part: Any) -> go.Figure:
+    """Draw tilt and error of axis x over time.
+
+    Parameters
+    ----------
+    tracked : mapping of str to mapping of str to ndarray
+        Signals (N, 2) by compensator and name, mrad or V.
+    part : object
+        Rows of one experiment of the tracking run.
+
+    Returns
+    -------
+    go.Figure
+    """
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, subplot_titles=("tilt [mrad]", "error [mrad]"))
     rows = slice(part.begin, part.end)
     time = 1e3 * LOOP * np.arange(part.end - part.begin)
@@ -137,6 +230,19 @@ def tracking(tracked: Mapping[str, Mapping[str, Array]], part: Any) -> go.Figure
 
 
 def linearity(tracked: Mapping[str, Mapping[str, Array]], part: Any) -> go.Figure:
+    """Draw Fig. 14 d: measured over wanted tilt of axis x, the last 100 samples.
+
+    Parameters
+    ----------
+    tracked : mapping of str to mapping of str to ndarray
+        Signals (N, 2) by compensator and name, mrad or V.
+    part : object
+        Rows of one experiment of the tracking run.
+
+    Returns
+    -------
+    go.Figure
+    """
     figure = go.Figure()
     rows = slice(part.end - 100, part.end)
     for colour, name in enumerate(SHOWN, start=1):
@@ -147,6 +253,19 @@ def linearity(tracked: Mapping[str, Mapping[str, Array]], part: Any) -> go.Figur
 
 
 def spiral(tracked: Mapping[str, Mapping[str, Array]], part: Any) -> go.Figure:
+    """Draw Fig. 17: the spiral, and the error of both axes over time.
+
+    Parameters
+    ----------
+    tracked : mapping of str to mapping of str to ndarray
+        Signals (N, 2) by compensator and name, mrad or V.
+    part : object
+        Rows of one experiment of the tracking run.
+
+    Returns
+    -------
+    go.Figure
+    """
     figure = make_subplots(rows=1, cols=2, subplot_titles=("y over x [mrad]", "error over time, both axes [mrad over ms]"))
     rows = slice(part.begin, part.end)
     time = 1e3 * LOOP * np.arange(part.end - part.begin)
@@ -163,6 +282,19 @@ def spiral(tracked: Mapping[str, Mapping[str, Array]], part: Any) -> go.Figure:
 
 
 def closed_loop(tracked: Mapping[str, Mapping[str, Array]], part: Any) -> go.Figure:
+    """Draw Fig. 18: the closed-loop response of axis x.
+
+    Parameters
+    ----------
+    tracked : mapping of str to mapping of str to ndarray
+        Signals (N, 2) by compensator and name, mrad or V.
+    part : object
+        Rows of one experiment of the tracking run.
+
+    Returns
+    -------
+    go.Figure
+    """
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, subplot_titles=("gain [dB]", "phase [deg]"))
     for colour, name in enumerate(SHOWN, start=1):
         frequency, value = mhl_tables.response(tracked[name], part, LOOP)

@@ -73,7 +73,20 @@ Complex = NDArray[np.complex128]
 
 
 def errors(wanted: Array, actual: Array) -> tuple[float, float, float]:
-    """NME and NRMSE in % of the range of `wanted` (paper Eq. 10, 11), and the NRMSE with the means removed."""
+    """Compute NME and NRMSE in % of the wanted range (paper Eq. 10, 11), and the NRMSE with the means removed.
+
+    Parameters
+    ----------
+    wanted : ndarray, shape (N,)
+        Wanted tilt, mrad.
+    actual : ndarray, shape (N,)
+        Measured or simulated tilt, mrad.
+
+    Returns
+    -------
+    tuple of (float, float, float)
+        NME, NRMSE, NRMSE with means removed, %.
+    """
     error, span = actual - wanted, float(np.ptp(wanted))
     greatest, root, spread = (
         100.0 * float(value) / span for value in (np.abs(error).max(), np.sqrt(np.mean(error**2)), error.std())
@@ -94,7 +107,17 @@ def rate_correction_of(inverse: Model) -> RateCorrection:
 
 
 def parameters(table: Table, fit: Fit, inverse: Model) -> None:
-    """Tables 1 and 2 and Fig. 5: the curves normalised to end at 1, both axes; the published ones are of another mirror."""
+    """Add Tables 1 and 2 and Fig. 5, with the curves normalized to end at 1; the published values are of another mirror.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    fit : Fit
+        Fit of the paper's sequence.
+    inverse : Model
+        Identified inverse model.
+    """
     core = parallel_of(fit.model).branches[0][0]
     inverted = parallel_of(inverse)
     curves, correction = inverted.branches[0][0], rate_correction_of(inverse)
@@ -131,7 +154,15 @@ RATING_OVER = 100.0
 
 
 def widening(table: Table, data: Dataset) -> None:
-    """Fig. 1b: area of the measured loop over that of its box, the last slow loop of full height and the last of the sweep to 100 Hz."""
+    """Add Fig. 1b: area of the measured loop relative to its box, for the first full slow loop and for the sweep's last at 100 Hz.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    data : Dataset
+        Record of the identification.
+    """
     for index, axis in enumerate(data.axes):
         command, measurement = data.command[:, index], data.measurement[:, index]
         top = np.flatnonzero(command >= 0.999 * command.max())
@@ -148,7 +179,19 @@ def widening(table: Table, data: Dataset) -> None:
 def predictions(
     table: Table, models: Mapping[str, Model], static: tuple[Dataset, list[slice]], multi: tuple[Dataset, list[slice]]
 ) -> None:
-    """Figs. 9 and 11: held-out records; rows count once the drive has been at the top of the major loop."""
+    """Add Figs. 9 and 11: prediction errors on held-out records, after the drive has been at the top of the major loop.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    models : mapping of str to Model
+        Models by identification method.
+    static : tuple of (Dataset, list of slice)
+        Record of 1 Hz loops and the scored rows of each axis.
+    multi : tuple of (Dataset, list of slice)
+        Record of several frequencies and the scored rows of each axis.
+    """
     for title, (data, scored), published in (("MHL Fig. 9", static, (0.96, 0.25)), ("MHL Fig. 11", multi, (2.66, 0.85))):
         for method, model in models.items():
             predicted = simulate(model, data.command, data.sample_time)
@@ -158,7 +201,19 @@ def predictions(
 
 
 def fast(table: Table, model: Model, data: Dataset, places: Sequence[tuple[float, slice, slice]]) -> None:
-    """Table 3, sines of 10 V about mid-drive."""
+    """Add Table 3: errors on sines of 10 V about mid-drive.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    model : Model
+        Model to simulate.
+    data : Dataset
+        Record of the sines.
+    places : sequence of (float, slice, slice)
+        Frequency (Hz) and scored rows of each axis.
+    """
     predicted = simulate(model, data.command, data.sample_time)
     for frequency, *scored in places:
         for index, (axis, rows) in enumerate(zip(model.axes, scored, strict=True)):
@@ -167,7 +222,26 @@ def fast(table: Table, model: Model, data: Dataset, places: Sequence[tuple[float
 
 
 def open_loop_responses(model: Model, data: Dataset, axis: int) -> tuple[Array, Complex, Complex]:
-    """Frequencies (F,) from 30 to 4000 Hz, measured and modelled response by cross spectra of the axis' small sweep."""
+    """Compute measured and modeled responses by cross spectra of an axis' small sweep.
+
+    Parameters
+    ----------
+    model : Model
+        Model to simulate.
+    data : Dataset
+        Record with the small sweep.
+    axis : int
+        Index of the axis.
+
+    Returns
+    -------
+    frequency
+        Frequencies (F,) from 30 to 4000 Hz.
+    measured
+        Measured response (F,), mrad/V.
+    modeled
+        Response of the model (F,), mrad/V.
+    """
     command = data.command[:, axis]
     own = slice(axis * len(command) // len(data.axes), (axis + 1) * len(command) // len(data.axes))
     moving = np.flatnonzero(np.abs(np.diff(command[own])) > 0)
@@ -181,7 +255,24 @@ def open_loop_responses(model: Model, data: Dataset, axis: int) -> tuple[Array, 
 
 
 def cross_spectrum(u: Array, y: Array, sample_time: float) -> tuple[Array, Complex]:
-    """Response over 30 to 4000 Hz in bands of a thirtieth of an octave times two."""
+    """Estimate a frequency response from 30 to 4000 Hz in 109 logarithmic bands.
+
+    Parameters
+    ----------
+    u : ndarray, shape (N,)
+        Input.
+    y : ndarray, shape (N,)
+        Output.
+    sample_time : float
+        Sample time, s.
+
+    Returns
+    -------
+    frequency
+        Centers (F,) of the bands, Hz.
+    response
+        Complex response (F,), output unit / input unit.
+    """
     window = np.hanning(len(u))
     spectra = [np.fft.rfft(window * (signal - signal.mean())) for signal in (u, y)]
     frequency = np.fft.rfftfreq(len(u), sample_time)
@@ -196,10 +287,19 @@ def cross_spectrum(u: Array, y: Array, sample_time: float) -> tuple[Array, Compl
 
 
 def open_loop(table: Table, model: Model, data: Dataset) -> None:
-    """Fig. 10 as numbers: how far the model's response is from the measured one, 60 to 3500 Hz (the sweep's ends are windowed away).
+    """Add Fig. 10: the model's response relative to the measured one, 60 to 3500 Hz (the sweep's ends are windowed away).
 
-    The relative error of the response, rms over the frequencies; beside it the published figure that says as much, the largest NRMSE
-    of Table 3, which over a sine is that share of twice the amplitude: times 2 √2 it is one of the response.
+    The relative error of the response, rms over the frequencies. Beside it stands the largest NRMSE of Table 3. Over a sine, that is an
+    error relative to twice the amplitude; times 2 √2 it is a relative error of the response.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    model : Model
+        Model to simulate.
+    data : Dataset
+        Record with the small sweep.
     """
     for index, axis in enumerate(model.axes):
         frequency, measured, modelled = open_loop_responses(model, data, index)
@@ -223,14 +323,40 @@ def open_loop(table: Table, model: Model, data: Dataset) -> None:
 def add_errors(
     table: Table, title: str, case: str, subject: str, found: tuple[float, float, float], published: tuple[float, float] | None
 ) -> None:
-    """NME, NRMSE, and the NRMSE with the means removed."""
+    """Add NME, NRMSE, and the NRMSE with the means removed.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    title : str
+        Title of the table.
+    case : str
+        Case of the rows.
+    subject : str
+        Subject of the rows.
+    found : tuple of (float, float, float)
+        Errors from `errors`, %.
+    published : tuple of (float, float) or None
+        Published NME and NRMSE, %; None: none.
+    """
     table.add(title, case, subject, "nme", "%", found[0], published=published[0] if published else None)
     table.add(title, case, subject, "nrmse", "%", found[1], published=published[1] if published else None)
     table.add(title, case, subject, "nrmse, means removed", "%", found[2])
 
 
 def tracking(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Mapping[str, Any]) -> None:
-    """Table 4, the reductions of §4.4, and Fig. 17's spiral."""
+    """Add Table 4, the reductions of §4.4, and the spiral of Fig. 17.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    tracked : mapping of str to mapping of str to ndarray
+        Signals (N, 2) by compensator and name, mrad or V.
+    parts : mapping of str to object
+        Parts of the tracking run by name.
+    """
     for case, published in TABLE_4.items():
         part = parts[case]
         found = {}
@@ -264,7 +390,17 @@ def tracking(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Ma
 
 
 def feedback_effort(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Mapping[str, Any]) -> None:
-    """What the PI feedback adds (paper §3: 40 % less with the proposed composite), rms, axis x, its mean removed."""
+    """Add the rms of the PI feedback's output, axis x, mean removed (paper §3: 40 % less with the proposed composite).
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    tracked : mapping of str to mapping of str to ndarray
+        Signals (N, 2) by compensator and name, mrad or V.
+    parts : mapping of str to object
+        Parts of the tracking run by name.
+    """
     for case in TABLE_4:
         rows = slice(parts[case].scored, parts[case].end)
         effort = {name: float(np.std(signals["feedback"][rows, 0])) for name, signals in tracked.items()}
@@ -283,7 +419,21 @@ def feedback_effort(table: Table, tracked: Mapping[str, Mapping[str, Array]], pa
 
 
 def phases(table: Table, data: Dataset, scored: Sequence[slice], inverse: Model, rate_filter: Sequence[float]) -> None:
-    """The lags of §4.4 at 100 Hz: of the mirror under the drive of Fig. 11, of Ψ' identified, and of N(s)."""
+    """Add the lags of §4.4 at 100 Hz: of the mirror under the drive of Fig. 11, of the identified Ψ', and of N(s).
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    data : Dataset
+        Record under the drive of Fig. 11.
+    scored : sequence of slice
+        Scored rows of each axis.
+    inverse : Model
+        Identified inverse model with Ψ'.
+    rate_filter : sequence of float
+        Denominator coefficients of N(s), highest power of s first.
+    """
     k2 = cast(Sequence[float], rate_correction_of(inverse).k2)  # per axis
     s = 2j * np.pi * 100.0
     for index, axis in enumerate(data.axes):
@@ -306,7 +456,23 @@ def error_spectrum(
     frequency: float = 100.0,
     highest: int = 10,
 ) -> None:
-    """What the error of the single frequency consists of, in % of the range: fundamental, harmonics up to `highest`, and the rest."""
+    """Add the composition of the single frequency's error, in % of the range: fundamental, harmonics and the rest.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    tracked : mapping of str to mapping of str to ndarray
+        Signals (N, 2) by compensator and name, mrad or V.
+    part : object
+        Rows of one experiment of the tracking run.
+    sample_time : float
+        Sample time, s.
+    frequency : float
+        Fundamental, Hz.
+    highest : int
+        Highest harmonic.
+    """
     for name, signals in tracked.items():
         wanted, actual = (signals[key][part.scored : part.end, 0] for key in ("reference", "measurement"))
         spectrum = np.fft.rfft(actual - wanted) / len(wanted)
@@ -330,7 +496,26 @@ def error_spectrum(
 
 
 def response(signals: Mapping[str, Array], part: Any, sample_time: float, period: float = 0.2) -> tuple[Array, Complex]:
-    """Frequency response from reference to measurement of axis x: frequencies (F,) Hz and values, from the small multisine."""
+    """Compute the response from reference to measurement of axis x, from the small multisine.
+
+    Parameters
+    ----------
+    signals : mapping of str to ndarray
+        Signals (N, 2) of one tracking run by name, mrad or V.
+    part : object
+        Rows of one experiment of the tracking run.
+    sample_time : float
+        Sample time, s.
+    period : float
+        Period of the multisine, s.
+
+    Returns
+    -------
+    frequency
+        Frequencies (F,), Hz.
+    value
+        Complex response (F,).
+    """
     count = int(round(period / sample_time))
     r, y = (
         np.fft.rfft(signals[key][part.scored : part.end, 0].reshape(-1, count).mean(axis=0)) for key in ("reference", "measurement")
@@ -341,21 +526,66 @@ def response(signals: Mapping[str, Array], part: Any, sample_time: float, period
 
 
 def fundamental(signals: Mapping[str, Array], part: Any, sample_time: float, frequency: float) -> complex:
-    """Measurement over reference at one frequency, over whole cycles."""
+    """Compute measurement over reference of axis x at one frequency, over whole cycles.
+
+    Parameters
+    ----------
+    signals : mapping of str to ndarray
+        Signals (N, 2) of one tracking run by name, mrad or V.
+    part : object
+        Rows of one experiment of the tracking run.
+    sample_time : float
+        Sample time, s.
+    frequency : float
+        Frequency, Hz.
+
+    Returns
+    -------
+    complex
+        Complex ratio.
+    """
     rows = slice(part.scored, part.end)
     turn = np.exp(-2j * np.pi * frequency * sample_time * np.arange(part.end - part.scored))
     return complex((turn @ signals["measurement"][rows, 0]) / (turn @ signals["reference"][rows, 0]))
 
 
 def bandwidth(frequency: Array, value: Complex) -> float:
-    """The first frequency (Hz) from which a mean over 30 Hz stays below -3 dB of it; the last line when there is none."""
+    """Find the first frequency at which the gain, as a mean of three neighboring lines, falls below -3 dB.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (F,)
+        Frequencies, Hz.
+    value : ndarray, shape (F,)
+        Complex response.
+
+    Returns
+    -------
+    float
+        In Hz; the last frequency where the gain stays above.
+    """
     size = np.sqrt(np.convolve(np.abs(value) ** 2, np.ones(3) / 3.0, "valid"))
     below = np.flatnonzero(size < np.sqrt(0.5))
     return float(frequency[1:-1][below[0]]) if len(below) else float(frequency[-1])
 
 
 def settling_time(signals: Mapping[str, Array], part: Any, sample_time: float) -> float:
-    """Time (s) after the step from which the measurement stays within 2 % of its height."""
+    """Find the time after the step from which the measurement stays within 2 % of the step's height.
+
+    Parameters
+    ----------
+    signals : mapping of str to ndarray
+        Signals (N, 2) of one tracking run by name, mrad or V.
+    part : object
+        Rows of one experiment of the tracking run.
+    sample_time : float
+        Sample time, s.
+
+    Returns
+    -------
+    float
+        In s.
+    """
     reference, measurement = (signals[key][part.begin : part.end, 0] for key in ("reference", "measurement"))
     height = reference[-1] - reference[0]
     start = int(np.flatnonzero(reference != reference[0])[0])
@@ -364,7 +594,19 @@ def settling_time(signals: Mapping[str, Array], part: Any, sample_time: float) -
 
 
 def closed_loop(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Mapping[str, Any], sample_time: float) -> None:
-    """Fig. 18: bandwidth, peak, gain and phase at 100 Hz, settling time."""
+    """Add Fig. 18: bandwidth, peak, gain and phase at 100 Hz, settling time.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    tracked : mapping of str to mapping of str to ndarray
+        Signals (N, 2) by compensator and name, mrad or V.
+    parts : mapping of str to object
+        Parts of the tracking run by name.
+    sample_time : float
+        Sample time, s.
+    """
     for name, signals in tracked.items():
         composite = name in COMPOSITES
         frequency, value = response(signals, parts["response"], sample_time)
@@ -403,7 +645,19 @@ def closed_loop(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts:
 
 
 def robustness(table: Table, tuning: Tuning, plant: str = "fsm", title: str = "MHL robustness") -> None:
-    """The tuned loop of its model, and its margins as measured on the truth plant with other gains and first modes."""
+    """Add the tuned loop of its model, and its margins on the truth plant with other gains and first modes.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    tuning : Tuning
+        Tuned PI feedback.
+    plant : str
+        Name of the truth plant: "fsm" or "pea".
+    title : str
+        Title of the table.
+    """
     for quantity, unit in (("kp", "V/unit"), ("ki", "V/(unit s)"), ("settling_time", "s")):
         table.add(title, "model", "tuned PI", quantity, unit, getattr(tuning, quantity))
     table.add(title, "model", "tuned PI", "bandwidth", "Hz", tuning.nominal.bandwidth)
@@ -418,7 +672,24 @@ def robustness(table: Table, tuning: Tuning, plant: str = "fsm", title: str = "M
 
 
 def truth_margins(tuning: Tuning, gain: float, mode: float, plant: str = "fsm") -> tuple[float, float]:
-    """Gain (dB) and phase margin (degrees), the lesser of all axes; not a number where the loop is not stable."""
+    """Measure gain and phase margin on a changed truth plant.
+
+    Parameters
+    ----------
+    tuning : Tuning
+        Tuned PI feedback.
+    gain : float
+        Factor of the plant's gain.
+    mode : float
+        Factor of the first mode's frequency.
+    plant : str
+        Name of the truth plant: "fsm" or "pea".
+
+    Returns
+    -------
+    tuple of (float, float)
+        Gain (dB) and phase margin (degrees), the least of all axes; NaN where the loop is unstable.
+    """
     modes, centre, rms, top = MEASURED[plant]
     found = []
     for axis in range(len(modes)):

@@ -61,7 +61,18 @@ SETTLING = (
 
 
 def mhl_targets(rows: Rows) -> list[Target]:
-    """The targets of the MHL experiments."""
+    """List the targets of the MHL experiments.
+
+    Parameters
+    ----------
+    rows : Rows
+        Rows of the experiments' result.
+
+    Returns
+    -------
+    list of Target
+        Targets with values and bounds.
+    """
     found: list[Target] = []
 
     def add(claim: str, name: str, value: float, bound: float, unit: str = "", at_least: bool = False, cause: str = "") -> None:

@@ -21,7 +21,22 @@ SOURCES = ("reproduce hampi", "reproduce mhl")
 
 
 def read_result(path: str | Path) -> Table:
-    """The table of a result file. Raises `InputError` when it is none of this package."""
+    """Read the table of a result file.
+
+    Parameters
+    ----------
+    path : str or Path
+        JSON file written by `hyst reproduce --json`.
+
+    Returns
+    -------
+    Table
+
+    Raises
+    ------
+    InputError
+        Where it is not a result of HAMPI or MHL.
+    """
     try:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:

@@ -46,7 +46,13 @@ class Prediction:
 
 
 def load() -> tuple[Dataset, Dataset]:
-    """The two files: full loops, and nested loops. Raises `InputError` when they are absent or of another form."""
+    """Load the two files: full loops and nested loops.
+
+    Raises
+    ------
+    InputError
+        Where they are absent or of another form.
+    """
     folder = data_folder("pea_p885")
     records = []
     for name, columns in (("Model_Vi_Do.dat", 7), ("Test_Vi_Do_Di.dat", 11)):
@@ -62,7 +68,17 @@ def load() -> tuple[Dataset, Dataset]:
 
 
 def cycles(record: Dataset) -> list[Dataset]:
-    """The full cycles of the first file, each from one lowest command to the next."""
+    """Split the first file into full cycles, each from one lowest command to the next.
+
+    Parameters
+    ----------
+    record : Dataset
+        First file, with the full loops.
+
+    Returns
+    -------
+    list of Dataset
+    """
     command = record.command[:, 0]
     turns = turning_points(command)
     lowest = [int(turn) for turn in turns if command[turn] < 0.02 * command.max()]
@@ -70,25 +86,80 @@ def cycles(record: Dataset) -> list[Dataset]:
 
 
 def score(measured: Array, predicted: Array) -> float:
-    """NRMSE in % of the range, means removed."""
+    """Compute the NRMSE in % of the measured range, means removed.
+
+    Parameters
+    ----------
+    measured : ndarray, shape (N,)
+        Displacement, um.
+    predicted : ndarray, shape (N,)
+        Predicted displacement, um.
+
+    Returns
+    -------
+    float
+        In %.
+    """
     return 100.0 * float(np.std(measured - predicted)) / float(np.ptp(measured))
 
 
 def predict(model: Model, record: Dataset) -> Array:
-    """The record (N,) as a model predicts it from the command."""
+    """Predict a record from its command.
+
+    Parameters
+    ----------
+    model : Model
+        Model to simulate.
+    record : Dataset
+        Record to predict.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Displacement, um.
+    """
     return simulate(model, record.command)[:, 0]
 
 
 def fitted_error(model: Model, cycle: Dataset) -> float:
-    """Error of a model on the cycle it was fitted on."""
+    """Compute the error of a model on the cycle it was fitted on.
+
+    Parameters
+    ----------
+    model : Model
+        Model to simulate.
+    cycle : Dataset
+        Cycle on which the model is fitted.
+
+    Returns
+    -------
+    float
+        NRMSE with the mean removed, % of the range.
+    """
     return float(record_rows(model, [cycle])[0][0]["nrmse_centered"])
 
 
 def nested_branches(command: Array, up: Callable[[float], float], down: Callable[[float], float], rule: str) -> Array:
-    """Madelung's rules with one of three branches, for a normalised command (N,) in 0…1; up, down run from 0 to 1.
+    """Apply Madelung's rules with one of three branch rules.
 
     From a turning point A back to B: "scaled" moves the major curve to A and scales it in y to meet B; "affine" stretches it in
     both directions; "moved" only moves it, and jumps where it rejoins an outer branch.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N,)
+        Command normalized to 0…1.
+    up : callable
+        Ascending major curve, from 0 to 1.
+    down : callable
+        Descending major curve, from 0 to 1.
+    rule : str
+        "scaled", "affine" or "moved".
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Output normalized to 0…1.
     """
     stack = [(1.0, 1.0), (0.0, 0.0)]
     u, y, direction = 0.0, 0.0, 1.0
@@ -123,7 +194,22 @@ def nested_branches(command: Array, up: Callable[[float], float], down: Callable
 
 
 def other_branches(model: Model, record: Dataset, rule: str) -> Array:
-    """The record (N,) as a Madelung model's curves predict it with another branch rule, under the record's own timing."""
+    """Predict a record from a Madelung model's curves with another branch rule, under the record's own timing.
+
+    Parameters
+    ----------
+    model : Model
+        Madelung model.
+    record : Dataset
+        Record to predict.
+    rule : str
+        Branch rule of `nested_branches`.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Displacement, um.
+    """
     stage = model.chain.stages[0]
     assert isinstance(stage, Madelung), f"{stage.name} has no branches"
     rising, falling = stage.curves(1)[0]
@@ -137,7 +223,22 @@ def other_branches(model: Model, record: Dataset, rule: str) -> Array:
 
 
 def with_delay(cycle: Dataset, record: Dataset) -> tuple[Prediction, float]:
-    """Madelung behind a delay (s) that is fitted on the cycle too; the command runs straight between its samples."""
+    """Fit a Madelung model behind a delay on a cycle and predict a record; the command is linear between its samples.
+
+    Parameters
+    ----------
+    cycle : Dataset
+        Cycle on which the model is fitted.
+    record : Dataset
+        Record to predict.
+
+    Returns
+    -------
+    prediction
+        Prediction of the record.
+    delay
+        Fitted delay, s.
+    """
 
     def fitted(delay: float) -> tuple[Model, float]:
         late = replace(cycle, command=shifted(cycle.command, delay))
@@ -152,14 +253,44 @@ def with_delay(cycle: Dataset, record: Dataset) -> tuple[Prediction, float]:
 
 
 def shifted(command: Array, delay: float) -> Array:
-    """A closed cycle (N, 1), first and last sample alike, late by `delay` s, straight between the samples."""
+    """Delay a closed cycle, linear between its samples.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N, 1)
+        Cycle whose first and last sample are equal, V.
+    delay : float
+        Delay, s.
+
+    Returns
+    -------
+    ndarray, shape (N, 1)
+        Delayed cycle, V.
+    """
     n = len(command) - 1
     late: Array = np.interp(np.arange(n + 1) - delay / SAMPLE_TIME, np.arange(n + 1), command[:, 0], period=n)[:, None]
     return late
 
 
 def odd_map(command: Array, highest: float, coefficients: Array) -> Array:
-    """c + x + c3 x³ + c5 x⁵ + …, x the distance from mid-drive c in units of it: the input map of Hammerstein-like models."""
+    """Apply the input map of Hammerstein-like models: c (1 + x + c3 x³ + c5 x⁵ + …).
+
+    x is the distance from mid-drive c, relative to c.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N,) or (N, 1)
+        Command, V.
+    highest : float
+        Highest command, V; mid-drive is half of it.
+    coefficients : ndarray, shape (C,)
+        c3, c5, …, without unit.
+
+    Returns
+    -------
+    ndarray
+        Mapped command, V.
+    """
     center = 0.5 * highest
     x = (command - center) / center
     mapped: Array = center * (1.0 + x + sum(value * x ** (2 * i + 3) for i, value in enumerate(coefficients)))
@@ -167,7 +298,22 @@ def odd_map(command: Array, highest: float, coefficients: Array) -> Array:
 
 
 def mapped_operators(cycle: Dataset, record: Dataset, count: int) -> Prediction:
-    """Play operators behind an odd polynomial of the command, both fitted on the cycle."""
+    """Fit play operators behind an odd polynomial of the command, both on the cycle.
+
+    Parameters
+    ----------
+    cycle : Dataset
+        Cycle on which the model is fitted.
+    record : Dataset
+        Record to predict.
+    count : int
+        Number of polynomial coefficients, from the cubic one on.
+
+    Returns
+    -------
+    Prediction
+        Prediction of the record.
+    """
     highest = float(cycle.command.max())
 
     def model(coefficients: Array) -> Model:
@@ -185,7 +331,19 @@ def mapped_operators(cycle: Dataset, record: Dataset, count: int) -> Prediction:
 
 
 def predictions(cycle: Dataset, record: Dataset) -> list[Prediction]:
-    """Every static model fitted on one cycle, and the second file as each predicts it."""
+    """Fit every static model on one cycle and predict the second file.
+
+    Parameters
+    ----------
+    cycle : Dataset
+        Cycle on which the model is fitted.
+    record : Dataset
+        Second file, with the nested loops.
+
+    Returns
+    -------
+    list of Prediction
+    """
     found: list[Prediction] = []
     quintic = identify([cycle], "madelung").model
     found.append(Prediction("Madelung, quintic", fitted_error(quintic, cycle), predict(quintic, record)))
@@ -203,9 +361,24 @@ def predictions(cycle: Dataset, record: Dataset) -> list[Prediction]:
 
 
 def run(json_path: str | Path | None = None, figures_dir: str | Path | None = None) -> Table:
-    """Table of every static model, held out; writes it as JSON and draws figures where asked to.
+    """Compare every static model on held-out loops and return the table.
 
-    Raises `InputError` when the measurements are absent.
+    Parameters
+    ----------
+    json_path : str or Path or None
+        JSON file to write the table to; None: none.
+    figures_dir : str or Path or None
+        Folder for the figure; None: none.
+
+    Returns
+    -------
+    Table
+        All rows of the experiment.
+
+    Raises
+    ------
+    InputError
+        Where the measurements are absent.
     """
     full, nested = load()
     available = cycles(full)
@@ -225,7 +398,17 @@ def run(json_path: str | Path | None = None, figures_dir: str | Path | None = No
 
 
 def report(table: Table, found: Sequence[Prediction], nested: Dataset) -> None:
-    """Held-out and fitted errors of every model."""
+    """Add the held-out and fitted errors of every model.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    found : sequence of Prediction
+        Predictions of every model.
+    nested : Dataset
+        Second file, with the nested loops.
+    """
     title = "P-885.91, fitted on one cycle, nested loops held out"
     for model in found:
         for case, rows in SCORED.items():
@@ -234,7 +417,17 @@ def report(table: Table, found: Sequence[Prediction], nested: Dataset) -> None:
 
 
 def report_cycles(table: Table, available: Sequence[Dataset], nested: Dataset) -> None:
-    """How much it matters which cycle is fitted."""
+    """Add the scatter of the error when other cycles are fitted.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    available : sequence of Dataset
+        Full cycles; every fourth one is fitted.
+    nested : Dataset
+        Second file, with the nested loops.
+    """
     for case, rows in SCORED.items():
         measured = nested.measurement[rows, 0]
         errors = [score(measured, predict(identify([cycle], "madelung").model, nested)[rows]) for cycle in available[::4]]
@@ -247,7 +440,15 @@ def report_cycles(table: Table, available: Sequence[Dataset], nested: Dataset) -
 
 
 def report_fitted_there(table: Table, nested: Dataset) -> None:
-    """Play operators fitted on the very rows that are scored: what no prediction of theirs can beat."""
+    """Add play operators fitted on the scored rows themselves: the least error that their predictions can reach.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    nested : Dataset
+        Second file, with the nested loops.
+    """
     for case, rows in SCORED.items():
         part = nested.rows(rows.start, rows.stop + 1)
         model = identify([part], "pi", operators=OPERATORS, nuisance="offset").model
@@ -263,7 +464,17 @@ def report_fitted_there(table: Table, nested: Dataset) -> None:
 
 
 def draw(folder: Path, found: Sequence[Prediction], nested: Dataset) -> None:
-    """Nested loops measured and predicted, and the errors of every model over time."""
+    """Draw nested loops, measured and predicted, and the errors of every model over time.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder for the figure; created if missing.
+    found : sequence of Prediction
+        Predictions of every model.
+    nested : Dataset
+        Second file, with the nested loops.
+    """
     import matplotlib
 
     matplotlib.use("Agg")

@@ -54,6 +54,18 @@ class Slip:
         self._slip, self._state = np.zeros(elements), np.zeros(5)
 
     def settle(self, value: float) -> float:
+        """Load the virgin elements from 0 straight to a constant input.
+
+        Parameters
+        ----------
+        value
+            Constant input, V.
+
+        Returns
+        -------
+        float
+            First output, output unit.
+        """
         self._slip = np.clip(0.0, value - self._slack, value + self._slack)
         resting = float((self._weights * self._slip).sum())
         free = self._law[0] * value + resting
@@ -61,6 +73,18 @@ class Slip:
         return float(self._state[4])
 
     def process(self, block: Array) -> Array:
+        """Move the elements along a block.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), V.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), output unit.
+        """
         output = np.empty(block.size)
         _slip(block, self._slack, self._weights, self._sums, self._law, self._slip, self._state, output)
         return output
@@ -85,11 +109,35 @@ class PushPull:
         self._first, self._second, self._bias, self._offset = first, second, bias, offset
 
     def settle(self, value: float) -> float:
+        """Bring the second stack to the bias, then both to a constant drive.
+
+        Parameters
+        ----------
+        value
+            Constant input, V.
+
+        Returns
+        -------
+        float
+            First output, output unit.
+        """
         self._second.settle(self._bias)
         second = self._second.process(np.array([self._bias - value]))[0]
         return float(0.5 * (self._first.settle(value) - second) + self._offset)
 
     def process(self, block: Array) -> Array:
+        """Drive the stacks against each other along a block.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), V.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), output unit.
+        """
         return 0.5 * (self._first.process(block) - self._second.process(self._bias - block)) + self._offset
 
 

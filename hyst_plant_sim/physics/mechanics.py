@@ -157,6 +157,18 @@ class Irregular:
         self.settle(0.0)
 
     def settle(self, value: float) -> float:
+        """Rest at the equilibrium of a constant drive with the cubic spring.
+
+        Parameters
+        ----------
+        value
+            Constant input, unit of the drive.
+
+        Returns
+        -------
+        float
+            First output, measurement unit.
+        """
         spring = self._force[0]
         drive = value
         for _ in range(200):  # the spring takes a part of the drive: a contraction for any part below one third
@@ -168,6 +180,18 @@ class Irregular:
         return y
 
     def process(self, block: Array) -> Array:
+        """Step the irregular mechanics through a block, each drive held over a step.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), unit of the drive.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), measurement unit.
+        """
         output = np.empty(block.size)
         _irregular(block, self._phi, self._to, self._c, self._read, self._force, self._turn, self._x, self._memory, output)
         return output

@@ -30,10 +30,34 @@ class Linear:
         self._rows, self._x, self._last = np.ascontiguousarray(rows), np.zeros(len(self._b)), np.zeros(1)
 
     def settle(self, value: float) -> float:
+        """Rest at a constant input.
+
+        Parameters
+        ----------
+        value
+            Constant input, input unit.
+
+        Returns
+        -------
+        float
+            First output, output unit.
+        """
         self._x, self._last = exact_discretization.rest(self._a, self._b, value), np.array([value])
         return float(self._c @ self._x + self._d * value)
 
     def process(self, block: Array) -> Array:
+        """Step the exact state equation through a block.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), input unit.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), output unit.
+        """
         output = np.empty(block.size)
         kernel = KERNELS[len(self._x)] if len(self._x) < len(KERNELS) else _of_any_order
         kernel(block, self._rows, self._x, self._last, output)
@@ -104,10 +128,34 @@ class Delay:
         self._past = np.zeros(whole)
 
     def settle(self, value: float) -> float:
+        """Fill the delay line with a constant input.
+
+        Parameters
+        ----------
+        value
+            Constant input, the signal's unit.
+
+        Returns
+        -------
+        float
+            First output, the signal's unit.
+        """
         self._past[:] = value
         return value
 
     def process(self, block: Array) -> Array:
+        """Delay a block by the whole steps.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), the signal's unit.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), the signal's unit.
+        """
         known = np.concatenate([self._past, block])
         self._past = known[len(block) :].copy()
         return known[: len(block)]
@@ -129,10 +177,34 @@ class LateReading:
         self._share, self._last = self._whole.rest / step, 0.0
 
     def settle(self, value: float) -> float:
+        """Fill the delay with a constant input.
+
+        Parameters
+        ----------
+        value
+            Constant input, the signal's unit.
+
+        Returns
+        -------
+        float
+            First output, the signal's unit.
+        """
         self._last = self._whole.settle(value)
         return value
 
     def process(self, block: Array) -> Array:
+        """Delay a block, with values between steps on straight lines.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), the signal's unit.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), the signal's unit.
+        """
         late = self._whole.process(block)
         before = np.concatenate([[self._last], late])[: len(block)]
         self._last = float(late[-1]) if len(late) else self._last
@@ -152,9 +224,33 @@ class Clip:
         self._lower, self._upper = lower, upper
 
     def settle(self, value: float) -> float:
+        """Limit a constant input.
+
+        Parameters
+        ----------
+        value
+            Constant input, the signal's unit.
+
+        Returns
+        -------
+        float
+            First output, the signal's unit.
+        """
         return float(min(max(value, self._lower), self._upper))
 
     def process(self, block: Array) -> Array:
+        """Limit every value of a block.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), the signal's unit.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), the signal's unit.
+        """
         return np.clip(block, self._lower, self._upper)
 
 
@@ -174,10 +270,34 @@ class WhiteNoise:
         self._stream = np.random.default_rng(seed)
 
     def settle(self, values: Array) -> Array:
+        """Restart the noise from its seed and add it to constant inputs.
+
+        Parameters
+        ----------
+        values
+            Constant input (A,), measurement unit.
+
+        Returns
+        -------
+        ndarray
+            First output (A,), measurement unit.
+        """
         self._stream = np.random.default_rng(self._seed)
         return self.process(values[:, None])[:, 0]
 
     def process(self, block: Array) -> Array:
+        """Add noise to a block, the draws of all axes sample by sample.
+
+        Parameters
+        ----------
+        block
+            Next inputs (A, M), measurement unit.
+
+        Returns
+        -------
+        ndarray
+            Outputs (A, M), measurement unit.
+        """
         return block + self._rms[:, None] * self._stream.standard_normal(block.shape[::-1]).T
 
 
@@ -194,9 +314,33 @@ class Mixing:
         self._matrix = matrix
 
     def settle(self, values: Array) -> Array:
+        """Mix constant inputs.
+
+        Parameters
+        ----------
+        values
+            Constant input (A,), input unit.
+
+        Returns
+        -------
+        ndarray
+            First output (A,), output unit.
+        """
         return self.process(values[:, None])[:, 0]
 
     def process(self, block: Array) -> Array:
+        """Mix every sample of a block.
+
+        Parameters
+        ----------
+        block
+            Next inputs (A, M), input unit.
+
+        Returns
+        -------
+        ndarray
+            Outputs (A, M), output unit.
+        """
         # Not a matrix product: its rounding may depend on the length of the block.
         return np.stack([sum(share * row for share, row in zip(shares, block, strict=True)) for shares in self._matrix])
 
@@ -214,11 +358,35 @@ class Chain:
         self._parts = parts
 
     def settle(self, value: float) -> float:
+        """Settle the parts one after the other, each at the output of the one before.
+
+        Parameters
+        ----------
+        value
+            Constant input, input unit.
+
+        Returns
+        -------
+        float
+            First output, output unit.
+        """
         for part in self._parts:
             value = part.settle(value)
         return value
 
     def process(self, block: Array) -> Array:
+        """Pass a block through all parts in order.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), input unit.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), output unit.
+        """
         for part in self._parts:
             block = part.process(block)
         return block
@@ -237,9 +405,33 @@ class Sum:
         self._parts = parts
 
     def settle(self, value: float) -> float:
+        """Settle all parts at the same input and add their outputs.
+
+        Parameters
+        ----------
+        value
+            Constant input, input unit.
+
+        Returns
+        -------
+        float
+            First output, output unit.
+        """
         return float(sum(part.settle(value) for part in self._parts))
 
     def process(self, block: Array) -> Array:
+        """Add the outputs of all parts for a block.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), input unit.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), output unit.
+        """
         first, *others = [part.process(block) for part in self._parts]
         return np.asarray(sum(others, start=first), dtype=np.float64)
 

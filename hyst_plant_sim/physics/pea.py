@@ -178,10 +178,34 @@ class Drag:
         self._state = np.zeros(1)
 
     def settle(self, value: float) -> float:
+        """Rest at a constant polarization.
+
+        Parameters
+        ----------
+        value
+            Constant input, unit of Y.
+
+        Returns
+        -------
+        float
+            First output, unit of Y.
+        """
         self._state[0] = value
         return value
 
     def process(self, block: Array) -> Array:
+        """Let the output relax toward a block of polarizations.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), unit of Y.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), unit of Y.
+        """
         output = np.empty(block.size)
         _drag(block, self._law, self._state, output)
         return output

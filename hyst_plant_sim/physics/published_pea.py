@@ -112,11 +112,35 @@ class DynamicWeights:
         self._past = np.zeros(frame.substeps)
 
     def settle(self, value: float) -> float:
+        """Start from the virgin state at a constant drive with no rate.
+
+        Parameters
+        ----------
+        value
+            Constant input, V.
+
+        Returns
+        -------
+        float
+            First output, um.
+        """
         self._past[:] = value
         self._h = np.clip(0.0, value - self._r, value + self._r)
         return float(self.process(np.array([value]))[0])
 
     def process(self, block: Array) -> Array:
+        """Compute the output of a block with rate-dependent weights.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), V.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), um.
+        """
         known = np.concatenate([self._past, block])
         self._past = known[len(block) :].copy()
         output = np.empty(block.size)

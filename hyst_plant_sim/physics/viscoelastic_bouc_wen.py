@@ -160,10 +160,34 @@ class BoucWen:
         self._state = np.zeros(2)
 
     def settle(self, value: float) -> float:
+        """Start with empty memory and move to a constant voltage.
+
+        Parameters
+        ----------
+        value
+            Constant input, V.
+
+        Returns
+        -------
+        float
+            First output, um.
+        """
         self._state[:] = 0.0
         return float(self.process(np.array([value]))[0])
 
     def process(self, block: Array) -> Array:
+        """Integrate the hysteresis along a block.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), V.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), um.
+        """
         output = np.empty(block.size)
         _bouc_wen(block, self._law, self._state, output)
         return output

@@ -11,7 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyst_control.diagnose.configuration import CONFIGURATION
-from hyst_control.diagnose.evidence import Evidence, FlickerEvidence, HypothesisEvidence, RecordEvidence, ResidualEvidence
+from hyst_control.diagnose.evidence import (
+    CompanionEvidence,
+    Evidence,
+    FlickerEvidence,
+    HypothesisEvidence,
+    RecordEvidence,
+    ResidualEvidence,
+)
 from hyst_control.diagnose.policy import Decision, Reason, Verdict, contenders, decide, detected, join, practical_floor, strained
 from hyst_control.effects.effect import RecordCheck
 
@@ -71,6 +78,15 @@ SMALL = none(misfit=0.5 * SAMPLES * 1.2, energy=1.2, residual=replace(QUIET, ene
 OUTLIERS_BASE = none(energy=3.0, residual=replace(SPIKES, energy=1.0))
 
 
+UNRELATED = none(residual=replace(QUIET, energy=BEFORE, predictable=0.0))
+
+
+def session(usual: float) -> HypothesisEvidence:
+    """No gap but a zero of two noise rms, where clean records differ by `usual`."""
+    zero = CompanionEvidence("offset", "offset", 0, 2.0, 0.1, usual, 2.0)
+    return replace(SMALL, residual=replace(QUIET, energy=1.2, companions=(zero,)))
+
+
 @dataclass(frozen=True)
 class Row:
     """One rule: evidence, and the verdict, reasons, names listed and checks that found something that are due."""
@@ -86,6 +102,9 @@ class Row:
 
 V, R, C = Verdict, Reason, RecordCheck
 TABLE = (
+    Row("a session's zero", evidence(base=session(np.nan)), V.EFFECT, (R.SESSION_DIFFERS,)),
+    Row("a zero like those between clean records", evidence(base=session(1.0)), V.NO_GAP, (R.BELOW_NULL,)),
+    Row("a remainder that does not follow the command", evidence(base=UNRELATED), V.NO_GAP, (R.BELOW_NULL,), remainder=0.0),
     Row("nothing was tried", evidence(base=SMALL), V.NO_GAP, (R.BELOW_NULL,), remainder=0.0),
     Row(
         "an effect at the null's threshold",

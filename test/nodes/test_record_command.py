@@ -58,5 +58,5 @@ def test_duration_ends_the_recording_without_a_message(tmp_path, domain):
         capture_output=True,
         text=True,
     )
-    assert ended.returncode == 0 and "/command: 0 messages" in ended.stdout
+    assert ended.returncode == 0 and "/command: nothing was received" in ended.stdout
     assert (tmp_path / "bag" / "metadata.yaml").is_file()

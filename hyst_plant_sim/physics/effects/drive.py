@@ -33,10 +33,34 @@ class Hold:
         return np.rint(values / self._step) * self._step if self._step else values
 
     def settle(self, value: float) -> float:
+        """Take the input as the first command and hold it.
+
+        Parameters
+        ----------
+        value
+            Constant input, V.
+
+        Returns
+        -------
+        float
+            First output, V.
+        """
         self._count, self._held = 0, float(self._rounded(np.array([value]))[0])
         return self._held
 
     def process(self, block: Array) -> Array:
+        """Hold each n-th command of a block until the next, rounded to the step.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), V.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), V.
+        """
         taken = np.arange(self._count, self._count + len(block)) // self._samples * self._samples - self._count
         output = np.where(taken < 0, self._held, self._rounded(block)[np.maximum(taken, 0)])
         self._count += len(block)
@@ -59,10 +83,34 @@ class Slew:
         self._most, self._last = rate * step, np.zeros(1)
 
     def settle(self, value: float) -> float:
+        """Rest at a voltage.
+
+        Parameters
+        ----------
+        value
+            Constant input, V.
+
+        Returns
+        -------
+        float
+            First output, V.
+        """
         self._last[0] = value
         return value
 
     def process(self, block: Array) -> Array:
+        """Limit the rate of a block; each output is the mean over its step.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), V.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), V.
+        """
         output = np.empty(block.size)
         _slew(block, self._most, self._last, output)
         return output
@@ -83,6 +131,18 @@ class SlowClock:
         self._share, self._context = share, context
 
     def settle(self, value: float) -> float:
+        """Restart at a constant command, which also holds before the first sample.
+
+        Parameters
+        ----------
+        value
+            Constant command, V.
+
+        Returns
+        -------
+        float
+            First output, V.
+        """
         self._first, self._past, self._count = value, np.zeros(0), 0
         return value
 

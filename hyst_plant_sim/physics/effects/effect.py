@@ -117,9 +117,33 @@ class PassThrough:
     """Part that passes the signal through unchanged."""
 
     def settle(self, value: Any) -> Any:
+        """Return the constant input.
+
+        Parameters
+        ----------
+        value
+            Constant input; (A,) for all axes.
+
+        Returns
+        -------
+        object
+            The same value.
+        """
         return value
 
     def process(self, block: Array) -> Array:
+        """Copy a block.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,) or (A, M).
+
+        Returns
+        -------
+        ndarray
+            The same values, in a new array.
+        """
         return block.copy()
 
 
@@ -138,11 +162,35 @@ class Switch:
         self._count = 0
 
     def settle(self, value: Any) -> Any:
+        """Settle all parts, and count samples from 0.
+
+        Parameters
+        ----------
+        value
+            Constant input; (A,) for parts that mix axes.
+
+        Returns
+        -------
+        object
+            First output of the part that is active at sample 0.
+        """
         self._count = 0
         settled = [part.settle(np.array(value) if isinstance(value, np.ndarray) else value) for part in self._parts]
         return settled[max(i for i, first in enumerate(self._first) if first <= 0)]
 
     def process(self, block: Array) -> Array:
+        """Run all parts over a block and output the active one at each sample.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,) or (A, M).
+
+        Returns
+        -------
+        ndarray
+            Outputs of the shape of the block.
+        """
         output = self._parts[0].process(block.copy())
         length = block.shape[-1]
         for first, part in zip(self._first[1:], self._parts[1:], strict=True):
@@ -166,9 +214,33 @@ class Pointwise:
         self._function = function
 
     def settle(self, value: float) -> float:
+        """Apply the function to a constant input.
+
+        Parameters
+        ----------
+        value
+            Constant input, the signal's unit.
+
+        Returns
+        -------
+        float
+            First output, the signal's unit.
+        """
         return float(self._function(np.array([value]))[0])
 
     def process(self, block: Array) -> Array:
+        """Apply the function to a block.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), the signal's unit.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), the signal's unit.
+        """
         return self._function(block)
 
 
@@ -187,10 +259,34 @@ class Timed:
         self._function, self._context, self._count = function, context, 0
 
     def settle(self, value: float) -> float:
+        """Apply the function to a constant input at the first sample's time.
+
+        Parameters
+        ----------
+        value
+            Constant input, the signal's unit.
+
+        Returns
+        -------
+        float
+            First output, the signal's unit.
+        """
         self._count = 0
         return float(self._function(np.array([value]), np.array([max(0.0, -self._context.start)]))[0])
 
     def process(self, block: Array) -> Array:
+        """Apply the function to a block, at times that go on from the block before.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), the signal's unit.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), the signal's unit.
+        """
         times = self._context.times(self._count, len(block)) - self._context.start
         self._count += len(block)
         return self._function(block, np.maximum(times, 0.0))

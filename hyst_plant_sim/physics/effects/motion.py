@@ -28,10 +28,34 @@ class Backlash:
         self._half_width, self._place = half_width, np.zeros(1)
 
     def settle(self, value: float) -> float:
+        """Move from 0 to a constant input, as far as the play lets it push.
+
+        Parameters
+        ----------
+        value
+            Constant input, measurement unit.
+
+        Returns
+        -------
+        float
+            First output, measurement unit.
+        """
         self._place[0] = np.clip(0.0, value - self._half_width, value + self._half_width)
         return float(self._place[0])
 
     def process(self, block: Array) -> Array:
+        """Follow a block with play.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), measurement unit.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), measurement unit.
+        """
         output = np.empty(block.size)
         _play(block, self._half_width, self._place, output)
         return output
@@ -60,12 +84,36 @@ class AxisCoupling:
         self._filters = [Straight(exact_discretization.lag(2 * np.pi * corner), period) for _ in self._onto]
 
     def settle(self, values: Array) -> Array:
+        """Settle the low-passes and add the next axis' share.
+
+        Parameters
+        ----------
+        values
+            Constant input (A,), measurement unit.
+
+        Returns
+        -------
+        ndarray
+            First output (A,), measurement unit.
+        """
         output = values.copy()
         for onto, part in zip(self._onto, self._filters, strict=True):
             output[onto] += self._coupling * part.settle(float(values[(onto + 1) % self._axes]))
         return output
 
     def process(self, block: Array) -> Array:
+        """Add the low-passed motion of the next axis to each coupled axis.
+
+        Parameters
+        ----------
+        block
+            Next inputs (A, M), measurement unit.
+
+        Returns
+        -------
+        ndarray
+            Outputs (A, M), measurement unit.
+        """
         output = block.copy()
         for onto, part in zip(self._onto, self._filters, strict=True):
             output[onto] += self._coupling * part.process(block[(onto + 1) % self._axes])
@@ -90,11 +138,35 @@ class Vibration:
         self._keep = np.exp(-2 * np.pi * frequency / 500.0 * context.period)
 
     def settle(self, value: float) -> float:
+        """Restart the tone with a fresh random envelope.
+
+        Parameters
+        ----------
+        value
+            Constant input, measurement unit.
+
+        Returns
+        -------
+        float
+            First output, measurement unit.
+        """
         self._count, self._stream = 0, self._context.stream("vibration")
         self._envelope = self._stream.standard_normal(2)
         return float(value + self._amplitude * self._envelope[0] / np.sqrt(2.0))
 
     def process(self, block: Array) -> Array:
+        """Add the wandering tone to a block.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), measurement unit.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), measurement unit.
+        """
         draws = self._stream.standard_normal((len(block), 2))
         envelope = np.empty((len(block), 2))
         _wander(draws, self._keep, np.sqrt(1.0 - self._keep**2), self._envelope, envelope)

@@ -31,10 +31,34 @@ class White:
         self._rms, self._context = rms, context
 
     def settle(self, value: float) -> float:
+        """Restart the noise at a constant input.
+
+        Parameters
+        ----------
+        value
+            Constant input, measurement unit.
+
+        Returns
+        -------
+        float
+            First output, measurement unit.
+        """
         self._stream = self._context.stream("sensor_noise")
         return value + self._rms * float(self._stream.standard_normal())
 
     def process(self, block: Array) -> Array:
+        """Add white noise to a block.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), measurement unit.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), measurement unit.
+        """
         return block + self._rms * self._stream.standard_normal(len(block))
 
 
@@ -58,11 +82,35 @@ class Flicker:
         self._rms = rms / float(np.sqrt(len(corners)))
 
     def settle(self, value: float) -> float:
+        """Restart the noise, its low-passes already in their steady state.
+
+        Parameters
+        ----------
+        value
+            Constant input, measurement unit.
+
+        Returns
+        -------
+        float
+            First output, measurement unit.
+        """
         self._stream = self._context.stream("flicker_noise")
         self._state = self._stream.standard_normal(len(self._keep))
         return value + self._rms * float(sum(self._state))
 
     def process(self, block: Array) -> Array:
+        """Add 1/f noise to a block.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), measurement unit.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), measurement unit.
+        """
         draws = self._stream.standard_normal((len(block), len(self._keep)))
         noise = np.empty(len(block))
         _coloured(draws, self._keep, self._fresh, self._state, noise)
@@ -86,10 +134,34 @@ class Outliers:
         self._fraction, self._size, self._context = fraction, size, context
 
     def settle(self, value: float) -> float:
+        """Restart the random stream; the first sample is no outlier.
+
+        Parameters
+        ----------
+        value
+            Constant input, measurement unit.
+
+        Returns
+        -------
+        float
+            First output, measurement unit.
+        """
         self._stream = self._context.stream("outliers")
         return value
 
     def process(self, block: Array) -> Array:
+        """Add the outliers to a block.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), measurement unit.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), measurement unit.
+        """
         draws = self._stream.random((len(block), 2))
         height = self._size * np.where(draws[:, 1] < 0.5, draws[:, 1] - 1.0, draws[:, 1])
         return block + np.where(draws[:, 0] < self._fraction, height, 0.0)
@@ -110,10 +182,34 @@ class Held:
         self._fraction, self._context = fraction, context
 
     def settle(self, value: float) -> float:
+        """Restart the random stream; the first sample is fresh.
+
+        Parameters
+        ----------
+        value
+            Constant input, measurement unit.
+
+        Returns
+        -------
+        float
+            First output, measurement unit.
+        """
         self._stream, self._last = self._context.stream("held_samples"), value
         return value
 
     def process(self, block: Array) -> Array:
+        """Repeat the sample before wherever the random stream says so.
+
+        Parameters
+        ----------
+        block
+            Next inputs (M,), measurement unit.
+
+        Returns
+        -------
+        ndarray
+            Outputs (M,), measurement unit.
+        """
         fresh = self._stream.random(len(block)) >= self._fraction
         newest = np.maximum.accumulate(np.where(fresh, np.arange(len(block)), -1))
         output = np.where(newest < 0, self._last, block[newest])
