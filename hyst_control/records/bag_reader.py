@@ -45,11 +45,28 @@ Array = NDArray[np.float64]
 def read_bag(
     path: str | Path, namespace: str | None = None, unit: str = "unknown", topics: Collection[str] | None = None
 ) -> Record:
-    """Every signal topic of a bag: a rosbag2 directory, or an .mcap or .db3 file by itself.
+    """Read every signal topic of a bag: a rosbag2 directory, or a single .mcap or .db3 file.
 
-    Topics are known by the last part of their names; where several namespaces have one, `namespace` says which is meant. `unit`
-    is that of measurement and reference in a bag whose messages carry no layout. `topics`: only these, by the last part of
-    their names. Raises `InputError` naming file and remedy.
+    Parameters
+    ----------
+    path
+        Bag to read.
+    namespace
+        Namespace of the topics, needed where several namespaces have a topic of the same name.
+    unit
+        Unit of measurement and reference in a bag whose messages have no layout.
+    topics
+        Last parts of the names of the topics to read; all by default.
+
+    Returns
+    -------
+    Record
+        Signals by the last part of their topic's name, with notes on what is missing or was left out.
+
+    Raises
+    ------
+    InputError
+        The bag cannot be read, holds no signal messages, or one of its signals is not valid; the text names file and remedy.
     """
     path = Path(path)
     notes: list[str] = []

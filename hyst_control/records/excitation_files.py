@@ -47,10 +47,28 @@ def _from_file(path: Path) -> dict[str, Any]:
 
 
 def write_excitation(path: str | Path, spec: Mapping[str, Any], rows: Array, sample_time: float, unit: str) -> None:
-    """Write rows (N, A) by the ending of the name: .csv, .npy, .yaml (the description, for the reference generator), else a bag.
+    """Write an excitation in the format that the ending of the file name selects.
 
-    A bag holds them as `command` when their unit is V, as `reference` otherwise; time starts at 0. Raises `InputError` when the path
-    exists or cannot be written; nothing is left then.
+    .csv, .npy and .yaml (the description, for the reference generator) are known; any other name is a bag. A bag holds the rows as
+    `command` when their unit is V, as `reference` otherwise; time starts at 0.
+
+    Parameters
+    ----------
+    path
+        File or bag to write, which must not exist.
+    spec
+        Description of the signal, as for `excitation.build`.
+    rows
+        Rows (N, A), in `unit`.
+    sample_time
+        Sample time, s.
+    unit
+        One of `UNITS`.
+
+    Raises
+    ------
+    InputError
+        The path exists or cannot be written, in which case nothing is left there, or the unit is not known.
     """
     path = Path(path)
     axes, time = axis_names(rows.shape[1]), np.asarray(np.arange(len(rows)) * sample_time, dtype=np.float64)

@@ -69,7 +69,23 @@ class Column:
 
 
 def parse_columns(text: str) -> list[Column]:
-    """Columns from "command=1[V],measurement=5[um]"; several axes as "measurement=5+6[m]". Raises `InputError`."""
+    """Parse the assignment of columns to topics, such as "command=1[V],measurement=5[um]".
+
+    Parameters
+    ----------
+    text
+        Assignments separated by commas; several axes are joined as in "measurement=5+6[m]".
+
+    Returns
+    -------
+    list[Column]
+        Columns in the order of the text.
+
+    Raises
+    ------
+    InputError
+        The text is empty or of another form, a unit is not known, or a topic stands twice.
+    """
     found: list[Column] = []
     rest = text.strip()
     while rest:

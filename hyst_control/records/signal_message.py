@@ -27,12 +27,41 @@ _COLUMN = re.compile(r"([^\[\],]+)\[([^\[\],]*)\]")
 
 
 def label_for(axes: Sequence[str], unit: str) -> str:
-    """The column label of a signal: ``label_for(["x", "y"], "um")`` is ``t[s],x[um],y[um]``."""
+    """Column label of a signal: ``label_for(["x", "y"], "um")`` is ``t[s],x[um],y[um]``.
+
+    Parameters
+    ----------
+    axes
+        Names (A,) of the axes.
+    unit
+        Unit of every axis.
+
+    Returns
+    -------
+    str
+        Label with the time column first.
+    """
     return ",".join([TIME_COLUMN, *(f"{axis}[{unit}]" for axis in axes)])
 
 
 def parse_label(label: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Axes and their units from a column label, the time column left out. Raises `InputError` on another form."""
+    """Axes and their units from a column label, without the time column.
+
+    Parameters
+    ----------
+    label
+        Label such as ``t[s],x[um]``.
+
+    Returns
+    -------
+    tuple[tuple[str, ...], tuple[str, ...]]
+        Names (A,) and units (A,).
+
+    Raises
+    ------
+    InputError
+        The label has another form, or names a column twice.
+    """
     columns = label.split(",")
     matches = [_COLUMN.fullmatch(column.strip()) for column in columns]
     if columns[0].strip() != TIME_COLUMN or len(columns) < 2 or None in matches:
@@ -87,7 +116,22 @@ class Decoder:
 
 
 def header(label: str, rows: int, columns: int) -> bytes:
-    """Everything that stands before the data of a block (rows, columns): little-endian, padding zero."""
+    """Bytes before the data of a block: little-endian CDR with zero padding.
+
+    Parameters
+    ----------
+    label
+        Column label.
+    rows
+        Number of rows N.
+    columns
+        Number of columns C, time included.
+
+    Returns
+    -------
+    bytes
+        Serialized header, at whose end the data follows.
+    """
     text = label.encode()
     parts = bytearray(b"\0\1\0\0" + struct.pack("<I", 2))  # little-endian CDR, two dimensions
     for name, size, stride in ((ROW_LABEL.encode(), rows, rows * columns), (text, columns, columns)):
@@ -100,10 +144,24 @@ def header(label: str, rows: int, columns: int) -> bytes:
 
 
 def decode(buffer: bytes | bytearray | memoryview) -> tuple[str, NDArray[np.float64]]:
-    """Label and block (N, C) of a serialized Float64MultiArray; the block is a view of the buffer where it can be.
+    """Label and block of a serialized Float64MultiArray.
 
-    A message without a layout gives the label "" and its data as one row (1, C). Raises `InputError` when the bytes are
-    no such message, or its layout is not the fixed one.
+    A message without a layout gives the label "" and its data as one row (1, C).
+
+    Parameters
+    ----------
+    buffer
+        Serialized message, in either byte order.
+
+    Returns
+    -------
+    tuple[str, NDArray[np.float64]]
+        Label and block (N, C); the block is a view of the buffer where its byte order allows it.
+
+    Raises
+    ------
+    InputError
+        The bytes are no such message, or its layout is not the fixed one.
     """
     view = memoryview(buffer)
     if len(view) < 12 or view[0] != 0 or view[1] > 1:
