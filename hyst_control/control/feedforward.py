@@ -262,7 +262,7 @@ def drive_limits(model: Model, limits: tuple[ArrayLike, ArrayLike] | None) -> Ar
         given = np.array(given, dtype=float).T
     bounds = np.stack([np.broadcast_to(np.asarray(side, dtype=float), (len(model.axes),)) for side in given])
     if not np.all(np.isfinite(bounds)) or np.any(bounds[0] >= bounds[1]):
-        raise InputError(f"limits: {bounds[0].tolist()} to {bounds[1].tolist()} V, lower below upper is due")
+        raise InputError(f"limits: lower must be below upper, got {bounds[0].tolist()} to {bounds[1].tolist()} V")
     return np.array(bounds)
 
 

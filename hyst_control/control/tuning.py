@@ -176,11 +176,11 @@ def tune(
         and all(0 <= spread < 1 for spread in (gain_spread, mode_spread, model_error))
     ):
         raise InputError(
-            "margins: gain margin above 0 dB, phase margin between 0 and 90 degrees, peak sensitivity above 1, "
-            "spreads and model error from 0 to below 1 are due"
+            "margins: must be gain margin above 0 dB, phase margin between 0 and 90 degrees, peak sensitivity above 1, "
+            "spreads and model error from 0 to below 1"
         )
     if roll_off != AUTOMATIC and not (isinstance(roll_off, (int, float)) and 0.0 <= roll_off < np.inf):
-        raise InputError(f"roll_off: {roll_off!r}: a corner in Hz, 0 for none, or {AUTOMATIC!r} is due")
+        raise InputError(f"roll_off: must be a corner in Hz, 0 for none, or {AUTOMATIC!r}, got {roll_off!r}")
     z = np.exp(1j * np.geomspace(1e-5, 1.0, 1500) * np.pi)
     plants = spread_responses(model, sample_time, loop_delay, gain_spread, mode_spread, z)
     static = np.abs(plants[:, 0]).max()

@@ -81,7 +81,9 @@ def lifted_inverse(
     reference = np.ascontiguousarray(reference, dtype=float)
     axes = len(model.axes)
     if reference.ndim != 2 or reference.shape[1] != axes or len(reference) < 2 or not np.all(np.isfinite(reference)):
-        raise InputError(f"reference: shape {reference.shape}: at least two rows of finite numbers, one column per axis, are due")
+        raise InputError(
+            f"reference: must be at least two rows of finite numbers, one column per axis, got shape {reference.shape}"
+        )
     sample_time = float(sample_time or model.sample_time)
     bounds = drive_limits(model, limits)
     plant = Simulator(model, sample_time)

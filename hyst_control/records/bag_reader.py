@@ -255,7 +255,7 @@ def _files(path: Path, metadata: _Metadata | None) -> list[Path]:
     else:
         files = sorted(file for file in path.iterdir() if file.name.endswith(known))
     if not files or not all(file.name.endswith(known) for file in files):
-        raise InputError(f"{path}: is no bag: a rosbag2 directory, or an .mcap or .db3 file, is due")
+        raise InputError(f"{path}: is no bag: must be a rosbag2 directory, or an .mcap or .db3 file")
     if len({file.name.removesuffix(".zstd").rpartition(".")[2] for file in files}) > 1:
         raise InputError(f"{path}: holds both MCAP and SQLite3 files: keep one bag per directory")
     return files
@@ -388,7 +388,7 @@ def _signal(path: Path, name: str, topic: _Topic, origin: int, unit: str, notes:
     if not axes:
         raise InputError(f"{path}: {name}: messages hold no values: record the plant's signals")
     if len(set(units)) > 1:
-        raise InputError(f"{path}: {name}: label {label!r} mixes units: one unit per topic is due")
+        raise InputError(f"{path}: {name}: label must have one unit for all axes, got {label!r}")
     if units:
         time = np.concatenate([block[:, 0] for block in blocks])
         values = np.concatenate([block[:, 1:] for block in blocks])

@@ -79,7 +79,7 @@ def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:
         if key not in known or key in ("sample_time", "axes"):
             allowed = [name for name in known if name not in ("sample_time", "axes")]
             raise InputError(
-                f"{kind}: {key}: no such parameter, one of {', '.join([*allowed, 'lower', 'upper', 'slew_limit', 'axis'])} is due"
+                f"{kind}: {key}: no such parameter, must be one of {', '.join([*allowed, 'lower', 'upper', 'slew_limit', 'axis'])}"
             )
     for key, parameter in known.items():
         if parameter.default is inspect.Parameter.empty and key not in given and key not in ("sample_time", "axes"):
@@ -285,7 +285,7 @@ def multi_frequency(
     f, a = np.asarray(frequencies, dtype=float), np.asarray(amplitudes, dtype=float)
     p = np.zeros_like(f) if phases is None else np.asarray(phases, dtype=float)
     if not f.shape == a.shape == p.shape or f.ndim != 1 or not f.size:
-        raise InputError(f"frequencies: {f.size} of them, {a.size} amplitudes, {p.size} phases: lists of one length are due")
+        raise InputError(f"frequencies: must be as many as amplitudes and phases, got {f.size}, {a.size} and {p.size}")
     time = _time(duration, sample_time)
     return offset + sum(ai * np.sin(2 * np.pi * fi * time + pi) for fi, ai, pi in zip(f, a, p, strict=True))
 
@@ -523,7 +523,7 @@ def staircase(sample_time: float, levels: Sequence[float] | Array, hold: float, 
     values = [_number(level, "levels") for level in levels]
     _check_size(len(values) * (_number(hold, "hold") + _number(ramp, "ramp")) / sample_time)
     if not values:
-        raise InputError("levels: is empty: at least one level is due")
+        raise InputError("levels: must be a list of at least one level, got an empty one")
     parts = []
     for before, level in zip([values[0], *values], values, strict=False):
         if ramp and level != before:
@@ -676,7 +676,7 @@ def sequence(sample_time: float, axes: int, parts: Sequence[Mapping[str, Any]], 
         There is no list of descriptions, or one is not valid; the text gives its index.
     """
     if not parts or isinstance(parts, (str, Mapping)):
-        raise InputError("parts: a list of signal descriptions is due")
+        raise InputError(f"parts: must be a list of signal descriptions, got {parts!r}")
     rows: list[Array] = []
     for index, part in enumerate(parts):
         try:
@@ -934,7 +934,7 @@ def _two_axes(axes: int) -> None:
 
 def _number(value: Any, name: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or np.isnan(value):
-        raise InputError(f"{name}: {value!r}, a number is due")
+        raise InputError(f"{name}: must be a number, got {value!r}")
     return float(value)
 
 

@@ -31,18 +31,18 @@ def read_description(words: Sequence[str]) -> dict[str, Any]:
     for word in rest:
         name, mark, text = word.partition("=")
         if not mark or not name:
-            raise InputError(f"{word!r}: parameter=value is due (frequency=10)")
+            raise InputError(f"must be parameter=value, such as frequency=10, got {word!r}")
         try:
             spec[name] = parse_yaml(text, name)
         except InputError:
-            raise InputError(f"{word!r}: the value is not valid: a number, a text or a list such as [1, 2] is due") from None
+            raise InputError(f"{word!r}: the value must be a number, a text or a list such as [1, 2]") from None
     return spec
 
 
 def _from_file(path: Path) -> dict[str, Any]:
     spec = read_yaml(path, f"give an existing file or one of {', '.join(sorted(KINDS))}")
     if not isinstance(spec, dict):
-        raise InputError(f"{path}: holds no description: signal: KIND and its parameters are due")
+        raise InputError(f"{path}: holds no description: must be signal: KIND and its parameters")
     return spec
 
 
@@ -73,7 +73,7 @@ def write_excitation(path: str | Path, spec: Mapping[str, Any], rows: Array, sam
     path = Path(path)
     axes, time = axis_names(rows.shape[1]), np.asarray(np.arange(len(rows)) * sample_time, dtype=np.float64)
     if unit not in UNITS:
-        raise InputError(f"unit: {unit!r}, one of {', '.join(UNITS)} is due")
+        raise InputError(f"unit: must be one of {', '.join(UNITS)}, got {unit!r}")
     if os.path.lexists(path):
         raise InputError(f"{path}: exists already: choose another name or remove it")
     if path.suffix == ".csv":

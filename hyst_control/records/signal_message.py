@@ -65,7 +65,7 @@ def parse_label(label: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     columns = label.split(",")
     matches = [_COLUMN.fullmatch(column.strip()) for column in columns]
     if columns[0].strip() != TIME_COLUMN or len(columns) < 2 or None in matches:
-        raise InputError(f"label {label!r}: columns such as 't[s],x[um]' are due")
+        raise InputError(f"label: must be columns such as 't[s],x[um]', got {label!r}")
     found = [match.groups() for match in matches[1:] if match]
     axes, units = tuple(axis for axis, _ in found), tuple(unit for _, unit in found)
     if len(set(axes)) != len(axes):
@@ -185,14 +185,14 @@ def decode(buffer: bytes | bytearray | memoryview) -> tuple[str, NDArray[np.floa
     if not dimensions:
         return "", data.reshape(1, -1)
     if len(dimensions) != 2:
-        raise InputError(f"layout of {len(dimensions)} dimensions: two, samples and columns, are due")
+        raise InputError(f"layout: must have two dimensions, samples and columns, got {len(dimensions)}")
     (_, rows, stride), (label, columns, column_stride) = dimensions
     if rows * columns != count or stride != count or column_stride != columns or offset:
         raise InputError(
             f"layout ({rows} x {columns}, strides {stride} and {column_stride}, offset {offset}) does not fit its {count} values"
         )
     if not label:
-        raise InputError("layout without a label: columns such as 't[s],x[um]' are due")
+        raise InputError("layout: label must be columns such as 't[s],x[um]', got none")
     if label.count(",") + 1 != columns:
         raise InputError(f"label {label!r}: names {label.count(',') + 1} columns, the layout has {columns}")
     return label, data.reshape(rows, columns)
@@ -202,7 +202,7 @@ def _read_dimensions(view: memoryview, order: str) -> tuple[list[tuple[str, int,
     """The layout's dimensions (label, size, stride) and the position behind them."""
     number = struct.unpack_from(order + "I", view, 4)[0]
     if number > 16:
-        raise InputError(f"layout of {number} dimensions: two, samples and columns, are due")
+        raise InputError(f"layout: must have two dimensions, samples and columns, got {number}")
     dimensions, position = [], 8
     for _ in range(number):
         position += -position % 4
