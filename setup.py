@@ -21,8 +21,9 @@ REQUIRED = [
     "tqdm",
     "jinja2",
     "platformdirs",
-    "rosbags",
     "mcap",
+    "lz4",
+    "zstandard",
     "argcomplete",
 ]
 

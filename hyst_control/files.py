@@ -22,7 +22,7 @@ LINKS = 40
 
 
 def check_writable(path: str | Path) -> None:
-    """Raise `InputError` unless a file of this name can be written, as far as that can be told beforehand."""
+    """Check that a file can be written at `path`, as far as that can be told beforehand. Raises `InputError` if not."""
     try:
         target = _target(path)
         mode = _mode(target)
@@ -74,7 +74,7 @@ def check_outputs(outputs: Mapping[str, str | Path | None], inputs: Iterable[str
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[BinaryIO]:
-    """Open a file to write that appears under its name only when the block has ended without an exception.
+    """Open `path` to write a file that appears under its name only when the block has ended without an exception.
 
     A new file gets the permissions that the user's umask leaves, one that was there keeps its own. Devices, FIFOs and what a symbolic
     link names are written through. Raises `InputError` where the file cannot be written.
@@ -106,14 +106,14 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a text at once or not at all. Raises `InputError` where it cannot be written."""
+    """Write `text` to the file at `path` completely or not at all. Raises `InputError` when it cannot be written."""
     data = text.encode("utf-8", "backslashreplace")  # a file's name may hold bytes that are no text
     with replacing(path) as file:
         file.write(data)
 
 
 def write_json(path: str | Path, document: Any) -> None:
-    """A JSON document; numbers that are none are refused."""
+    """Write a JSON `document` to the file at `path`; NaN and infinity are refused with a `ValueError`."""
     write_text(path, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 

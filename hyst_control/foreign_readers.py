@@ -41,6 +41,6 @@ def foreign_reader(where: str | Path, what: str, remedy: str) -> Iterator[None]:
 
 
 def first_line(error: BaseException) -> str:
-    """First line of an exception's text, or its type's name where it has none."""
+    """First line of the text of `error`, or the name of its type where it has no text."""
     text = str(error).strip()
     return text.splitlines()[0] if text else type(error).__name__

@@ -183,7 +183,7 @@ def model_from_document(document: Any) -> Model:
         Naming the field.
     """
     if not isinstance(document, Mapping):
-        raise InputError("is not a model file: a mapping with format, version, … is due")
+        raise InputError("is not a model file: must be a mapping with format, version, …")
     if document.get("format") != FORMAT:
         raise InputError(f"format: {document.get('format')!r}, a model file says {FORMAT!r}")
     if document.get("version") != VERSION or isinstance(document["version"], bool):
@@ -291,7 +291,7 @@ def stages_from_document(rows: Any, where: str) -> tuple[Stage, ...]:
         Naming the row and the parameter.
     """
     if not isinstance(rows, list) or not rows:
-        raise InputError(f"{where}: a list of stages is due")
+        raise InputError(f"{where}: must be a list of stages")
     return tuple(_stage_from_document(row, f"{where}[{index}]") for index, row in enumerate(rows))
 
 
@@ -317,7 +317,7 @@ def stage_to_document(stage: Stage) -> dict[str, Any]:
 
 def _stage_from_document(row: Any, where: str) -> Stage:
     if not isinstance(row, Mapping) or not isinstance(row.get("stage"), str):
-        raise InputError(f"{where}: a mapping with the key stage is due")
+        raise InputError(f"{where}: must be a mapping with the key stage")
     name = row["stage"]
     if name not in STAGES:
         raise InputError(f"{where}.stage: {name!r} is not a stage: {_nearest(name, sorted(STAGES))}")
@@ -347,7 +347,7 @@ def _nearest(word: str, known: Sequence[str]) -> str:
     from difflib import get_close_matches
 
     close = get_close_matches(word, known, 1)
-    return f"did you mean {close[0]!r}?" if close else f"one of {', '.join(known)} is due"
+    return f"did you mean {close[0]!r}?" if close else f"must be one of {', '.join(known)}"
 
 
 def _units(units: Any) -> dict[str, str]:
@@ -357,7 +357,7 @@ def _units(units: Any) -> dict[str, str]:
             raise InputError(f"units.{signal}: {given!r}, {' or '.join(known)} is due")
     for key in units:
         if key not in ("command", "measurement"):
-            raise InputError(f"units.{key}: no such key, command and measurement are due")
+            raise InputError(f"units.{key}: no such key, must be command or measurement")
     return {"command": units["command"], "measurement": units["measurement"]}
 
 
@@ -365,10 +365,10 @@ def _ranges(valid: Any) -> dict[str, Any]:
     if valid is None:
         return {}
     if not isinstance(valid, Mapping):
-        raise InputError("valid: a mapping with command and frequency is due")
+        raise InputError("valid: must be a mapping with command and frequency")
     for key, value in valid.items():
         if key not in ("command", "frequency"):
-            raise InputError(f"valid.{key}: no such key, command and frequency are due")
+            raise InputError(f"valid.{key}: no such key, must be command or frequency")
         numbers = np.array(value, dtype=float) if _numeric(value) else np.zeros(0)
         if numbers.shape[-1:] != (2,) or np.any(numbers[..., 0] >= numbers[..., 1]):
             raise InputError(f"valid.{key}: {value!r}, [lower, upper] is due")
@@ -390,7 +390,7 @@ def _tolerance(tolerance: Any) -> dict[str, float]:
     if tolerance is None:
         return {}
     if not isinstance(tolerance, Mapping):
-        raise InputError("tolerance: a mapping from parameter to relative standard deviation is due")
+        raise InputError("tolerance: must be a mapping from parameter to relative standard deviation")
     for key, value in tolerance.items():
         if not _numeric(value) or np.any(np.array(value, dtype=float) < 0):
             raise InputError(f"tolerance.{key}: {value!r}, a relative standard deviation, not negative, is due")

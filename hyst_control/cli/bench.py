@@ -23,7 +23,7 @@ JSON = "result table"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of this command."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("--only", choices=("kernels", "bags", "loops", "workflows"), help="run only this group of measurements")
     parser.add_argument("--seconds", type=float, default=6.0, help="length of every run of the loop in s (default 6)")
     parser.add_argument(
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Table:
-    """Run this command; its result, as `hyst_control.cli` describes it."""
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from hyst_control.benchmarks import suite
 
     return suite.run(arguments.only, arguments.seconds, arguments.soak)

@@ -23,7 +23,7 @@ WRITES = ("page",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of this command."""
+    """Add the arguments of this command to `parser`."""
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--seed", type=int, help="seed of the cases")
     what.add_argument(
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Table:
-    """Run this command; its result, as `hyst_control.cli` describes it."""
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     if arguments.measured:
         from hyst_control.blind_test import measured
 

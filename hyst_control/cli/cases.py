@@ -20,7 +20,7 @@ JSON = "list of written files"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of this command."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument(
         "action", choices=("make", "figures"), help="make: draw and record cases; figures: write the page of effects"
     )
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Artifacts:
-    """Run this command; its result, as `hyst_control.cli` describes it."""
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from hyst_control.reporting.artifacts import Artifacts
 
     if arguments.action == "figures":

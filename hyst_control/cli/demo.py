@@ -21,12 +21,12 @@ WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of this command."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("--output", metavar="FOLDER", default="demo_out", help="folder to write (default demo_out)")
 
 
 def run(arguments: argparse.Namespace) -> Table:
-    """Run this command; its result, as `hyst_control.cli` describes it."""
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from hyst_control import progress
     from hyst_control.reproduction import demo
 

@@ -21,7 +21,7 @@ WRITES = ("report", "augmented")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of this command."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("bags", nargs="+", metavar="BAG", help="recorded bags of one plant")
     parser.add_argument(
         "--model", metavar="MODEL.yaml", help="model file of the simulator; needed unless a baseline has the same command"
@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run this command; its result, as `hyst_control.cli` describes it."""
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     import sys
 
     from hyst_control.diagnose.workflow import diagnose_bags

@@ -26,7 +26,7 @@ WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of this command."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("signal", nargs="*", metavar="KIND parameter=value", help="kind of signal or .yaml file, and parameters")
     parser.add_argument("--list", action="store_true", help="print every kind with its parameters")
     parser.add_argument("--output", metavar="FILE", help="file to write: .csv, .npy or .yaml, otherwise a bag; it must not exist")
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Artifacts | Kinds:
-    """Run this command; its result, as `hyst_control.cli` describes it."""
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     import numpy as np
 
     from hyst_control.errors import InputError

@@ -22,7 +22,7 @@ WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of this command."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("bags", nargs="+", metavar="BAG", help="rosbag2 directories, or .mcap or .db3 files")
     parser.add_argument("--model", metavar="NAME", help="model family (default: the best of several on held-out data)")
     parser.add_argument("--output", metavar="MODEL.yaml", required=True, help="model file to write")
@@ -93,7 +93,7 @@ def add_options(parser: argparse.ArgumentParser) -> list[str]:
 
 
 def run(arguments: argparse.Namespace) -> Result:
-    """Run this command; its result, as `hyst_control.cli` describes it."""
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from hyst_control.identify.estimator import every_option
     from hyst_control.identify.workflow import identify_bags
 

@@ -29,7 +29,7 @@ WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of this command."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("file", metavar="FILE", help="recording to convert")
     parser.add_argument("--output", metavar="BAG", required=True, help="bag to write, which must not exist")
     parser.add_argument("--columns", help="topic=column[unit], separated by commas (not for a bag)")
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Artifacts:
-    """Run this command; its result, as `hyst_control.cli` describes it."""
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from pathlib import Path
 
     from hyst_control import progress

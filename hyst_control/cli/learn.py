@@ -33,6 +33,7 @@ JSON = "result table"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("model", metavar="MODEL.yaml", help="model file of the plant")
     parser.add_argument("bags", nargs="*", metavar="BAG", help="bags of trials with reference, feedback and measurement")
     parser.add_argument("--period", type=float, metavar="S", help="period of the reference in the bags")
@@ -61,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Table:
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from pathlib import Path
 
     import numpy as np

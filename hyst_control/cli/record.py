@@ -23,7 +23,7 @@ WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of this command."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("--output", metavar="BAG", required=True, help="bag to write, which must not exist")
     parser.add_argument("--topics", nargs="+", help="topics (default: the five of the loop)")
     parser.add_argument("--rate", type=float, default=1000.0, help="sample rate of the signals in Hz (default 1000)")
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Artifacts | int:
-    """Run this command; its result, as `hyst_control.cli` describes it."""
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     import json
     from pathlib import Path
 

@@ -26,7 +26,7 @@ EXPERIMENTS = ("hampi", "mhl", "pea-p885", "fsm-cubespec")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of this command."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument(
         "experiment",
         choices=(*EXPERIMENTS, "page"),
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Table | Artifacts:
-    """Run this command; its result, as `hyst_control.cli` describes it."""
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from importlib import import_module
 
     given = [arguments.results is not None, arguments.page is not None]

@@ -21,7 +21,7 @@ READS = ("model",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of this command."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("model", metavar="MODEL.yaml", help="model file")
     parser.add_argument("--rate", type=float, help="sample rate of the loop in Hz (default: the model's)")
     parser.add_argument("--gain-margin", type=float, default=6.0, metavar="DB", help="least gain margin in dB (default 6)")
@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Table:
-    """Run this command; its result, as `hyst_control.cli` describes it."""
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from hyst_control.control.tuning import tune
     from hyst_control.errors import InputError
     from hyst_control.model_file import load_model

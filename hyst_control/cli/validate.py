@@ -19,7 +19,7 @@ READS = ("model", "bags")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of this command."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("model", metavar="MODEL.yaml", help="model file")
     parser.add_argument("bags", nargs="+", metavar="BAG", help="recorded bags")
     add_options(parser)
@@ -49,7 +49,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Table:
-    """Run this command; its result, as `hyst_control.cli` describes it."""
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from hyst_control.identify.validation import validate_bags
 
     models = arguments.models if hasattr(arguments, "models") else [arguments.model]

@@ -90,12 +90,12 @@ class RunningFeedbackErrorLearning:
 
     @property
     def gain(self) -> Array:
-        """What is learned of the gain (A,), relative."""
+        """Learned relative change of the gain (A,)."""
         return np.array(self._parameters[0])
 
     @property
     def lag(self) -> Array:
-        """What is learned of the lag (A,), s."""
+        """Learned lag (A,), s."""
         return np.array(self._parameters[1])
 
     def reset(self) -> None:
@@ -107,11 +107,11 @@ class RunningFeedbackErrorLearning:
         self._observed: int | None = None
 
     def available(self, first: int) -> int:
-        """How many rows from tick `first` on do not depend on ticks that were not observed yet: one past these."""
+        """Number of rows from tick `first` on that depend on observed ticks only: up to one past the last of these."""
         return max((first if self._observed is None else self._observed) + 1 - first, 0)
 
     def learned(self, first: int, feedforward: Array) -> Array:
-        """What to add (N, A) in V to the feedforward (N, A) in V of the ticks from `first` on."""
+        """Learned correction (N, A) in V of the feedforward (N, A) in V of the ticks from `first` on."""
         if self._observed is None:
             self._observed = first
         if first != self._first + len(self._given):
@@ -126,7 +126,19 @@ class RunningFeedbackErrorLearning:
         return np.asarray(self._parameters[0] * feedforward + self._parameters[1] * slope)
 
     def observe(self, first: int, reference: Array, measurement: Array, feedback: Array) -> None:
-        """What the loop did in the ticks from `first` on; ticks without a feedforward are left out."""
+        """Learn from the feedback of the ticks from `first` on; ticks without a feedforward are left out.
+
+        Parameters
+        ----------
+        first
+            Tick of the first row.
+        reference
+            Reference (N, A), measurement unit; not used here.
+        measurement
+            Measurement (N, A), measurement unit; not used here.
+        feedback
+            Output of the feedback (N, A), V.
+        """
         begin, end = max(first, self._first), min(first + len(feedback), self._first + len(self._given))
         if begin < end:
             rows = self._given[begin - self._first : end - self._first]

@@ -71,7 +71,7 @@ class Compensator:
         return self._filter.settle(np.asarray(reference, dtype=float))
 
     def process(self, block: Array) -> Array:
-        """Reference rows (N, A) to command rows (N, A) in V."""
+        """Command rows (N, A) in V for a `block` of reference rows (N, A) in the measurement unit."""
         return self._filter.process(np.ascontiguousarray(block, dtype=float))
 
 
@@ -117,19 +117,44 @@ def build_compensator(
     rate_filter: Sequence[float] | None = RATE_FILTER,
     smoothing: int = 0,
 ) -> Compensator:
-    """A compensator of one of `KINDS` for a model; see the module.
+    """Build the compensator of a model; the module's table describes the kinds.
 
-    sample_time s (the model's by default); inverse: "zpetc", "zmetc", "npz_ignore" or "none" (static gain only), of the
-    dynamics, for the kinds that invert them; discretisation: "zoh" (exact, delays included) or "tustin" (as published), of the
-    dynamics, or of N(s) Ψ';
-    limits: (lower, upper) V, the drive's rating (the model's valid command range by default); preview: False for the causal
-    form; iterations: steps per sample of the inverse multiplicative structure (default 4; 1 is HAMPI paper Eq. 13, 0
-    solves exactly), or passes over the rate correction of `mhl_inverse` (default 6); inverse_model: a model file from the
-    measurement to V with inverse curves identified by themselves (`mhl`, `mhl_static`); rate_filter: denominator of N(s), None
-    for none; smoothing: order of a low-pass without phase (`inverse_dynamics.zero_phase_low_pass`) that the reference passes
-    first, 0 for none, for the kinds that look ahead: it looks as many ticks further ahead.
+    Parameters
+    ----------
+    model
+        Model of the plant.
+    kind
+        One of `KINDS`.
+    sample_time
+        Sample time, s; the model's by default.
+    inverse
+        Inverse of the dynamics: "zpetc", "zmetc", "npz_ignore" or "none" (static gain only); used by the kinds that invert them.
+    discretisation
+        "zoh" (exact, delays included) or "tustin" (as published), of the dynamics, or of N(s) Ψ'.
+    limits
+        Lower and upper limit of the drive, V, one value or (A,); the model's valid command range by default.
+    preview
+        True to look ahead, False for the causal form.
+    iterations
+        Steps per sample of the inverse multiplicative structure (default 4; 1 is HAMPI paper Eq. 13, 0 solves exactly), or passes
+        over the rate correction of `mhl_inverse` (default 6).
+    inverse_model
+        Model from the measurement to V with separately identified inverse curves, for `mhl` and `mhl_static`.
+    rate_filter
+        Denominator of N(s), descending powers of s; None for no filter.
+    smoothing
+        Order of the low-pass without phase (`inverse_dynamics.zero_phase_low_pass`) that the reference passes first, 0 for none;
+        for the kinds that look ahead, which then look as many ticks further ahead.
 
-    Raises `InputError` when the kind does not fit the model, or the model cannot be inverted within the limits.
+    Returns
+    -------
+    Compensator
+        Compensator, from reference rows to command rows.
+
+    Raises
+    ------
+    InputError
+        The kind is not known or does not fit the model, or the model cannot be inverted within the limits.
     """
     if kind not in KINDS:
         raise InputError(f"kind: {kind!r} is not one of {', '.join(KINDS)}")
@@ -211,7 +236,25 @@ KINDS: Registry[Builder] = Registry(
 
 
 def drive_limits(model: Model, limits: tuple[ArrayLike, ArrayLike] | None) -> Array:
-    """(lower, upper) V as an array (2, A). Raises `InputError` when neither given nor in the model, or the wrong way round."""
+    """Lower and upper limit of the drive.
+
+    Parameters
+    ----------
+    model
+        Model whose valid command range is the default.
+    limits
+        Lower and upper limit, V, one value or (A,); None for the model's.
+
+    Returns
+    -------
+    Array
+        Limits (2, A), V: the lower ones, then the upper ones.
+
+    Raises
+    ------
+    InputError
+        Neither the limits nor the model give a range, or a lower limit is not below its upper one.
+    """
     given = limits if limits is not None else model.valid.get("command")
     if given is None:
         raise InputError("limits: the model says no valid command range: give the drive's rating, lower and upper in V")
@@ -219,14 +262,29 @@ def drive_limits(model: Model, limits: tuple[ArrayLike, ArrayLike] | None) -> Ar
         given = np.array(given, dtype=float).T
     bounds = np.stack([np.broadcast_to(np.asarray(side, dtype=float), (len(model.axes),)) for side in given])
     if not np.all(np.isfinite(bounds)) or np.any(bounds[0] >= bounds[1]):
-        raise InputError(f"limits: {bounds[0].tolist()} to {bounds[1].tolist()} V, lower below upper is due")
+        raise InputError(f"limits: lower must be below upper, got {bounds[0].tolist()} to {bounds[1].tolist()} V")
     return np.array(bounds)
 
 
 def split(model: Model) -> tuple[list[Stage], Stage | None, list[Stage]]:
-    """The chain as (linear stages before the hysteresis, the hysteresis, linear stages after it); delays go to the linear side.
+    """Split a model's chain at its hysteresis; delays go to a linear side.
 
-    Stages without an inverse that matters to a feedforward (quantisation, limits) are left out.
+    Quantization and limits, which have no inverse that a feedforward could use, are left out.
+
+    Parameters
+    ----------
+    model
+        Model with one hysteresis at most.
+
+    Returns
+    -------
+    tuple[list[Stage], Stage | None, list[Stage]]
+        Linear stages before the hysteresis, the hysteresis or None, and linear stages after it.
+
+    Raises
+    ------
+    InputError
+        The chain has a second hysteresis, or a stage without an inverse.
     """
     delays = [stage for stage in model.chain.stages if isinstance(stage, Delay)]
     sides: tuple[list[Stage], list[Stage]] = ([], [])
@@ -250,7 +308,29 @@ def split(model: Model) -> tuple[list[Stage], Stage | None, list[Stage]]:
 
 
 def dynamics_inverse(side: list[Stage], sampling: Sampling, method: str, discretisation: str) -> tuple[list[Stage], int]:
-    """Stages that undo linear stages, gains and offsets, from the last to the first, and the ticks they look ahead."""
+    """Inverse of linear stages, gains and offsets.
+
+    Parameters
+    ----------
+    side
+        Stages in the order of the chain.
+    sampling
+        Sample time and number of axes A.
+    method
+        Inverse of the dynamics: "zpetc", "zmetc", "npz_ignore" or "none" (static gain only).
+    discretisation
+        "zoh" or "tustin".
+
+    Returns
+    -------
+    tuple[list[Stage], int]
+        Stages of the inverse, and the number of ticks that they look ahead.
+
+    Raises
+    ------
+    InputError
+        A gain is 0, so that the command does not reach the output.
+    """
     axes = sampling.axes
     linear = [stage for stage in side if isinstance(stage, (LinearStage, Delay))]
     static = [stage for stage in side if isinstance(stage, (Gain, Offset))]
@@ -278,10 +358,34 @@ def dynamics_inverse(side: list[Stage], sampling: Sampling, method: str, discret
 def core_inverse(
     core: Stage | None, after: list[Stage], kind: str, sampling: Sampling, drive: Array, needed: Array, iterations: int | None
 ) -> list[Stage]:
-    """Stages that undo the hysteresis.
+    """Inverse of the hysteresis of a model.
 
-    after: the linear stages that follow it in the model; drive (2, A): V, what enters it; needed (A,): V, up to where it must be
-    invertible.
+    Parameters
+    ----------
+    core
+        Hysteresis, None for a model without one.
+    after
+        Linear stages that follow it in the model.
+    kind
+        One of `KINDS`.
+    sampling
+        Sample time and number of axes A.
+    drive
+        Limits (2, A) of its input, V.
+    needed
+        Value (A,) up to which it must be invertible, V.
+    iterations
+        Steps per sample or passes, as for `build_compensator`; None for the default of the kind.
+
+    Returns
+    -------
+    list[Stage]
+        Stages of the inverse; none where there is no hysteresis to invert.
+
+    Raises
+    ------
+    InputError
+        The kind does not fit the hysteresis.
     """
     if kind == "mhl_inverse":
         hysteresis, correction = rate_dependent_parts(core)
@@ -304,9 +408,26 @@ def core_inverse(
 
 
 def invertible_range(core: PrandtlIshlinskii | ModifiedPrandtlIshlinskii, drive: Array, needed: Array) -> Array:
-    """The part of the drive (2, A) in V over which the output rises with the command, 0 < dY/du.
+    """Part of the drive over which the output rises with the command, 0 < dY/du.
 
-    Raises `InputError` when that does not reach up to `needed` (A,) V.
+    Parameters
+    ----------
+    core
+        Hysteresis.
+    drive
+        Limits (2, A) of its input, V.
+    needed
+        Value (A,) up to which it must be invertible, V.
+
+    Returns
+    -------
+    Array
+        Limits (2, A) of the invertible part, V.
+
+    Raises
+    ------
+    InputError
+        The invertible part ends below `needed`.
     """
     axes = drive.shape[1]
     coefficients = np.array([per_axis_scalar(getattr(core, name, 0.0), axes, name) for name in ("w0", "k", "b")])
@@ -339,7 +460,31 @@ def invertible_range(core: PrandtlIshlinskii | ModifiedPrandtlIshlinskii, drive:
 def mhl_stages(
     model: Model, kind: str, inverse_model: Model | None, rate_filter: Sequence[float] | None, tustin: Sampling | None = None
 ) -> list[Stage]:
-    """The MHL paper's composite feedforward, from an inverse identified by itself or from the model's own curves."""
+    """Composite feedforward of the MHL paper, from a separately identified inverse or from the model's own curves.
+
+    Parameters
+    ----------
+    model
+        Model of the plant.
+    kind
+        "mhl", or "mhl_static" for H_S^-1 alone.
+    inverse_model
+        Model from the measurement to V; None to invert the curves of `model`.
+    rate_filter
+        Denominator of N(s), descending powers of s; None for no filter.
+    tustin
+        Sampling with which N(s) Ψ' is discretized by Tustin's rule; None for the exact discretization.
+
+    Returns
+    -------
+    list[Stage]
+        Stages from the reference to the command.
+
+    Raises
+    ------
+    InputError
+        The model has no Madelung stage.
+    """
     axes = len(model.axes)
     if inverse_model is not None:
         front, core, _ = split(inverse_model)

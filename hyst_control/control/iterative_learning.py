@@ -93,7 +93,7 @@ class IterativeLearning:
         return (self.settling + self.averaged) * self.filter.period
 
     def start(self, feedforward: Array | None = None) -> RunningIterativeLearning:
-        """A running learner that begins with one period (N, A) in V of what was learned before, or with nothing."""
+        """Start a learner from one period (N, A) of a learned `feedforward` in V, or from zero."""
         return RunningIterativeLearning(self, feedforward)
 
 
@@ -128,14 +128,14 @@ class RunningIterativeLearning:
         self._kept, self._correction = np.zeros((2, *lines), dtype=complex)
 
     def available(self, first: int) -> int:
-        """How many rows from tick `first` on do not depend on ticks that were not observed yet."""
+        """Number of rows from tick `first` on that do not depend on ticks that were not observed yet."""
         if self.stopped:
             return ENDLESS
         begin = first if self._origin is None else self._begin
         return max(begin + self.description.trial_rows - first, 0)
 
     def learned(self, first: int, feedforward: Array) -> Array:
-        """What to add (N, A) in V in the ticks from `first` on."""
+        """Learned correction (N, A) in V of the feedforward (N, A) in V of the ticks from `first` on."""
         if self._origin is None:
             self._origin = self._begin = first
         self._end = first + len(feedforward)
@@ -143,7 +143,19 @@ class RunningIterativeLearning:
         return rows
 
     def observe(self, first: int, reference: Array, measurement: Array, feedback: Array) -> None:
-        """What the loop did in the ticks from `first` on; a gap in them begins the trial anew."""
+        """Learn from the loop's signals of the ticks from `first` on; a gap in them begins the trial anew.
+
+        Parameters
+        ----------
+        first
+            Tick of the first row.
+        reference
+            Reference (N, A), measurement unit.
+        measurement
+            Measurement (N, A), measurement unit.
+        feedback
+            Output of the feedback (N, A), V.
+        """
         error = np.asarray(reference - measurement)
         while len(error) and not self.stopped and self._origin is not None:
             about = self.description

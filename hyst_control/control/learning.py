@@ -1,4 +1,4 @@
-"""What learners of a feedforward have in common, and the loop with one of them computed offline, to the last bit of the nodes'.
+"""Interface of the learners of a feedforward, and the loop with a learner computed offline, bit by bit as the nodes compute it.
 
 A learner adds to the feedforward what it has learned from the loop so far. Rows belong to ticks, so that it does not matter how
 they are cut, nor how far ahead the feedforward runs: `available` says how many rows do not depend on what is yet to be observed.
@@ -19,23 +19,35 @@ ENDLESS = 2**31
 
 
 class Learner(Protocol):
-    """What adds to a feedforward."""
+    """Learned correction of a feedforward."""
 
     def available(self, first: int) -> int:
-        """How many rows from tick `first` on do not depend on ticks that were not observed yet."""
+        """Number of rows from tick `first` on that do not depend on ticks that were not observed yet."""
 
     def learned(self, first: int, feedforward: Array) -> Array:
-        """What to add (N, A), in V, to the feedforward (N, A) in V of the ticks from `first` on; each tick once, in order."""
+        """Correction (N, A) in V of the feedforward (N, A) in V of the ticks from `first` on; ask for each tick once, in order."""
 
     def observe(self, first: int, reference: Array, measurement: Array, feedback: Array) -> None:
-        """What the loop did in the ticks from `first` on: (N, A) in the measurement unit, and in V."""
+        """Learn from the loop's signals of the ticks from `first` on.
+
+        Parameters
+        ----------
+        first
+            Tick of the first row.
+        reference
+            Reference (N, A), measurement unit.
+        measurement
+            Measurement (N, A), measurement unit.
+        feedback
+            Output of the feedback (N, A), V.
+        """
 
     def reset(self) -> None:
         """Forget everything that was learned."""
 
 
 class Played:
-    """What was learned before, one period (N, A) in V, played again and again; it learns nothing."""
+    """Learned feedforward of one period (N, A) in V that is played again and again; it learns nothing."""
 
     def __init__(self, feedforward: Array) -> None:
         self.feedforward = np.array(feedforward, dtype=float)
@@ -46,11 +58,11 @@ class Played:
         self._origin: int | None = None
 
     def available(self, first: int) -> int:
-        """How many rows from tick `first` on may be given: all."""
+        """Number of rows from tick `first` on that may be given: all."""
         return ENDLESS
 
     def learned(self, first: int, feedforward: Array) -> Array:
-        """What to add (N, A) in V in the ticks from `first` on."""
+        """Correction (N, A) in V for the rows of `feedforward` (N, A), which belong to the ticks from `first` on."""
         if self._origin is None:
             self._origin = first
         start = first - self._origin
@@ -58,7 +70,7 @@ class Played:
         return rows
 
     def observe(self, first: int, reference: Array, measurement: Array, feedback: Array) -> None:
-        """Nothing is learned."""
+        """Ignore `reference`, `measurement` and `feedback` (N, A) of the ticks from `first` on."""
 
 
 def run_learning_loop(

@@ -224,7 +224,7 @@ def robustness(error: Array, peak_sensitivity: float) -> Array:
 
 
 def feedback_response(responses: Sequence[Complex]) -> Complex:
-    """Responses (F,) of one feedback an axis as a diagonal matrix (F, A, A)."""
+    """Diagonal response matrix (F, A, A) of separate feedbacks, from the `responses` (F,) of the A axes."""
     return np.asarray(np.einsum("af,ab->fab", np.asarray(responses), np.eye(len(responses))))
 
 

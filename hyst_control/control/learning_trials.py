@@ -48,11 +48,28 @@ def run_trials(
 
 
 def learn_from_records(records: Sequence[Record], description: IterativeLearning) -> tuple[RunningIterativeLearning, float]:
-    """Learn from records of trials, one a record, in order; the learner, and the range of the reference.
+    """Learn from records of trials, one record per trial, in order.
 
     Every record begins at a tick where a period begins, and its last whole periods count. The feedforward of the second trial must
-    have held what was learned from the first, and so on; what the first one held is its topic `learned`, nothing where it has none.
-    Raises `InputError` for a record that is too short or of other axes.
+    contain the correction that was learned from the first, and so on; the correction of the first trial is its topic `learned`,
+    zero where it has none.
+
+    Parameters
+    ----------
+    records
+        Records with reference, feedback and measurement.
+    description
+        Settings of the learner.
+
+    Returns
+    -------
+    tuple[RunningIterativeLearning, float]
+        Learner after the last trial, and the range of the reference, measurement unit.
+
+    Raises
+    ------
+    InputError
+        A record is too short or has other axes than the learner.
     """
     learner, rows, low, high = description.start(), description.trial_rows, np.inf, -np.inf
     for index, record in enumerate(records):
@@ -76,7 +93,19 @@ def learn_from_records(records: Sequence[Record], description: IterativeLearning
 
 
 def trial_table(learner: RunningIterativeLearning, span: float, subject: str, source: str = "learn") -> Table:
-    """One row a trial: error, its repeating part and the noise in that, NRMSE in per cent of `span`; why learning ended as a note."""
+    """Table of trials: error, its repeating part and the noise in that part; the reason why learning ended is a note.
+
+    Parameters
+    ----------
+    learner
+        Learner after its trials.
+    span
+        Range of the reference, measurement unit; errors are given in percent of it.
+    subject
+        Case of the rows, such as the kind of the compensator.
+    source
+        Command that the table is from.
+    """
     table = Table(source)
     for index, trial in enumerate(learner.history):
         for quantity, value in (("nrmse", trial.error), ("nrmse_repeating", trial.repeating), ("nrmse_noise", trial.noise)):
@@ -125,7 +154,17 @@ def feedback_error_table(
 
 
 def best_compensator(model: Model, sample_time: float, limits: tuple[float, float]) -> tuple[str, Compensator]:
-    """The kind and the compensator that suit a model best: the first of `KINDS` that can be built."""
+    """Kind and compensator that suit a model best: the first of `KINDS` that can be built.
+
+    Parameters
+    ----------
+    model
+        Model of the plant.
+    sample_time
+        Sample time, s.
+    limits
+        Lower and upper limit of the drive, V.
+    """
     for kind in KINDS[:-1]:
         try:
             return kind, build_compensator(model, kind, sample_time=sample_time, limits=limits)

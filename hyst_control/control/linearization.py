@@ -150,7 +150,15 @@ def with_first_mode(stages: Sequence[Stage], axes: int, factor: float) -> tuple[
 
 
 def first_mode(stages: Sequence[Stage], axes: int) -> complex | None:
-    """Pole (rad/s) of the first resonance of a linear chain, of the slowest axis; None without complex poles."""
+    """Pole (rad/s) of the first resonance of a linear chain, of the slowest axis; None without complex poles.
+
+    Parameters
+    ----------
+    stages
+        Stages of the chain; those that are not linear are skipped.
+    axes
+        Number of axes A.
+    """
     poles = [_resonances(stage, axes) for stage in stages if isinstance(stage, LinearStage)]
     found = np.concatenate(poles) if poles else np.empty(0)
     return complex(found[np.argmin(np.abs(found))]) if len(found) else None
@@ -167,7 +175,7 @@ NOTCH_WIDTH = 0.15
 
 
 def notched(system: LinearSystem, w: float) -> bool:
-    """Whether a pair of complex zeros of a system of one input and output lies upon its mode at w rad/s."""
+    """True when a pair of complex zeros of a `system` of one input and output lies close to its mode at `w` rad/s."""
     if system.B.shape[1] != 1 or system.C.shape[0] != 1:
         return False
     a, b, d = system.A / w, system.B / w, float(system.D[0, 0])

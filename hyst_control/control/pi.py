@@ -69,7 +69,20 @@ class PI:
 
 
 def roll_off_share(roll_off: float, sample_time: float) -> float:
-    """Share of a step that a first-order low-pass of corner `roll_off` (Hz, 0 for none) passes within one sample (s)."""
+    """Share of a step that a first-order low-pass passes within one sample.
+
+    Parameters
+    ----------
+    roll_off
+        Corner of the low-pass, Hz; 0 for none.
+    sample_time
+        Sample time, s.
+
+    Returns
+    -------
+    float
+        Share from 0 to 1; 1 without a low-pass.
+    """
     return float(-np.expm1(-2.0 * np.pi * roll_off * sample_time)) if roll_off else 1.0
 
 
@@ -110,9 +123,20 @@ class RunningPI:
         self.saturated = 0
 
     def resume(self, command: Array, reference: Array, measurement: Array, feedforward: Array) -> None:
-        """Take over without a jump: with these inputs (A,) the next command is `command` (A,) in V.
+        """Take over without a jump: with these inputs the next command is `command`.
 
         Without integral action nothing would lead back from there: then only the slew limit holds.
+
+        Parameters
+        ----------
+        command
+            Command (A,), V.
+        reference
+            Reference (A,), measurement unit.
+        measurement
+            Measurement (A,), measurement unit.
+        feedforward
+            Feedforward (A,), V.
         """
         kp, ki_step = self._constants[:2]
         error = reference - measurement

@@ -29,7 +29,7 @@ def check_reachable(model: Model, reference: Array, limits: tuple[ArrayLike, Arr
     axes = len(model.axes)
     if reference.ndim != 2 or reference.shape[1] != axes or not np.all(np.isfinite(reference)):
         raise InputError(
-            f"reference: shape {reference.shape}: finite numbers, one column for each of the axes {', '.join(model.axes)}, are due"
+            f"reference: must be finite numbers with a column for each of the axes {', '.join(model.axes)}, got shape {reference.shape}"
         )
     command, bounds = quasi_static_command(model, reference, limits)
     reached = quasi_static(model, np.concatenate([np.zeros((1, axes)), command]))[1:]

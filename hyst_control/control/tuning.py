@@ -69,11 +69,21 @@ class Tuning:
     roll_off: float = 0.0
 
     def controller(self, lower: float, upper: float, slew_limit: float = 0.0) -> PI:
-        """The tuned controller within limits in V and V/s."""
+        """Tuned controller with the command limits `lower` and `upper` in V and `slew_limit` in V/s (0 for none)."""
         return PI(self.kp, self.ki, self.sample_time, lower, upper, slew_limit, roll_off=self.roll_off)
 
     def sensitivity(self, model: Model, frequency: Sequence[float], loop_delay: int = 0) -> Array:
-        """Greatest |1 / (1 + L)| (F,) of all axes at frequencies (F,) in Hz, of the model as it is."""
+        """Greatest sensitivity |1 / (1 + L)| (F,) of all axes of the nominal model.
+
+        Parameters
+        ----------
+        model
+            Model of the plant.
+        frequency
+            Frequencies (F,), Hz.
+        loop_delay
+            Further delay of the loop, ticks.
+        """
         z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * self.sample_time)
         plants = spread_responses(model, self.sample_time, loop_delay, 0.0, 0.0, z)[: len(model.axes)]
         loops = plants * controller_response(self.kp, self.ki, self.roll_off, self.sample_time, z)
@@ -121,12 +131,41 @@ def tune(
 ) -> Tuning:
     """PI gains for a model, one pair for all axes.
 
-    sample_time s (the model's by default); gain_margin dB; phase_margin degrees; loop_delay: further ticks in the loop;
-    gain_spread, mode_spread: relative spread of the plant's gain and of its first resonance, over which the margins hold too;
-    model_error: relative error of the model's response, any frequency, any direction, on top of them; roll_off: of the feedback,
-    Hz, 0 for none, "auto" to choose it along with the gains. Gains that were found with a roll-off keep the margins only with it.
     The hysteresis enters with its greatest slope, so that no part of a loop has less margin.
-    Raises `InputError` when no controller keeps the margins.
+
+    Parameters
+    ----------
+    model
+        Model of the plant.
+    sample_time
+        Sample time, s; the model's by default.
+    gain_margin
+        Least gain margin, dB.
+    phase_margin
+        Least phase margin, degrees.
+    peak_sensitivity
+        Greatest peak of the sensitivity |S|.
+    loop_delay
+        Further delay of the loop, ticks.
+    gain_spread
+        Relative spread of the plant's gain, over which the margins hold too.
+    mode_spread
+        Relative spread of the first resonance's frequency, over which the margins hold too.
+    model_error
+        Relative error of the model's response, at any frequency and in any direction, on top of the spreads.
+    roll_off
+        Corner of the feedback's roll-off, Hz; 0 for none, "auto" to choose it along with the gains, which then keep the margins
+        only with it.
+
+    Returns
+    -------
+    Tuning
+        Gains, roll-off and the properties of the loop.
+
+    Raises
+    ------
+    InputError
+        A parameter is out of its range, or no controller keeps the margins.
     """
     sample_time = float(sample_time or model.sample_time)
     if not (
@@ -137,11 +176,11 @@ def tune(
         and all(0 <= spread < 1 for spread in (gain_spread, mode_spread, model_error))
     ):
         raise InputError(
-            "margins: gain margin above 0 dB, phase margin between 0 and 90 degrees, peak sensitivity above 1, "
-            "spreads and model error from 0 to below 1 are due"
+            "margins: must be gain margin above 0 dB, phase margin between 0 and 90 degrees, peak sensitivity above 1, "
+            "spreads and model error from 0 to below 1"
         )
     if roll_off != AUTOMATIC and not (isinstance(roll_off, (int, float)) and 0.0 <= roll_off < np.inf):
-        raise InputError(f"roll_off: {roll_off!r}: a corner in Hz, 0 for none, or {AUTOMATIC!r} is due")
+        raise InputError(f"roll_off: must be a corner in Hz, 0 for none, or {AUTOMATIC!r}, got {roll_off!r}")
     z = np.exp(1j * np.geomspace(1e-5, 1.0, 1500) * np.pi)
     plants = spread_responses(model, sample_time, loop_delay, gain_spread, mode_spread, z)
     static = np.abs(plants[:, 0]).max()
@@ -195,7 +234,26 @@ def _greatest_integral(
 
 
 def controller_response(kp: float, ki: float, roll_off: float, sample_time: float, z: Complex) -> Complex:
-    """Response (F,) of the feedback from the error to the command at points z (F,); gains as in `pi.PI`."""
+    """Response of the feedback from the error to the command.
+
+    Parameters
+    ----------
+    kp
+        Proportional gain, V per measurement unit.
+    ki
+        Integral gain, V per measurement unit and s.
+    roll_off
+        Corner of the roll-off, Hz; 0 for none.
+    sample_time
+        Sample time, s.
+    z
+        Points (F,) of the z plane.
+
+    Returns
+    -------
+    Complex
+        Response (F,), V per measurement unit.
+    """
     response = kp + ki * sample_time * z / (z - 1.0) if ki else np.full(z.shape, kp, dtype=complex)
     share = roll_off_share(roll_off, sample_time)
     return response * (share / (1.0 - (1.0 - share) / z)) if share < 1.0 else response
@@ -204,7 +262,28 @@ def controller_response(kp: float, ki: float, roll_off: float, sample_time: floa
 def spread_responses(
     model: Model, sample_time: float, loop_delay: int, gain_spread: float, mode_spread: float, z: Complex
 ) -> Complex:
-    """Responses (cases · A, F) of every axis, the model as it is first."""
+    """Responses of a model at the ends of the spreads of its gain and of its first resonance.
+
+    Parameters
+    ----------
+    model
+        Model of the plant.
+    sample_time
+        Sample time, s.
+    loop_delay
+        Further delay of the loop, ticks.
+    gain_spread
+        Relative spread of the gain.
+    mode_spread
+        Relative spread of the first resonance's frequency.
+    z
+        Points (F,) of the z plane.
+
+    Returns
+    -------
+    Complex
+        Responses (cases · A, F) of every axis, the nominal model first, measurement unit per V.
+    """
     axes = len(model.axes)
     _, greatest = hysteresis_slopes(model)
     stages = linearised(model, greatest)
@@ -283,7 +362,24 @@ def _phase_margin(loops: Complex, error: float = 0.0) -> Array:
 
 
 def margins(loop: Complex, z: Complex, sample_time: float, error: float = 0.0) -> Margins:
-    """Margins of a loop that is stable, from its response (F,) at z = exp(j w T), the worst over a relative error of it."""
+    """Margins of a stable loop, the worst over a relative error of its response.
+
+    Parameters
+    ----------
+    loop
+        Response of the open loop (F,).
+    z
+        Points (F,) exp(j w T) of the response, in order of frequency.
+    sample_time
+        Sample time T, s.
+    error
+        Relative error of the response.
+
+    Returns
+    -------
+    Margins
+        Gain margin in dB, phase margin in degrees, peak sensitivity, and crossover and bandwidth in Hz.
+    """
     frequency = np.angle(z) / (2.0 * np.pi * sample_time)
     crossing = float(_crossing_180(loop[None])[0]) * (1.0 + error)
     above = np.flatnonzero(np.abs(loop) >= 1.0)
@@ -309,7 +405,26 @@ def _worst(cases: list[Margins]) -> Margins:
 
 
 def step_response(model: Model, kp: float, ki: float, sample_time: float, roll_off: float = 0.0) -> tuple[float, float]:
-    """Time in s until the linear loop's step stays within 2 %, and its overshoot in per cent; worst axis, feedback alone."""
+    """Settling time and overshoot of the linear loop with feedback alone, of the worst axis.
+
+    Parameters
+    ----------
+    model
+        Model of the plant.
+    kp
+        Proportional gain, V per measurement unit.
+    ki
+        Integral gain, V per measurement unit and s.
+    sample_time
+        Sample time, s.
+    roll_off
+        Corner of the roll-off, Hz; 0 for none.
+
+    Returns
+    -------
+    tuple[float, float]
+        Time until the step stays within 2 %, s (NaN where it does not), and the overshoot, percent.
+    """
     length = 200
     while True:
         output = _step(model, kp, ki, roll_off, sample_time, length)

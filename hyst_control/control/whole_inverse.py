@@ -48,17 +48,43 @@ def lifted_inverse(
     damping: float = 1e-4,
     start: Array | None = None,
 ) -> LiftedInverse:
-    """The command that makes the model follow a reference (N, A) from its first to its last sample.
+    """Command that makes the model follow a reference from its first to its last sample.
 
-    The model starts settled at the first command. sample_time s (the model's by default); limits (lower, upper) V (the
-    model's valid range by default); damping: of the least squares, relative to the greatest |P|²; start: command (N, A) to begin
-    with (the mean static line of the model by default), for example a compensator's.
-    Raises `InputError` for a reference of the wrong shape or a model without a linear part.
+    The model starts settled at the first command.
+
+    Parameters
+    ----------
+    model
+        Model of the plant, with a linear part.
+    reference
+        Reference (N, A), measurement unit.
+    sample_time
+        Sample time, s; the model's by default.
+    limits
+        Lower and upper limit of the drive, V, one value or (A,); the model's valid command range by default.
+    iterations
+        Greatest number of iterations.
+    damping
+        Damping of the least squares, relative to the greatest |P|².
+    start
+        Command (N, A) to begin with, V, such as a compensator's; the mean static line of the model by default.
+
+    Returns
+    -------
+    LiftedInverse
+        Command, measurement of the model for it, and rms error after each iteration.
+
+    Raises
+    ------
+    InputError
+        The reference has the wrong shape, or the model has no linear part.
     """
     reference = np.ascontiguousarray(reference, dtype=float)
     axes = len(model.axes)
     if reference.ndim != 2 or reference.shape[1] != axes or len(reference) < 2 or not np.all(np.isfinite(reference)):
-        raise InputError(f"reference: shape {reference.shape}: at least two rows of finite numbers, one column per axis, are due")
+        raise InputError(
+            f"reference: must be at least two rows of finite numbers, one column per axis, got shape {reference.shape}"
+        )
     sample_time = float(sample_time or model.sample_time)
     bounds = drive_limits(model, limits)
     plant = Simulator(model, sample_time)

@@ -39,7 +39,7 @@ class Coupling:
         return CrossCoupling(self.matrix, self.corner)
 
     def rows(self, axes: Sequence[str]) -> list[ParameterRow]:
-        """Report rows of the entries off the diagonal."""
+        """Report rows of the entries off the diagonal, for `axes` (A,), the names of the axes."""
         return [
             {
                 "name": f"matrix[{i}][{j}]",
@@ -95,7 +95,17 @@ def fit_coupling(model: Model, datasets: Sequence[Dataset], near: Coupling | Non
 
 
 def without_coupling(model: Model, coupling: Coupling, datasets: Sequence[Dataset]) -> list[Dataset]:
-    """The records with the other axes' share of each measurement taken away."""
+    """Records with the other axes' share of each measurement subtracted.
+
+    Parameters
+    ----------
+    model
+        Model without coupling.
+    coupling
+        Coupling to subtract.
+    datasets
+        Records.
+    """
     cleaned = []
     for data in datasets:
         y = simulated_rows(model, data)
@@ -105,14 +115,24 @@ def without_coupling(model: Model, coupling: Coupling, datasets: Sequence[Datase
 
 
 def simulated_rows(model: Model, data: Dataset) -> Array:
-    """The record (N, A) as the model has it, memory of an unknown start included."""
+    """Output (N, A) of the model for the record `data`, in the measurement unit; an unknown start is simulated from its memory."""
     memory, _ = before(data)
     command = data.command if memory is None else np.concatenate([memory, data.command])
     return simulate(model, command, data.sample_time, data.hold)[len(command) - len(data.command) :]
 
 
 def low_passed(signal: Array, corner: float | None, sample_time: float) -> Array:
-    """A signal (N, A) behind a first-order low-pass, at rest at its first row."""
+    """Signal behind a first-order low-pass that is settled at its first row.
+
+    Parameters
+    ----------
+    signal
+        Signal (N, A).
+    corner
+        Corner of the low-pass, Hz; None returns the signal itself.
+    sample_time
+        Sample time, s.
+    """
     if corner is None:
         return signal
     w = 2.0 * np.pi * corner
@@ -124,10 +144,21 @@ def low_passed(signal: Array, corner: float | None, sample_time: float) -> Array
 def regress(
     axis: int, others: Sequence[Array], simulated: Sequence[Array], datasets: Sequence[Dataset]
 ) -> tuple[Array, Array, float, float]:
-    """Coupling into one axis (A - 1,), its standard errors, and the held-out mean squares without and with it.
+    """Coupling into one axis (A - 1,), its standard errors, and the held-out square sums of the error without and with it.
 
-    Every record's offset and drift are taken out first. The axis' own virgin curve does not count, and its zero is another one
-    afterwards. Every third block of rows is held out.
+    Every record's offset and drift are removed first. Rows on the axis' own virgin curve are left out, and the zero may differ
+    after it. Every third block of rows is held out.
+
+    Parameters
+    ----------
+    axis
+        Index of the axis.
+    others
+        Low-passed outputs (N, A) of the model, one per record.
+    simulated
+        Outputs (N, A) of the model, one per record.
+    datasets
+        Records.
     """
     grams = []
     for other, own, data in zip(others, simulated, datasets, strict=True):

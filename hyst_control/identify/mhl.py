@@ -83,10 +83,17 @@ class ModifiedHammersteinLike(Estimator[MhlOptions]):
 
 
 def axis_windows(datasets: Sequence[Dataset], index: int) -> list[Window]:
-    """The records of one axis, counted from where its virgin curve ends: Madelung's rules have none.
+    """Records of one axis, counted from the end of its virgin curve, which Madelung's rules do not describe.
 
-    On it a stack is up to a few per cent lower and comes to another zero. Counted along, that bends the curves, and while an axis
-    waits for its turn its zero passes for a drift, or for the coupling of the axis that moves.
+    On the virgin curve a stack is up to a few percent lower and arrives at a different zero. Counting those rows would bend the
+    curves; and while an axis waits for its turn, its zero would pass for a drift, or for coupling from the axis that moves.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    index
+        Index of the axis.
     """
     return [replace(window, skip=max(window.skip, virgin_rows(window.command))) for window in whole_records(datasets, index)]
 
@@ -94,7 +101,21 @@ def axis_windows(datasets: Sequence[Dataset], index: int) -> list[Window]:
 def with_coupling(
     datasets: Sequence[Dataset], axes: list[AxisFit], nuisance: str, rounds: int = 3
 ) -> tuple[Coupling | None, list[AxisFit]]:
-    """The coupling, if the records show one, and the axes without it, in turn: where axes move alike each hides in the other."""
+    """Coupling, None if the records show none, and the axes fitted without it.
+
+    Both are fitted in turn, since each hides in the other where axes move alike.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    axes
+        Fits of the axes.
+    nuisance
+        Offset or drift that each record may add, as in `MhlOptions`.
+    rounds
+        Number of rounds at most.
+    """
     coupling: Coupling | None = None
     for _ in range(rounds):
         plain = chain_model(datasets, axes, "plain")
@@ -107,12 +128,32 @@ def with_coupling(
 
 
 def refined_axes(datasets: Sequence[Dataset], axes: Sequence[AxisFit], nuisance: str) -> list[AxisFit]:
-    """A few passes for every axis, on all cores."""
+    """Refine every axis by a few passes, on all cores.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    axes
+        Fits of the axes.
+    nuisance
+        Offset or drift that each record may add, as in `MhlOptions`.
+    """
     return list(forked(lambda index: refined(axis_windows(datasets, index), axes[index], nuisance, passes=3), len(axes)))
 
 
 def fit_joint(windows: Sequence[Window], options: MhlOptions, like: AxisFit | None) -> AxisFit:
-    """One axis from all its records. `like` is another axis of the same device, from whose dynamics the search begins."""
+    """Fit one axis to all its records.
+
+    Parameters
+    ----------
+    windows
+        Records of the axis.
+    options
+        Options of the fit.
+    like
+        Fit of another axis of the same device, with whose dynamics the search begins; None for a search of the structure.
+    """
     sign = response_sign(windows)
     turned = [replace(window, measurement=sign * window.measurement) for window in windows]
     scale = full_scale(windows, options.input_scale)
@@ -135,7 +176,19 @@ def fit_joint(windows: Sequence[Window], options: MhlOptions, like: AxisFit | No
 
 
 def refined(windows: Sequence[Window], found: AxisFit, nuisance: str, passes: int) -> AxisFit:
-    """The parameters brought closer over stretches of all records."""
+    """Refine the parameters over stretches of all records.
+
+    Parameters
+    ----------
+    windows
+        Records of the axis.
+    found
+        Fit to begin with.
+    nuisance
+        Offset or drift that each record may add, as in `MhlOptions`.
+    passes
+        Number of passes of the search.
+    """
     turned = [replace(window, measurement=found.axis.sign * window.measurement) for window in windows]
     many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
     solution = minimize_simulation_error(
@@ -145,7 +198,17 @@ def refined(windows: Sequence[Window], found: AxisFit, nuisance: str, passes: in
 
 
 def refit(windows: Sequence[Window], found: AxisFit, nuisance: str) -> AxisFit:
-    """The last passes, over every row of every record, and what they say of errors and offset."""
+    """Last passes over every row of every record, with the covariance of the parameters and the offset.
+
+    Parameters
+    ----------
+    windows
+        Records of the axis.
+    found
+        Fit to begin with.
+    nuisance
+        Offset or drift that each record may add, as in `MhlOptions`.
+    """
     turned = [replace(window, measurement=found.axis.sign * window.measurement) for window in windows]
     solution = minimize_simulation_error(
         turned, found.axis.parametrization(), found.vector, nuisance=nuisance, passes=2, everything=True
@@ -170,7 +233,19 @@ def slowest(windows: Sequence[Window]) -> list[Window]:
 
 
 def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, options: MhlOptions) -> tuple[Axis, Solution]:
-    """G's order and everything else: grown factor by factor as long as the held-out error falls, from a mode behind a delay."""
+    """Choose the factors of G(s) and fit everything: factors are added one by one as long as the held-out error falls.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records of the axis.
+    blank
+        Axis without factors of G(s).
+    curves
+        Parameters of the curves to begin with.
+    options
+        Options of the fit; a structure that they name is fitted without a choice.
+    """
     given = options.structure
     if given is not None:
         axis, best = searched(windows, replace(blank, structure=replace(given, zeros=min(given.zeros, 1))), curves, options)
@@ -195,10 +270,22 @@ def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, opti
 def searched(
     windows: Sequence[Window], axis: Axis, curves: Array, options: MhlOptions, *, thorough: bool = True
 ) -> tuple[Axis, Solution]:
-    """A structure fitted from many starts, the curves in the form of `axis`; then everything free, in the form asked for.
+    """Fit a structure from many starts, with the curves in the form of `axis`; then everything, in the form that is asked for.
 
-    Curves that were seen in creeping loops are held meanwhile; coarse ones move along. Unless `thorough` only the best start is
-    followed, and not to the last digits.
+    Curves that were fitted to creeping loops are held in the first part; coarse ones are fitted along.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records of the axis.
+    axis
+        Axis with the structure to fit.
+    curves
+        Parameters of the curves to begin with.
+    options
+        Options of the fit, with the form of the curves that is asked for.
+    thorough
+        False to follow only the best start, and with fewer passes.
     """
     held = axis.curves == options.curves
     if held:
@@ -231,14 +318,22 @@ def searched(
 
 
 def candidates(trials: Sequence[Solution], share: int) -> list[Solution]:
-    """The best trial whose rate part lags and the best whose rate part leads, unless one is far better; `share` is k1's place."""
+    """Best trial whose rate part lags and best whose rate part leads, unless one is far better.
+
+    Parameters
+    ----------
+    trials
+        Solutions of the search.
+    share
+        Index of k1 in their parameters.
+    """
     ordered = sorted(trials, key=lambda solution: solution.fitted)
     others = [solution for solution in ordered if solution.parameters[share] * ordered[0].parameters[share] < 0]
     return ordered[:1] + [solution for solution in others[:1] if solution.fitted < 10.0 * ordered[0].fitted]
 
 
 def starts(axis: Axis) -> list[Array]:
-    """Rate parts and dynamics to begin with.
+    """Rate parts and dynamics from which the search for an `axis` begins.
 
     With k1 = κ k2 times the mean slope, H_D's small motions see (1 + (1 + κ) k2 s) / (1 + k2 s). A lag and a zero of G can undo
     that, and only large motions tell the two apart: so where G has them, every exchange is a start.
@@ -264,7 +359,21 @@ def starts(axis: Axis) -> list[Array]:
 def extended(
     windows: Sequence[Window], axis: Axis, best: Solution, structures: Sequence[Structure], options: MhlOptions
 ) -> list[tuple[Axis, Solution]]:
-    """Richer structures, each from what the poorer one found, on all cores."""
+    """Fits of richer structures, each from the parameters of the poorer one, on all cores.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records of the axis.
+    axis
+        Axis with the poorer structure.
+    best
+        Its fit.
+    structures
+        Richer structures.
+    options
+        Options of the fit.
+    """
     dynamics = axis.split(best.parameters)[2]
     before = best.parameters[: axis.curves.size + 2]
     begin: list[tuple[Structure, Array]] = []
@@ -287,12 +396,22 @@ def extended(
 
 
 def better(plain: tuple[Axis, Solution], rich: tuple[Axis, Solution]) -> tuple[Axis, Solution]:
-    """The richer structure where it is worth it."""
+    """The `rich` structure with its fit where it lowers the held-out error enough, else the `plain` one."""
     return rich if rich[1].held_out < (1.0 - WORTHWHILE) * plain[1].held_out else plain
 
 
 def lead_and_delay(old: Structure, new: Structure, dynamics: Array) -> Array:
-    """A start with one zero more, fast, whose lead a longer delay makes up for: there is a minimum on either side of none."""
+    """Start with one further, fast zero whose lead a longer delay cancels, as there is a minimum on either side of no zero.
+
+    Parameters
+    ----------
+    old
+        Structure without the zero.
+    new
+        Structure with the zero.
+    dynamics
+        Dynamics vector of `old`.
+    """
     parts = new.split(new.grow(old, dynamics, 1000.0))
     time = 0.5 / float(np.exp(parts["modes"][:, 0].max()))
     parts["delay"] = parts["delay"] + time / TAU_UNIT
@@ -300,10 +419,23 @@ def lead_and_delay(old: Structure, new: Structure, dynamics: Array) -> Array:
 
 
 def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: AxisFit, index: int, nuisance: str) -> AxisFit:
-    """One axis with a further mode and a pair of zeros next to it, where that is worth it: a notch that misses its mode.
+    """Add a mode and a nearby pair of zeros, a notch that misses its mode, to one axis where that lowers the held-out error enough.
 
-    Both begin at the frequency where the command explains most of what `model` leaves, the zeros upon the mode. Neither alone
-    lowers the error, so growing factor by factor never finds them; and what the axes do to each other has to be gone before.
+    Both begin at the frequency where the command explains most of the residual of `model`, the zeros upon the mode. Neither alone
+    lowers the error, so adding factor by factor never finds them. Cross-coupling must be removed before.
+
+    Parameters
+    ----------
+    model
+        Model of all axes.
+    datasets
+        Records without cross-coupling.
+    found
+        Fit of the axis.
+    index
+        Index of the axis.
+    nuisance
+        Offset or drift that each record may add, as in `MhlOptions`.
     """
     axis, dynamics = found.axis, found.axis.split(found.vector)[2]
     signals = []
@@ -331,7 +463,7 @@ def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: AxisFit, 
 
 
 def extensions(structure: Structure) -> list[Structure]:
-    """Structures with one factor more."""
+    """Structures with one factor more than `structure`, the plainer first."""
     options = []
     if structure.zeros + 1 < 2 * structure.modes + structure.lags:
         options.append(replace(structure, zeros=structure.zeros + 1))
@@ -368,7 +500,17 @@ def chain_stages(axes: Sequence[AxisFit]) -> list[Stage]:
 
 
 def chain_model(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) -> Model:
-    """The model without what the report adds."""
+    """Model of the fitted axes, without noise and tolerances, which the report adds.
+
+    Parameters
+    ----------
+    datasets
+        Records, which give axes, units, sample time and valid range.
+    axes
+        Fits of the axes.
+    method
+        Method of the fit, for the model's name.
+    """
     first = datasets[0]
     return Model(
         name=f"mhl_{method}",
@@ -385,7 +527,19 @@ def chain_model(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: st
 
 
 def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], coupling: Coupling | None) -> Fit:
-    """Model and report."""
+    """Model and report of a fit.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    method
+        "joint" or "paper".
+    axes
+        Fits of the axes.
+    coupling
+        Coupling between the axes, None for none.
+    """
     model = chain_model(datasets, axes, method)
     if coupling is not None:
         model = model.with_stages([*model.chain.stages, coupling.stage])
@@ -422,7 +576,7 @@ def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], 
 
 
 def curve_rows(axis: AxisFit, relative: dict[str, list[float]]) -> list[ParameterRow]:
-    """The curves' coefficients with their errors; their tolerance goes into `relative`."""
+    """Report rows of the coefficients of the curves of `axis`, with their errors; their tolerance is added to `relative`."""
     rows, tolerance = curve_errors(axis.axis.curves, axis.axis.split(axis.vector)[0], axis.covariance)
     for name in ("ascending", "descending"):
         relative.setdefault(name, []).append(tolerance)
@@ -430,7 +584,17 @@ def curve_rows(axis: AxisFit, relative: dict[str, list[float]]) -> list[Paramete
 
 
 def other_rows(axis: AxisFit, unit: str, relative: dict[str, list[float]]) -> list[ParameterRow]:
-    """Scale, rate part, delay and G(s) with errors carried over from the search; relative ones by parameter name."""
+    """Report rows of scale, rate part, delay and G(s), with the errors that follow from the covariance of the search.
+
+    Parameters
+    ----------
+    axis
+        Fit of the axis.
+    unit
+        Measurement unit.
+    relative
+        Relative errors by name of the parameter, to which those of this axis are added.
+    """
     structure, n = axis.axis.structure, axis.axis.curves.size
 
     def values(vector: Array) -> Array:

@@ -29,9 +29,23 @@ PAPER_STRUCTURE = Structure(modes=1, zeros=1, slow_pair=True)
 
 
 def fit(datasets: Sequence[Dataset], family: str, options: HammersteinOptions, *, dynamic: bool) -> Fit:
-    """Identify a model in the paper's three steps; `dynamic` for weights that follow the rate, else the last step is left out.
+    """Identify a model in the paper's three steps.
 
-    Raises `InputError` naming the experiment that the records lack.
+    Parameters
+    ----------
+    datasets
+        Records.
+    family
+        Name of the model family.
+    options
+        Options of the fit.
+    dynamic
+        True for weights that follow the rate, False to leave out the last step.
+
+    Raises
+    ------
+    InputError
+        The records lack an experiment; the text names it.
     """
     check_records(datasets)
     axes = [_fit_axis(datasets, axis, dynamic, options) for axis in range(len(datasets[0].axes))]

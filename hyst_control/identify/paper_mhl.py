@@ -126,11 +126,23 @@ class Inverse:
 
 
 def inverse_model(datasets: Sequence[Dataset], options: MhlOptions | None = None, k2: float | None = None) -> Model:
-    """Identify the compensator of Eq. 6 and 7 from the paper's records, taken at the rate of the loop: its hold is made up for.
+    """Identify the compensator of Eq. 6 and 7 from the paper's records, taken at the rate of the loop, whose hold it makes up for.
 
-    k2: s, where k2' is not to be identified.
-    Its chain runs from the measurement to V, for the kinds `mhl` and `mhl_static`. Raises `InputError` naming the experiment that the
-    records lack.
+    Its chain runs from the measurement to V, for the kinds `mhl` and `mhl_static`.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    options
+        Options of the fit; the defaults of `MhlOptions` if None.
+    k2
+        Time constant k2', s, where it is given; None to identify it.
+
+    Raises
+    ------
+    InputError
+        The records lack an experiment; the text names it.
     """
     check(datasets)
     options = options or MhlOptions()
@@ -165,9 +177,24 @@ def inverse_model(datasets: Sequence[Dataset], options: MhlOptions | None = None
 def fit_inverse_correction(
     datasets: Sequence[Dataset], index: int, sign: float, hysteresis: Madelung, zero: float, k2: float | None = None
 ) -> Inverse:
-    """Ψ' of one axis from u - H_S^-1[y] on the sweeps to 100 Hz as recorded, nothing removed: for every k2', k1' and b1' are linear.
+    """Fit Ψ' of one axis to u - H_S^-1[y] on the sweeps to 100 Hz as recorded; for every k2', k1' and b1' are linear.
 
-    Ψ' is discretised by Tustin's rule, as in the compensator.
+    Ψ' is discretized by Tustin's rule, as in the compensator.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    index
+        Index of the axis.
+    sign
+        Sign of the response, 1 or -1.
+    hysteresis
+        Inverse curves H_S^-1.
+    zero
+        Zero of the sensor, measurement unit.
+    k2
+        Time constant k2', s, where it is given; None to identify it.
     """
     targets: list[tuple[Array, Array, list[slice], Sampling]] = []
     for data in datasets:
@@ -215,7 +242,15 @@ def _cut(data: Dataset, index: int, begin: int, end: int) -> Dataset:
 
 
 def fit_axes(datasets: Sequence[Dataset], options: MhlOptions) -> list[AxisFit]:
-    """Identify every axis in the paper's steps. Raises `InputError` naming the experiment that the records lack."""
+    """Identify every axis in the paper's steps. Raises `InputError` naming an experiment that is missing.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    options
+        Options of the fit.
+    """
     return [_fit_axis(datasets, index, options) for index in range(len(datasets[0].axes))]
 
 
@@ -282,7 +317,17 @@ def _fit_axis(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> A
 
 
 def sorted_pieces(datasets: Sequence[Dataset], index: int, sign: float) -> Pieces:
-    """The motions between rests by kind. Raises `InputError` naming the experiment that is missing."""
+    """Sort the motions between rests by kind. Raises `InputError` naming an experiment that is missing.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    index
+        Index of the axis.
+    sign
+        Sign of the response, 1 or -1.
+    """
     found = Pieces([], [], [], [])
     group = 0
     for data in datasets:
@@ -327,7 +372,15 @@ def sorted_pieces(datasets: Sequence[Dataset], index: int, sign: float) -> Piece
 
 
 def motions(command: Array, sample_time: float) -> list[tuple[int, int, int]]:
-    """(first, last moving row + 1, end) of the motions of a command (N,): each with the rest that follows it."""
+    """Rows (first, last moving row + 1, end) of the motions of a command, each with the rest that follows it.
+
+    Parameters
+    ----------
+    command
+        Command (N,), V.
+    sample_time
+        Sample time, s.
+    """
     span = float(np.ptp(command))
     moving = np.flatnonzero(np.abs(np.diff(command)) > 1e-9 * span) + 1
     if span == 0 or not len(moving):
@@ -340,7 +393,13 @@ def motions(command: Array, sample_time: float) -> list[tuple[int, int, int]]:
 
 
 def step_delay(windows: Sequence[Window]) -> tuple[float, float]:
-    """The delay (s) and its standard error: a second-order response behind a delay, fitted to the beginning of each step."""
+    """Delay (s) and its standard error, from a delayed second-order response fitted to the beginning of each step.
+
+    Parameters
+    ----------
+    windows
+        Steps, each with the rest before it.
+    """
     structure = Structure(modes=1, delay=True)
     sample_time = windows[0].sample_time
     travel = max(float(np.ptp(window.measurement)) / float(np.ptp(window.command)) for window in windows)

@@ -25,9 +25,18 @@ WORTHWHILE = 0.01
 def unexplained_frequency(
     signals: Sequence[tuple[Array, Array]], sample_time: float, length: int = 500, least: int = 20
 ) -> float | None:
-    """The frequency (Hz) at which commands (N,) explain most of the errors (N,) that a model leaves; None without a long record.
+    """Frequency (Hz) at which commands explain most of the errors that a model leaves; None without a long record.
 
-    Looked for above a `least`-th of half the sampling rate.
+    Parameters
+    ----------
+    signals
+        Command (N,) in V and error (N,) in the measurement unit, one pair per record.
+    sample_time
+        Sample time, s.
+    length
+        Samples per segment of the spectra.
+    least
+        Frequencies below this fraction of half the sampling rate, 1 / least, are left out.
     """
     window = np.hanning(length)
     explained = np.zeros(length // 2 + 1)
@@ -47,7 +56,19 @@ def unexplained_frequency(
 
 
 def parted_pair(smaller: Structure, dynamics: Array, frequency: float, damping: float) -> tuple[Structure, Array]:
-    """A structure with a further mode at `frequency` (Hz) and zeros upon it, and its vector: the same response until the two part."""
+    """Structure with a further mode and zeros upon it, and its dynamics vector: the same response as before until the two part.
+
+    Parameters
+    ----------
+    smaller
+        Structure without the pair.
+    dynamics
+        Its dynamics vector.
+    frequency
+        Frequency of the pair, Hz.
+    damping
+        Damping ratio of the pair.
+    """
     structure = replace(smaller, modes=smaller.modes + 1, zeros=smaller.zeros + 2)
     parts = structure.split(structure.grow(smaller, dynamics, frequency))
     w = 2 * np.pi * frequency
@@ -56,7 +77,15 @@ def parted_pair(smaller: Structure, dynamics: Array, frequency: float, damping: 
 
 
 def with_numerator(parts: dict[str, Array], num: NDArray[np.floating[Any]]) -> Array:
-    """A dynamics vector from its factors, with the zeros' coefficients those of a numerator (descending powers of s)."""
+    """Dynamics vector from its factors, with the zeros' coefficients taken from a numerator.
+
+    Parameters
+    ----------
+    parts
+        Factors by name, as `Structure.split` returns them; the zeros are overwritten.
+    num
+        Coefficients of the numerator, descending powers of s.
+    """
     scale = np.exp(np.concatenate([parts["modes"][:, 0], parts["lags"]])).min()
     rising = (num / num[-1])[::-1]
     parts["zeros"][:] = 0.0

@@ -42,7 +42,17 @@ SETTINGS = (
 
 
 def described_learner(given: SimpleNamespace, axes: int, period: float) -> Learner | None:
-    """The learner that the parameters describe; period: s, of a tick. Raises `InputError` naming the parameter."""
+    """Learner that the parameters of a node describe, None without learning. Raises `InputError` naming the parameter.
+
+    Parameters
+    ----------
+    given
+        Parameters of the node.
+    axes
+        Number of axes A.
+    period
+        Period of a tick, s.
+    """
     if given.learning == NONE:
         return None
     if given.learning == FEEDBACK_ERROR:
@@ -87,12 +97,12 @@ class FeedforwardLearning:
         self._reference = _Queue(len(node.axes))
 
     def add_reference(self, tick: int, rows: Array) -> None:
-        """Rows of the reference from `tick` on."""
+        """Store `rows` (N, A) of the reference, in the measurement unit, of the ticks from `tick` on."""
         if self._observed:
             self._reference.add(tick, rows)
 
     def add(self, tick: int, rows: Array) -> None:
-        """Rows of the compensator's output from `tick` on."""
+        """Store `rows` (N, A) of the compensator's output, in V, of the ticks from `tick` on."""
         self._waiting.add(tick, rows)
 
     def advance(self) -> None:

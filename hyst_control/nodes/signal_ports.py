@@ -28,19 +28,19 @@ class InputOwner(Protocol):
     period: float
 
     def drop(self, topic: str, kind: str, reason: str) -> None:
-        """Count a refused message, and log it at most once per interval."""
+        """Count a refused message of a `topic` by its `kind`, and log the `reason` at most once per interval."""
 
     def advance(self) -> None:
         """Use the rows that are available, in lockstep."""
 
     def arrived(self, source: Input, tick: int, stamp: int) -> None:
-        """Take note of the time at which rows arrived, under the timer."""
+        """Store the time `stamp` at which rows of a `source` up to `tick` arrived, under the timer."""
 
     def repeat(self, source: Input, tick: int) -> None:
-        """Publish again the rows that followed from repeated ones, in lockstep."""
+        """Publish again, in lockstep, the rows that followed from the repeated rows of a `source`, which begin at `tick`."""
 
     def out_of_order(self, source: Input, tick: int) -> None:
-        """React to rows that arrived while earlier ones are missing, in lockstep."""
+        """React, in lockstep, to rows of a `source` that begin at `tick` while earlier ones are missing."""
 
 
 class Input:

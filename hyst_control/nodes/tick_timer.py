@@ -28,10 +28,10 @@ class TickOwner(Protocol):
         """Take the messages that have arrived, then tick."""
 
     def time_ran_backwards(self, seconds: float) -> None:
-        """Start again after the clock was set back."""
+        """Start again after the clock was set back by so many `seconds`."""
 
     def warn(self, key: str, text: str) -> None:
-        """Log a warning, at most one per key and interval."""
+        """Log a warning `text`, at most once per interval for each `key`."""
 
 
 class TickTimer:

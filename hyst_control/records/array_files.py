@@ -20,7 +20,7 @@ MAT_HEADER, MAT_COMPRESSED = 128, 15
 
 
 def read_array(path: str | Path) -> Array:
-    """The numbers of a .npy file, of any shape. Raises `InputError`."""
+    """Numbers of the .npy file at `path`, of any shape. Raises `InputError` when it holds no array of real numbers."""
     found = read_arrays(path, ".npy")
     if not found:
         raise InputError(f"{path}: holds no real numbers: give an array of them")

@@ -45,11 +45,28 @@ Array = NDArray[np.float64]
 def read_bag(
     path: str | Path, namespace: str | None = None, unit: str = "unknown", topics: Collection[str] | None = None
 ) -> Record:
-    """Every signal topic of a bag: a rosbag2 directory, or an .mcap or .db3 file by itself.
+    """Read every signal topic of a bag: a rosbag2 directory, or a single .mcap or .db3 file.
 
-    Topics are known by the last part of their names; where several namespaces have one, `namespace` says which is meant. `unit`
-    is that of measurement and reference in a bag whose messages carry no layout. `topics`: only these, by the last part of
-    their names. Raises `InputError` naming file and remedy.
+    Parameters
+    ----------
+    path
+        Bag to read.
+    namespace
+        Namespace of the topics, needed where several namespaces have a topic of the same name.
+    unit
+        Unit of measurement and reference in a bag whose messages have no layout.
+    topics
+        Last parts of the names of the topics to read; all by default.
+
+    Returns
+    -------
+    Record
+        Signals by the last part of their topic's name, with notes on what is missing or was left out.
+
+    Raises
+    ------
+    InputError
+        The bag cannot be read, holds no signal messages, or one of its signals is not valid; the text names file and remedy.
     """
     path = Path(path)
     notes: list[str] = []
@@ -238,7 +255,7 @@ def _files(path: Path, metadata: _Metadata | None) -> list[Path]:
     else:
         files = sorted(file for file in path.iterdir() if file.name.endswith(known))
     if not files or not all(file.name.endswith(known) for file in files):
-        raise InputError(f"{path}: is no bag: a rosbag2 directory, or an .mcap or .db3 file, is due")
+        raise InputError(f"{path}: is no bag: must be a rosbag2 directory, or an .mcap or .db3 file")
     if len({file.name.removesuffix(".zstd").rpartition(".")[2] for file in files}) > 1:
         raise InputError(f"{path}: holds both MCAP and SQLite3 files: keep one bag per directory")
     return files
@@ -371,7 +388,7 @@ def _signal(path: Path, name: str, topic: _Topic, origin: int, unit: str, notes:
     if not axes:
         raise InputError(f"{path}: {name}: messages hold no values: record the plant's signals")
     if len(set(units)) > 1:
-        raise InputError(f"{path}: {name}: label {label!r} mixes units: one unit per topic is due")
+        raise InputError(f"{path}: {name}: label must have one unit for all axes, got {label!r}")
     if units:
         time = np.concatenate([block[:, 0] for block in blocks])
         values = np.concatenate([block[:, 1:] for block in blocks])

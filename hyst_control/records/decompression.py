@@ -32,7 +32,7 @@ class Budget:
         self.left = max(ALWAYS, MOST_RATIO * size)
 
     def take(self, count: int) -> None:
-        """Count decompressed bytes. Raises `Damage` when they are too many."""
+        """Count further decompressed bytes, `count` of them. Raises `Damage` when the total is too large for the file."""
         self.left -= count
         if self.left < 0:
             raise Damage(f"expands to more than {MOST_RATIO} times its size")

@@ -42,7 +42,27 @@ def most_samples() -> float:
 
 
 def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:
-    """Rows (N, A) of a description; `axes` A. Raises `InputError` naming the parameter and the remedy."""
+    """Rows of a signal, built from its description.
+
+    Parameters
+    ----------
+    spec
+        Mapping with `signal`, the kind, and that kind's parameters, as the module describes it.
+    sample_time
+        Sample time, s.
+    axes
+        Number of axes A.
+
+    Returns
+    -------
+    Array
+        Rows (N, A), in the signal's own unit.
+
+    Raises
+    ------
+    InputError
+        The kind or a parameter is not known, missing or not valid, or the signal leaves its bounds; the text names the parameter.
+    """
     if not isinstance(spec, Mapping) or not all(isinstance(key, str) for key in spec):
         raise InputError("is no description of a signal: give a mapping with signal: KIND and its parameters")
     given = dict(spec)
@@ -59,7 +79,7 @@ def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:
         if key not in known or key in ("sample_time", "axes"):
             allowed = [name for name in known if name not in ("sample_time", "axes")]
             raise InputError(
-                f"{kind}: {key}: no such parameter, one of {', '.join([*allowed, 'lower', 'upper', 'slew_limit', 'axis'])} is due"
+                f"{kind}: {key}: no such parameter, must be one of {', '.join([*allowed, 'lower', 'upper', 'slew_limit', 'axis'])}"
             )
     for key, parameter in known.items():
         if parameter.default is inspect.Parameter.empty and key not in given and key not in ("sample_time", "axes"):
@@ -120,19 +140,72 @@ def _check_bounds(kind: str, rows: Array, sample_time: float, lower: float, uppe
 
 
 def rest(sample_time: float, duration: float, offset: float = 0.0) -> Array:
-    """offset for `duration` s."""
+    """Constant signal at `offset`.
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    duration
+        Length, s.
+    offset
+        Value, signal unit.
+
+    Returns
+    -------
+    Array
+        Rows (N,), signal unit.
+    """
     return np.full(_count(duration, sample_time), _number(offset, "offset"))
 
 
 def sine(
     sample_time: float, frequency: float, amplitude: float, offset: float = 0.0, duration: float = 1.0, phase: float = 0.0
 ) -> Array:
-    """offset + amplitude sin(2π frequency t + phase); phase in rad (-π/2 starts at the lowest point)."""
+    """Sine: offset + amplitude sin(2π frequency t + phase).
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    frequency
+        Frequency, Hz.
+    amplitude
+        Amplitude, signal unit.
+    offset
+        Mean, signal unit.
+    duration
+        Length, s.
+    phase
+        Phase at the first sample, rad; -π/2 starts at the lowest point.
+
+    Returns
+    -------
+    Array
+        Rows (N,), signal unit.
+    """
     return offset + amplitude * np.sin(2 * np.pi * frequency * _time(duration, sample_time) + phase)
 
 
 def cosine_ramp(sample_time: float, start: float, stop: float, duration: float) -> Array:
-    """From start to stop along half a cosine: no jump in value or rate."""
+    """Ramp along half a cosine, without a jump in value or rate.
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    start
+        First value, signal unit.
+    stop
+        Value that the sample after the last one would have, signal unit.
+    duration
+        Length, s.
+
+    Returns
+    -------
+    Array
+        Rows (N,), signal unit.
+    """
     count = _count(duration, sample_time)
     return start + (stop - start) * 0.5 * (1 - np.cos(np.pi * np.arange(count) / count))
 
@@ -146,7 +219,30 @@ def decaying_sine(
     final: float = 0.0,
     phase: float = 0.0,
 ) -> Array:
-    """Sine whose amplitude falls straight from `amplitude` to `final`; a growing one where final is larger."""
+    """Sine whose amplitude changes linearly from `amplitude` to `final`; it grows where `final` is larger.
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    frequency
+        Frequency, Hz.
+    amplitude
+        Amplitude at the beginning, signal unit.
+    offset
+        Mean, signal unit.
+    duration
+        Length, s.
+    final
+        Amplitude at the end, signal unit.
+    phase
+        Phase at the first sample, rad.
+
+    Returns
+    -------
+    Array
+        Rows (N,), signal unit.
+    """
     time = _time(duration, sample_time)
     return offset + (amplitude + (final - amplitude) * time / duration) * np.sin(2 * np.pi * frequency * time + phase)
 
@@ -159,11 +255,37 @@ def multi_frequency(
     duration: float = 1.0,
     phases: Sequence[float] | None = None,
 ) -> Array:
-    """offset + Σ a_i sin(2π f_i t + φ_i) (MHL paper §4.3, §4.4)."""
+    """Sum of sines: offset + Σ a_i sin(2π f_i t + φ_i) (MHL paper §4.3, §4.4).
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    frequencies
+        Frequencies (F,), Hz.
+    amplitudes
+        Amplitudes (F,), signal unit.
+    offset
+        Mean, signal unit.
+    duration
+        Length, s.
+    phases
+        Phases (F,), rad; all 0 by default.
+
+    Returns
+    -------
+    Array
+        Rows (N,), signal unit.
+
+    Raises
+    ------
+    InputError
+        The three lists are empty or differ in length.
+    """
     f, a = np.asarray(frequencies, dtype=float), np.asarray(amplitudes, dtype=float)
     p = np.zeros_like(f) if phases is None else np.asarray(phases, dtype=float)
     if not f.shape == a.shape == p.shape or f.ndim != 1 or not f.size:
-        raise InputError(f"frequencies: {f.size} of them, {a.size} amplitudes, {p.size} phases: lists of one length are due")
+        raise InputError(f"frequencies: must be as many as amplitudes and phases, got {f.size}, {a.size} and {p.size}")
     time = _time(duration, sample_time)
     waves = sum(ai * np.sin(2 * np.pi * fi * time + pi) for fi, ai, pi in zip(f, a, p, strict=True))
     return np.asarray(offset + waves)
@@ -178,10 +300,29 @@ def multisine_lines(
     avoid_mains: bool = False,
     seed: int = 0,
 ) -> NDArray[np.int64]:
-    """Harmonics of 1/period that a multisine excites.
+    """Harmonics of 1 / period that a multisine excites.
 
-    odd: odd ones only. detection: of every group of so many one is left out at random; there a nonlinearity shows. avoid_mains:
-    none within a line of a multiple of 50 or 60 Hz.
+    Parameters
+    ----------
+    period
+        Period, s.
+    lower_frequency
+        Lowest frequency, Hz.
+    upper_frequency
+        Highest frequency, Hz.
+    odd
+        True to take odd harmonics only.
+    detection
+        One line of every group of this many is left out at random, where a nonlinearity then shows; 0 or 1 for none.
+    avoid_mains
+        True to leave out lines within one line of a multiple of 50 or 60 Hz.
+    seed
+        Seed of the lines that are left out.
+
+    Returns
+    -------
+    NDArray[np.int64]
+        Harmonic numbers (F,), ascending.
     """
     lines = np.arange(max(int(np.ceil(lower_frequency * period - 1e-9)), 1), int(np.floor(upper_frequency * period + 1e-9)) + 1)
     if odd:
@@ -215,9 +356,46 @@ def multisine(
     avoid_mains: bool = False,
     seed: int = 0,
 ) -> Array:
-    """Random-phase multisine with equal amplitudes on its lines (`multisine_lines`), phases drawn anew for every axis.
+    """Random-phase multisine with equal amplitudes on its lines (`multisine_lines`) and separate phases for every axis.
 
-    period s, a whole number of samples; rms about the offset. Every period is the same to the last bit.
+    Every period is the same to the last bit.
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    period
+        Period, s; a whole number of samples.
+    lower_frequency
+        Lowest frequency, Hz.
+    upper_frequency
+        Highest frequency, Hz.
+    rms
+        Root mean square about the offset, signal unit.
+    axes
+        Number of axes A.
+    offset
+        Mean, signal unit.
+    periods
+        Number of periods.
+    odd
+        True to excite odd harmonics only.
+    detection
+        Size of the groups of lines of which one is left out; 0 or 1 for none.
+    avoid_mains
+        True to leave out lines near multiples of 50 and 60 Hz.
+    seed
+        Seed of the phases and of the lines that are left out.
+
+    Returns
+    -------
+    Array
+        Rows (N, A), signal unit.
+
+    Raises
+    ------
+    InputError
+        The period is no whole number of samples, or no line lies between the frequencies.
     """
     _check_size(max(_number(period, "period"), period * _number(periods, "periods")) * axes / sample_time)
     count = int(round(period / sample_time))
@@ -246,7 +424,35 @@ def sweep(
     duration: float = 1.0,
     logarithmic: bool = True,
 ) -> Array:
-    """offset - amplitude cos φ(t), the frequency running from start to stop, in even octaves or evenly; begins at the lowest point."""
+    """Frequency sweep offset - amplitude cos φ(t), which begins at its lowest point.
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    start_frequency
+        Frequency at the beginning, Hz.
+    stop_frequency
+        Frequency at the end, Hz.
+    amplitude
+        Amplitude, signal unit.
+    offset
+        Mean, signal unit.
+    duration
+        Length, s.
+    logarithmic
+        True for equal time per octave, False for a frequency that changes linearly.
+
+    Returns
+    -------
+    Array
+        Rows (N,), signal unit.
+
+    Raises
+    ------
+    InputError
+        A logarithmic sweep has a frequency that is not positive.
+    """
     time = _time(duration, sample_time)
     if logarithmic:
         if start_frequency <= 0 or stop_frequency <= 0:
@@ -267,17 +473,58 @@ def sweep(
 
 
 def triangle(sample_time: float, frequency: float, amplitude: float, offset: float = 0.0, duration: float = 1.0) -> Array:
-    """Triangle between offset ± amplitude, beginning at the lowest point."""
+    """Triangle between offset ± amplitude, which begins at its lowest point.
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    frequency
+        Frequency, Hz.
+    amplitude
+        Amplitude, signal unit.
+    offset
+        Mean, signal unit.
+    duration
+        Length, s.
+
+    Returns
+    -------
+    Array
+        Rows (N,), signal unit.
+    """
     phase = (frequency * _time(duration, sample_time)) % 1.0
     return offset + amplitude * (1.0 - 4.0 * np.abs(phase - 0.5))
 
 
 def staircase(sample_time: float, levels: Sequence[float] | Array, hold: float, ramp: float = 0.0) -> Array:
-    """Each level held for `hold` s, reached over `ramp` s (0: a jump)."""
+    """Levels that are held one after the other.
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    levels
+        Levels (L,), signal unit.
+    hold
+        Time at each level, s.
+    ramp
+        Time of the half cosine from one level to the next, s; 0 for a jump.
+
+    Returns
+    -------
+    Array
+        Rows (N,), signal unit.
+
+    Raises
+    ------
+    InputError
+        There is no level, one is not a number, or the signal does not fit in memory.
+    """
     values = [_number(level, "levels") for level in levels]
     _check_size(len(values) * (_number(hold, "hold") + _number(ramp, "ramp")) / sample_time)
     if not values:
-        raise InputError("levels: is empty: at least one level is due")
+        raise InputError("levels: must be a list of at least one level, got an empty one")
     parts = []
     for before, level in zip([values[0], *values], values, strict=False):
         if ramp and level != before:
@@ -287,19 +534,80 @@ def staircase(sample_time: float, levels: Sequence[float] | Array, hold: float, 
 
 
 def step(sample_time: float, height: float, offset: float = 0.0, before: float = 0.01, after: float = 0.2) -> Array:
-    """offset, then offset + height."""
+    """Step from `offset` to offset + height.
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    height
+        Height, signal unit.
+    offset
+        Value before the step, signal unit.
+    before
+        Time before the step, s.
+    after
+        Time after the step, s.
+
+    Returns
+    -------
+    Array
+        Rows (N,), signal unit.
+    """
     return np.concatenate([rest(sample_time, before, offset), rest(sample_time, after, offset + height)])
 
 
 def steps(sample_time: float, lowest: float, highest: float, hold: float, count: int, seed: int = 0) -> Array:
-    """`count` levels drawn evenly between lowest and highest, each held for `hold` s; begins and ends at the lowest."""
+    """Random levels between `lowest` and `highest`, each held; begins and ends at `lowest`.
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    lowest
+        Lowest level, signal unit.
+    highest
+        Highest level, signal unit.
+    hold
+        Time at each level, s.
+    count
+        Number of random levels, drawn from a uniform distribution.
+    seed
+        Seed of the levels.
+
+    Returns
+    -------
+    Array
+        Rows (N,), signal unit.
+    """
     _check_size(_number(count, "count") * max(_number(hold, "hold") / sample_time, 1.0))
     levels = np.random.default_rng(seed).uniform(lowest, highest, int(count))
     return staircase(sample_time, [lowest, *levels, lowest], hold)
 
 
 def spiral(sample_time: float, axes: int, radius: float, frequency: float, duration: float, offset: float = 0.0) -> Array:
-    """Two axes: offset + r(t) (cos, sin) with r growing straight from 0 to `radius`; further axes rest at the offset."""
+    """Spiral of axes 0 and 1: offset + r(t) (cos, sin), with r growing linearly from 0 to `radius`.
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    axes
+        Number of axes A, at least 2; further axes rest at the offset.
+    radius
+        Radius at the end, signal unit.
+    frequency
+        Turns per second, Hz.
+    duration
+        Length, s.
+    offset
+        Center, signal unit.
+
+    Returns
+    -------
+    Array
+        Rows (N, A), signal unit.
+    """
     _two_axes(axes)
     _check_size(_number(duration, "duration") * axes / sample_time)
     time = _time(duration, sample_time)
@@ -311,7 +619,30 @@ def spiral(sample_time: float, axes: int, radius: float, frequency: float, durat
 
 
 def raster(sample_time: float, axes: int, width: float, height: float, lines: int, line_time: float, offset: float = 0.0) -> Array:
-    """Two axes: axis 0 sweeps ± width/2 as a triangle, one pass per `line_time` s, axis 1 climbs evenly from -height/2 to height/2."""
+    """Raster scan: axis 0 sweeps ± width/2 as a triangle while axis 1 climbs linearly from -height/2 to height/2.
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    axes
+        Number of axes A, at least 2; further axes rest at the offset.
+    width
+        Width, signal unit.
+    height
+        Height, signal unit.
+    lines
+        Number of passes of axis 0.
+    line_time
+        Time of one pass, s.
+    offset
+        Center, signal unit.
+
+    Returns
+    -------
+    Array
+        Rows (N, A), signal unit.
+    """
     _two_axes(axes)
     duration = lines * line_time
     _check_size(_number(duration, "lines") * axes / sample_time)
@@ -322,9 +653,31 @@ def raster(sample_time: float, axes: int, width: float, height: float, lines: in
 
 
 def sequence(sample_time: float, axes: int, parts: Sequence[Mapping[str, Any]], join: float = 0.0) -> Array:
-    """Signals one after the other; with `join` s they are joined along half a cosine, so that the sequence does not jump."""
+    """Signals one after the other.
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    axes
+        Number of axes A.
+    parts
+        Descriptions of the signals, as for `build`.
+    join
+        Time of the half cosine that joins two signals without a jump, s; 0 for none.
+
+    Returns
+    -------
+    Array
+        Rows (N, A), signal unit.
+
+    Raises
+    ------
+    InputError
+        There is no list of descriptions, or one is not valid; the text gives its index.
+    """
     if not parts or isinstance(parts, (str, Mapping)):
-        raise InputError("parts: a list of signal descriptions is due")
+        raise InputError(f"parts: must be a list of signal descriptions, got {parts!r}")
     rows: list[Array] = []
     for index, part in enumerate(parts):
         try:
@@ -339,7 +692,24 @@ def sequence(sample_time: float, axes: int, parts: Sequence[Mapping[str, Any]], 
 
 
 def loops(sample_time: float, frequency: float, peak: float, cycles: float) -> Array:
-    """One-sided loops from 0 to `peak` and back: peak (1 - cos 2π f t) / 2, rounded to whole cycles' samples."""
+    """One-sided loops from 0 to `peak` and back: peak (1 - cos 2π f t) / 2.
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    frequency
+        Frequency, Hz.
+    peak
+        Greatest value, signal unit.
+    cycles
+        Number of loops; the length is rounded to whole samples.
+
+    Returns
+    -------
+    Array
+        Rows (N,), signal unit.
+    """
     count = _count(cycles / frequency, sample_time)
     return np.asarray(0.5 * peak * (1 - np.cos(2 * np.pi * frequency * np.arange(count) * sample_time)))
 
@@ -354,11 +724,34 @@ def hampi_identification(
     fast_share: float = 0.7,
     time: float = 0.06,
 ) -> Array:
-    """The records that identify HAMPI (paper §3.2), one after the other from rest at 0 V, with rests between.
+    """Experiments that identify HAMPI (paper §3.2), one after the other from rest at 0 V, with rests between.
 
-    A step of `step_height` V; quasi-static loops (`quasi_static` Hz) to the peak and to 0.6 of it; loops at every frequency to the
-    peak, and at the middle ones to lower peaks, so that rate and amplitude can be told apart. Every frequency lasts `time` s, three
-    loops at least. Above 300 Hz the loops reach `fast_share` of the peak, which spares the amplifier.
+    A step; quasi-static loops to the peak and to 0.6 of it; loops at every frequency to the peak, and at every second one to 0.45
+    of it as well, so that rate and amplitude can be told apart.
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    peak
+        Greatest command, V.
+    step_height
+        Height of the step, V.
+    frequencies
+        Frequencies (F,) of the faster loops, Hz.
+    quasi_static
+        Frequency of the quasi-static loops, Hz.
+    pause
+        Rest after each group of loops, s.
+    fast_share
+        Part of the peak that loops above 300 Hz reach, to spare the amplifier.
+    time
+        Time at every frequency, s; three loops at least.
+
+    Returns
+    -------
+    Array
+        Rows (N,), V.
     """
     longest = [1.0 / _number(quasi_static, "quasi_static"), *(max(3.0 / float(f), time) for f in frequencies)]
     _check_size(2 * (sum(map(abs, longest)) + len(longest) * abs(_number(pause, "pause"))) / sample_time)
@@ -383,10 +776,31 @@ def mhl_identification(
     highest: float = 4000.0,
     sweep_time: float = 2.0,
 ) -> Array:
-    """The records that identify MHL (paper §4.2), each axis in turn where there are several, the others at rest at 0 V.
+    """Experiments that identify MHL (paper §4.2), each axis in turn with the others at rest at 0 V.
 
-    A step; slow loops of falling amplitude (variable amplitude, `slow` Hz); a full-amplitude sweep to 100 Hz; a small sweep to
-    `highest` Hz about mid-drive.
+    A step; slow loops of falling amplitude; a full-amplitude sweep to 100 Hz; a small sweep to `highest` about mid-drive.
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    peak
+        Greatest command, V.
+    step_height
+        Height of the step, V.
+    axes
+        Number of axes A.
+    slow
+        Frequency of the slow loops, Hz.
+    highest
+        Highest frequency of the small sweep, Hz; 0.4 of the sample rate at most.
+    sweep_time
+        Length of each sweep, s.
+
+    Returns
+    -------
+    Array
+        Rows (N, A), V.
     """
     _check_size((5.0 / _number(slow, "slow") + 3 * _number(sweep_time, "sweep_time")) * axes**2 / sample_time)
     small = 0.1 * peak
@@ -417,11 +831,33 @@ def mhl_identification(
 def diagnostic(
     sample_time: float, lowest: float, highest: float, axes: int, duration: float = 1.5, band: float = 1000.0, seed: int = 0
 ) -> Array:
-    """The record that shows every effect: within lowest…highest V, about `duration` s, dynamics up to `band` Hz.
+    """Experiments that show every effect of the catalogue, within `lowest` to `highest`.
 
-    Rest; a step that is held (creep, drift); a small and a large multisine of two equal periods each, odd with detection lines
-    and none near the mains (linear, even, odd, noise); a triangle (static curve, velocity sign); fast steps (slew, delay); rest.
-    Axes move with phases of their own; in the triangle and the steps they move in turn, so that cross-coupling shows.
+    Rest; a step that is held (creep, drift); a small and a large multisine of two equal periods each, odd with detection lines and
+    none near the mains (linear, even, odd, noise); a triangle (static curve, velocity sign); fast steps (slew, delay); rest. The
+    axes move with separate phases; in the triangle and the steps they move in turn, so that cross-coupling shows.
+
+    Parameters
+    ----------
+    sample_time
+        Sample time, s.
+    lowest
+        Lowest command, V.
+    highest
+        Highest command, V.
+    axes
+        Number of axes A.
+    duration
+        Approximate length, s.
+    band
+        Highest frequency of the small multisine, Hz; 0.35 of the sample rate at most.
+    seed
+        Seed of the multisines.
+
+    Returns
+    -------
+    Array
+        Rows (N, A), V.
     """
     _check_size(2 * _number(duration, "duration") * axes / sample_time)
     span, centre = highest - lowest, 0.5 * (lowest + highest)
@@ -499,7 +935,7 @@ def _two_axes(axes: int) -> None:
 
 def _number(value: Any, name: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or np.isnan(value):
-        raise InputError(f"{name}: {value!r}, a number is due")
+        raise InputError(f"{name}: must be a number, got {value!r}")
     return float(value)
 
 

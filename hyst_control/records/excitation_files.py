@@ -31,31 +31,49 @@ def read_description(words: Sequence[str]) -> dict[str, Any]:
     for word in rest:
         name, mark, text = word.partition("=")
         if not mark or not name:
-            raise InputError(f"{word!r}: parameter=value is due (frequency=10)")
+            raise InputError(f"must be parameter=value, such as frequency=10, got {word!r}")
         try:
             spec[name] = parse_yaml(text, name)
         except InputError:
-            raise InputError(f"{word!r}: the value is not valid: a number, a text or a list such as [1, 2] is due") from None
+            raise InputError(f"{word!r}: the value must be a number, a text or a list such as [1, 2]") from None
     return spec
 
 
 def _from_file(path: Path) -> dict[str, Any]:
     spec = read_yaml(path, f"give an existing file or one of {', '.join(sorted(KINDS))}")
     if not isinstance(spec, dict):
-        raise InputError(f"{path}: holds no description: signal: KIND and its parameters are due")
+        raise InputError(f"{path}: holds no description: must be signal: KIND and its parameters")
     return spec
 
 
 def write_excitation(path: str | Path, spec: Mapping[str, Any], rows: Array, sample_time: float, unit: str) -> None:
-    """Write rows (N, A) by the ending of the name: .csv, .npy, .yaml (the description, for the reference generator), else a bag.
+    """Write an excitation in the format that the ending of the file name selects.
 
-    A bag holds them as `command` when their unit is V, as `reference` otherwise; time starts at 0. Raises `InputError` when the path
-    exists or cannot be written; nothing is left then.
+    .csv, .npy and .yaml (the description, for the reference generator) are known; any other name is a bag. A bag holds the rows as
+    `command` when their unit is V, as `reference` otherwise; time starts at 0.
+
+    Parameters
+    ----------
+    path
+        File or bag to write, which must not exist.
+    spec
+        Description of the signal, as for `excitation.build`.
+    rows
+        Rows (N, A), in `unit`.
+    sample_time
+        Sample time, s.
+    unit
+        One of `UNITS`.
+
+    Raises
+    ------
+    InputError
+        The path exists or cannot be written, in which case nothing is left there, or the unit is not known.
     """
     path = Path(path)
     axes, time = axis_names(rows.shape[1]), np.asarray(np.arange(len(rows)) * sample_time, dtype=np.float64)
     if unit not in UNITS:
-        raise InputError(f"unit: {unit!r}, one of {', '.join(UNITS)} is due")
+        raise InputError(f"unit: must be one of {', '.join(UNITS)}, got {unit!r}")
     if os.path.lexists(path):
         raise InputError(f"{path}: exists already: choose another name or remove it")
     if path.suffix == ".csv":

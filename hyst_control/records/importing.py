@@ -69,16 +69,34 @@ class Column:
 
 
 def parse_columns(text: str) -> list[Column]:
-    """Columns from "command=1[V],measurement=5[um]"; several axes as "measurement=5+6[m]". Raises `InputError`."""
+    """Parse the assignment of columns to topics, such as "command=1[V],measurement=5[um]".
+
+    Parameters
+    ----------
+    text
+        Assignments separated by commas; several axes are joined as in "measurement=5+6[m]".
+
+    Returns
+    -------
+    list[Column]
+        Columns in the order of the text.
+
+    Raises
+    ------
+    InputError
+        The text is empty or of another form, a unit is not known, or a topic stands twice.
+    """
     found: list[Column] = []
     rest = text.strip()
     while rest:
         match = _ASSIGNMENT.match(rest)
         if not match:
-            raise InputError(f"columns: {rest!r}: topic=column[unit], separated by commas, is due (command=1[V],measurement=5[um])")
+            raise InputError(
+                f"columns: must be topic=column[unit], separated by commas (command=1[V],measurement=5[um]), got {rest!r}"
+            )
         known = TIME_UNITS if match["topic"] == TIME else UNITS
         if match["unit"] not in known:
-            raise InputError(f"columns: {match['topic']}: unit {match['unit']!r} is not known, one of {', '.join(known)} is due")
+            raise InputError(f"columns: {match['topic']}: unit {match['unit']!r} is not known, must be one of {', '.join(known)}")
         if match["topic"] in (column.topic for column in found):
             raise InputError(f"columns: {match['topic']} stands twice: join its axes with + (measurement=2+3[um])")
         found.append(Column(match["topic"], tuple(part.strip() for part in match["columns"].split("+")), match["unit"]))
@@ -132,7 +150,7 @@ def import_table(
     table, names = _read(path, variable, columns)
     begin, end = rows[0], len(table) if rows[1] is None else rows[1]
     if not 0 <= begin < end <= len(table):
-        raise InputError(f"{path}: rows {begin}:{end} of {len(table)}: a range within the file is due")
+        raise InputError(f"{path}: rows must be a range within 0:{len(table)}, got {begin}:{end}")
     first = 0 if any(name == "0" and name not in names for column in columns for name in column.columns) else 1
     notes = [f"{path}: columns are numbered from 0, since a column 0 is named"] if not first else []
 

@@ -16,7 +16,18 @@ AXES = ("x", "y", "z", "u", "v", "w")
 
 
 def axis_names(count: int) -> tuple[str, ...]:
-    """x, y, z, … for this many axes that nobody named."""
+    """Default names of axes: x, y, z, or a0, a1, … where there are more than names.
+
+    Parameters
+    ----------
+    count
+        Number of axes.
+
+    Returns
+    -------
+    tuple[str, ...]
+        Names (count,).
+    """
     return AXES[:count] if count <= len(AXES) else tuple(f"a{i}" for i in range(count))
 
 
@@ -28,7 +39,20 @@ LATEST_TIME = 9e9
 
 
 def check_times(where: str, time: Array) -> None:
-    """Raise `InputError`, beginning with `where`, unless sample times (N,) in s are such that can be measured."""
+    """Check that sample times are finite and no later than a clock can show.
+
+    Parameters
+    ----------
+    where
+        Beginning of the error's text, such as the name of the file.
+    time
+        Sample times (N,), s.
+
+    Raises
+    ------
+    InputError
+        A time is not finite or lies beyond `LATEST_TIME`.
+    """
     if not np.isfinite(time).all():
         raise InputError(f"{where}: the time column holds NaN or infinity: record again")
     if len(time) and (time.max() > LATEST_TIME or time.min() < -LATEST_TIME):
@@ -115,10 +139,26 @@ class Record:
         return first
 
     def aligned(self, topics: Sequence[str], allow_gaps: bool = False) -> list[Aligned]:
-        """The stretches without a gap in which every topic has every tick, by tick of the common clock.
+        """Stretches without a gap in which every topic has every tick of the common clock.
 
-        Ticks are round(t / sample time). Raises `InputError` when values are not finite, times do not increase, topics share
-        no tick, or, unless gaps are allowed, ticks are missing in between.
+        Ticks are round(t / sample time).
+
+        Parameters
+        ----------
+        topics
+            Topics to align.
+        allow_gaps
+            True to split the record at missing ticks, False to refuse them.
+
+        Returns
+        -------
+        list[Aligned]
+            One item per stretch, in order of time.
+
+        Raises
+        ------
+        InputError
+            Values are not finite, times do not increase, topics share no tick, or ticks are missing and gaps are not allowed.
         """
         self.check(topics)
         step = self.sample_time(topics)

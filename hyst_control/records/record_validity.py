@@ -176,7 +176,7 @@ def check_records(trials: Sequence[Trial]) -> list[Finding]:
 
 
 def refuse_invalid(trials: Sequence[Trial]) -> None:
-    """Raise `InputError` with the first finding on records, and how many more there are."""
+    """Check `trials` and raise `InputError` with the first finding and the number of further ones, if there is any."""
     found = check_records(trials)
     if found:
         raise InputError(found[0].text() + (f" (and {len(found) - 1} more findings)" if len(found) > 1 else ""))
@@ -347,7 +347,22 @@ class Spectra:
 
     @classmethod
     def of(cls, command: Array, measurement: Array, length: int) -> Spectra:
-        """Average over segments of so many samples that overlap by half, about the means of the whole."""
+        """Spectra averaged over segments of `length` samples that overlap by half, after the mean of the whole record is removed.
+
+        Parameters
+        ----------
+        command
+            Command (N, A), V.
+        measurement
+            Measurement (N, A), measurement unit.
+        length
+            Samples per segment.
+
+        Returns
+        -------
+        Spectra
+            Auto, cross and power spectra at length // 2 + 1 frequencies.
+        """
         command, measurement = command - command.mean(axis=0), measurement - measurement.mean(axis=0)
         window = np.hanning(length)[:, None]
         lines, axes = length // 2 + 1, command.shape[1]
@@ -379,12 +394,12 @@ class Spectra:
         return np.asarray(made / np.maximum(self.power.sum(axis=0), 1e-300), dtype=np.float64)
 
     def coherence(self, index: int) -> Array:
-        """Coherence (F,) of an axis' command and measurement."""
+        """Coherence (F,) of the command and the measurement of axis `index`."""
         own = self.auto[:, index, index].real * self.power[:, index]
         return np.asarray(np.abs(self.cross[:, index, index]) ** 2 / np.maximum(own, 1e-300), dtype=np.float64)
 
     def lag(self, index: int) -> float:
-        """Mean angle (deg) by which an axis lags its command, negative where it leads.
+        """Mean angle (deg) by which the measurement of axis `index` lags its command, negative where it leads.
 
         Weighted with the coherent power, over the frequencies below the first at which it is turned by more than a right angle; a
         plant whose gain is negative is turned around first.
@@ -400,7 +415,7 @@ class Spectra:
         return float(np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0))))
 
     def response(self, index: int) -> tuple[Complex, NDArray[np.bool_]]:
-        """Response (F,) of an axis to its command, and at which frequencies (F,) it is known."""
+        """Frequency response (F,) of axis `index` to its command, and a mask (F,) of the frequencies at which it is known."""
         own = self.auto[:, index, index].real
         sure = self.coherence(index) > SURE
         for power in (own, self.power[:, index]):

@@ -27,16 +27,45 @@ _COLUMN = re.compile(r"([^\[\],]+)\[([^\[\],]*)\]")
 
 
 def label_for(axes: Sequence[str], unit: str) -> str:
-    """The column label of a signal: ``label_for(["x", "y"], "um")`` is ``t[s],x[um],y[um]``."""
+    """Column label of a signal: ``label_for(["x", "y"], "um")`` is ``t[s],x[um],y[um]``.
+
+    Parameters
+    ----------
+    axes
+        Names (A,) of the axes.
+    unit
+        Unit of every axis.
+
+    Returns
+    -------
+    str
+        Label with the time column first.
+    """
     return ",".join([TIME_COLUMN, *(f"{axis}[{unit}]" for axis in axes)])
 
 
 def parse_label(label: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Axes and their units from a column label, the time column left out. Raises `InputError` on another form."""
+    """Axes and their units from a column label, without the time column.
+
+    Parameters
+    ----------
+    label
+        Label such as ``t[s],x[um]``.
+
+    Returns
+    -------
+    tuple[tuple[str, ...], tuple[str, ...]]
+        Names (A,) and units (A,).
+
+    Raises
+    ------
+    InputError
+        The label has another form, or names a column twice.
+    """
     columns = label.split(",")
     matches = [_COLUMN.fullmatch(column.strip()) for column in columns]
     if columns[0].strip() != TIME_COLUMN or len(columns) < 2 or None in matches:
-        raise InputError(f"label {label!r}: columns such as 't[s],x[um]' are due")
+        raise InputError(f"label: must be columns such as 't[s],x[um]', got {label!r}")
     found = [match.groups() for match in matches[1:] if match]
     axes, units = tuple(axis for axis, _ in found), tuple(unit for _, unit in found)
     if len(set(axes)) != len(axes):
@@ -87,7 +116,22 @@ class Decoder:
 
 
 def header(label: str, rows: int, columns: int) -> bytes:
-    """Everything that stands before the data of a block (rows, columns): little-endian, padding zero."""
+    """Bytes before the data of a block: little-endian CDR with zero padding.
+
+    Parameters
+    ----------
+    label
+        Column label.
+    rows
+        Number of rows N.
+    columns
+        Number of columns C, time included.
+
+    Returns
+    -------
+    bytes
+        Serialized header, at whose end the data follows.
+    """
     text = label.encode()
     parts = bytearray(b"\0\1\0\0" + struct.pack("<I", 2))  # little-endian CDR, two dimensions
     for name, size, stride in ((ROW_LABEL.encode(), rows, rows * columns), (text, columns, columns)):
@@ -100,10 +144,24 @@ def header(label: str, rows: int, columns: int) -> bytes:
 
 
 def decode(buffer: bytes | bytearray | memoryview) -> tuple[str, NDArray[np.float64]]:
-    """Label and block (N, C) of a serialized Float64MultiArray; the block is a view of the buffer where it can be.
+    """Label and block of a serialized Float64MultiArray.
 
-    A message without a layout gives the label "" and its data as one row (1, C). Raises `InputError` when the bytes are
-    no such message, or its layout is not the fixed one.
+    A message without a layout gives the label "" and its data as one row (1, C).
+
+    Parameters
+    ----------
+    buffer
+        Serialized message, in either byte order.
+
+    Returns
+    -------
+    tuple[str, NDArray[np.float64]]
+        Label and block (N, C); the block is a view of the buffer where its byte order allows it.
+
+    Raises
+    ------
+    InputError
+        The bytes are no such message, or its layout is not the fixed one.
     """
     view = memoryview(buffer)
     if len(view) < 12 or view[0] != 0 or view[1] > 1:
@@ -127,14 +185,14 @@ def decode(buffer: bytes | bytearray | memoryview) -> tuple[str, NDArray[np.floa
     if not dimensions:
         return "", data.reshape(1, -1)
     if len(dimensions) != 2:
-        raise InputError(f"layout of {len(dimensions)} dimensions: two, samples and columns, are due")
+        raise InputError(f"layout: must have two dimensions, samples and columns, got {len(dimensions)}")
     (_, rows, stride), (label, columns, column_stride) = dimensions
     if rows * columns != count or stride != count or column_stride != columns or offset:
         raise InputError(
             f"layout ({rows} x {columns}, strides {stride} and {column_stride}, offset {offset}) does not fit its {count} values"
         )
     if not label:
-        raise InputError("layout without a label: columns such as 't[s],x[um]' are due")
+        raise InputError("layout: label must be columns such as 't[s],x[um]', got none")
     if label.count(",") + 1 != columns:
         raise InputError(f"label {label!r}: names {label.count(',') + 1} columns, the layout has {columns}")
     return label, data.reshape(rows, columns)
@@ -144,7 +202,7 @@ def _read_dimensions(view: memoryview, order: str) -> tuple[list[tuple[str, int,
     """The layout's dimensions (label, size, stride) and the position behind them."""
     number = struct.unpack_from(order + "I", view, 4)[0]
     if number > 16:
-        raise InputError(f"layout of {number} dimensions: two, samples and columns, are due")
+        raise InputError(f"layout: must have two dimensions, samples and columns, got {number}")
     dimensions, position = [], 8
     for _ in range(number):
         position += -position % 4
