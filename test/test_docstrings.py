@@ -24,56 +24,6 @@ SOURCES = {
 QUESTIONS = ("What", "Where", "How", "Whether", "Which", "When", "Who", "Why")
 API = re.findall(r"^::: ([\w.]+)$", (ROOT / "docs" / "api.md").read_text(encoding="utf-8"), re.M)
 
-TO_BE_EMPTIED: frozenset[str] = frozenset(
-    {
-        "hyst_control/cli/bench.py",
-        "hyst_control/cli/blind_test.py",
-        "hyst_control/cli/cases.py",
-        "hyst_control/cli/compare.py",
-        "hyst_control/cli/demo.py",
-        "hyst_control/cli/diagnose.py",
-        "hyst_control/cli/excite.py",
-        "hyst_control/cli/identify.py",
-        "hyst_control/cli/import_command.py",
-        "hyst_control/cli/learn.py",
-        "hyst_control/cli/record.py",
-        "hyst_control/cli/reproduce.py",
-        "hyst_control/cli/simulate.py",
-        "hyst_control/cli/tune.py",
-        "hyst_control/cli/validate.py",
-        "hyst_control/control/feedback_error_learning.py",
-        "hyst_control/control/feedforward.py",
-        "hyst_control/control/iterative_learning.py",
-        "hyst_control/control/learning.py",
-        "hyst_control/control/learning_filter.py",
-        "hyst_control/control/learning_trials.py",
-        "hyst_control/control/linearization.py",
-        "hyst_control/control/mhl_inverse.py",
-        "hyst_control/control/pi.py",
-        "hyst_control/control/tuning.py",
-        "hyst_control/control/whole_inverse.py",
-        "hyst_control/files.py",
-        "hyst_control/foreign_readers.py",
-        "hyst_control/identify/coupling.py",
-        "hyst_control/identify/mhl.py",
-        "hyst_control/identify/paper_hampi.py",
-        "hyst_control/identify/paper_mhl.py",
-        "hyst_control/identify/parted_pair.py",
-        "hyst_control/nodes/feedforward_learning.py",
-        "hyst_control/nodes/signal_ports.py",
-        "hyst_control/nodes/tick_timer.py",
-        "hyst_control/records/array_files.py",
-        "hyst_control/records/bag_reader.py",
-        "hyst_control/records/decompression.py",
-        "hyst_control/records/excitation.py",
-        "hyst_control/records/excitation_files.py",
-        "hyst_control/records/importing.py",
-        "hyst_control/records/record.py",
-        "hyst_control/records/record_validity.py",
-        "hyst_control/records/signal_message.py",
-    }
-)
-"""Files whose docstrings do not keep the rules yet: none may come, and one that keeps them must go."""
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -212,14 +162,9 @@ def faults(name: str) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("name", [name for name in SOURCES if name not in TO_BE_EMPTIED])
+@pytest.mark.parametrize("name", SOURCES)
 def test_docstrings_keep_the_rules(name):
     assert not faults(name), "see CONTRIBUTING.md"
-
-
-def test_the_list_of_files_to_be_mended_shrinks():
-    mended = sorted(name for name in TO_BE_EMPTIED if name not in SOURCES or not faults(name))
-    assert not mended, "take them out of TO_BE_EMPTIED"
 
 
 @pytest.mark.parametrize(
