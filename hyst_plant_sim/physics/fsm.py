@@ -28,7 +28,7 @@ from hyst_plant_sim.physics.elastic_slip import PushPull, Slip
 from hyst_plant_sim.physics.mechanics import mechanics, oscillator
 from hyst_plant_sim.physics.parameter_checks import check_positive
 from hyst_plant_sim.physics.parts import Chain, Clip, Delay, Held, Mixing, Straight, System
-from hyst_plant_sim.physics.signal_path import Frame, Part
+from hyst_plant_sim.physics.signal_path import Frame, Part, PlantParameters
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ PER_AXIS = {"delay": 2, "elastic_slope": 2, "slip_slope": 2, "mode_frequency": 2
 
 
 @dataclass(frozen=True)
-class FsmParameters:
+class FsmParameters(PlantParameters):
     """Physical parameters of the truth FSM; values in config/plants/fsm.yaml.
 
     Parameters
@@ -123,24 +123,6 @@ class FsmParameters:
         )
 
     def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
-        """Construct the parts of an axis by place.
-
-        Parameters
-        ----------
-        axis
-            Index of the axis.
-        frame
-            Common data of the plant.
-        hysteresis
-            Changes of the hysteresis by name: "width", "rate".
-        moving
-            Changes of the delay and the mechanics; see `mechanics`.
-
-        Returns
-        -------
-        dict[str, list[Part]]
-            Parts by place.
-        """
         stacks = [
             Slip(
                 self.elastic_slope[axis],

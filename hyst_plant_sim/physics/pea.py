@@ -27,13 +27,13 @@ from hyst_plant_sim.physics.elastic_slip import Slip
 from hyst_plant_sim.physics.mechanics import mechanics, oscillator
 from hyst_plant_sim.physics.parameter_checks import check_positive
 from hyst_plant_sim.physics.parts import Chain, Delay, Held, Straight, System
-from hyst_plant_sim.physics.signal_path import Frame, Part
+from hyst_plant_sim.physics.signal_path import Frame, Part, PlantParameters
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class PeaParameters:
+class PeaParameters(PlantParameters):
     """Physical parameters of the truth PEA; values in config/plants/pea.yaml.
 
     Parameters
@@ -114,24 +114,6 @@ class PeaParameters:
         )
 
     def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
-        """Construct the parts of an axis by place.
-
-        Parameters
-        ----------
-        axis
-            Index of the axis.
-        frame
-            Common data of the plant.
-        hysteresis
-            Changes of the hysteresis by name: "width", "rate".
-        moving
-            Changes of the delay and the mechanics; see `mechanics`.
-
-        Returns
-        -------
-        dict[str, list[Part]]
-            Parts by place.
-        """
         slip = Slip(
             self.elastic_slope,
             self.slip_slope,

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from hyst_plant_sim.physics.mechanics import mechanics
 from hyst_plant_sim.physics.parts import Delay, Held, Sum
 from hyst_plant_sim.physics.rational_mechanics import rational
-from hyst_plant_sim.physics.signal_path import Frame, Part, PlantError
+from hyst_plant_sim.physics.signal_path import Frame, Part, PlantError, PlantParameters
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ DEPTH = 512
 
 
 @dataclass(frozen=True)
-class PublishedFsmParameters:
+class PublishedFsmParameters(PlantParameters):
     """Figures of the published mirror, one entry per axis.
 
     Parameters
@@ -84,24 +84,6 @@ class PublishedFsmParameters:
                 )
 
     def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
-        """Construct the parts of an axis by place.
-
-        Parameters
-        ----------
-        axis
-            Index of the axis.
-        frame
-            Common data of the plant.
-        hysteresis
-            Changes of the hysteresis by name: "width", "rate".
-        moving
-            Changes of the delay and the mechanics; see `mechanics`.
-
-        Returns
-        -------
-        dict[str, list[Part]]
-            Parts by place.
-        """
         static = Madelung(
             self.ascending[axis], self.descending[axis], self.span[axis], self.scale[axis], hysteresis.get("width", 0.0)
         )

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from hyst_plant_sim.physics.mechanics import mechanics
 from hyst_plant_sim.physics.parts import Delay
 from hyst_plant_sim.physics.rational_mechanics import rational
-from hyst_plant_sim.physics.signal_path import Frame, Part, PlantError
+from hyst_plant_sim.physics.signal_path import Frame, Part, PlantError, PlantParameters
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class PublishedPeaParameters:
+class PublishedPeaParameters(PlantParameters):
     """Figures of the published HAMPI model.
 
     Parameters
@@ -64,24 +64,6 @@ class PublishedPeaParameters:
             raise PlantError(f"weights: {len(self.weights)} for {len(self.thresholds)} thresholds: give one each")
 
     def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
-        """Construct the parts of an axis by place.
-
-        Parameters
-        ----------
-        axis
-            Index of the axis.
-        frame
-            Common data of the plant.
-        hysteresis
-            Changes of the hysteresis by name: "width", "rate".
-        moving
-            Changes of the delay and the mechanics; see `mechanics`.
-
-        Returns
-        -------
-        dict[str, list[Part]]
-            Parts by place.
-        """
         delay = Delay(moving.get("delay", 0.0), frame.step)
         return {
             "drive": [delay],

@@ -11,7 +11,8 @@ it as running straight. Both are of second order in the step, also where a comma
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 from zlib import crc32
@@ -143,6 +144,31 @@ class Frame:
 
 Entry = tuple["int | None", Part]
 Line = dict[str, list[Entry]]
+
+
+class PlantParameters(ABC):
+    """Physical parameters of a plant, which construct its parts."""
+
+    @abstractmethod
+    def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
+        """Construct the parts of an axis by place.
+
+        Parameters
+        ----------
+        axis
+            Index of the axis.
+        frame
+            Common data of the plant.
+        hysteresis
+            Changes of the hysteresis by name: "width", "rate".
+        moving
+            Changes of the delay and the mechanics; see `mechanics`.
+
+        Returns
+        -------
+        dict[str, list[Part]]
+            Parts by place.
+        """
 
 
 class Plant:

@@ -20,7 +20,7 @@ from hyst_plant_sim.physics import exact_discretization
 from hyst_plant_sim.physics.mechanics import mechanics, oscillator
 from hyst_plant_sim.physics.parameter_checks import check_positive
 from hyst_plant_sim.physics.parts import Chain, Delay, Held, Straight, System
-from hyst_plant_sim.physics.signal_path import Frame, Part, PlantError
+from hyst_plant_sim.physics.signal_path import Frame, Part, PlantError, PlantParameters
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ SHORT = 0.2
 
 
 @dataclass(frozen=True)
-class ViscoelasticBoucWenParameters:
+class ViscoelasticBoucWenParameters(PlantParameters):
     """Physical parameters of the third plant; values in config/plants/third.yaml.
 
     Parameters
@@ -98,24 +98,6 @@ class ViscoelasticBoucWenParameters:
             )
 
     def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
-        """Construct the parts of an axis by place.
-
-        Parameters
-        ----------
-        axis
-            Index of the axis.
-        frame
-            Common data of the plant.
-        hysteresis
-            Changes of the hysteresis by name: "width", "rate".
-        moving
-            Changes of the delay and the mechanics; see `mechanics`.
-
-        Returns
-        -------
-        dict[str, list[Part]]
-            Parts by place.
-        """
         rate = hysteresis.get("rate", 1.0)
         delay = Delay(moving.get("delay", 0.0), frame.step)
         return {
