@@ -15,8 +15,9 @@ source install/setup.bash
 set -u
 share=$(python -c 'from ament_index_python import get_package_share_directory as share; print(share("hyst_control"))')
 [ "$share" = "$workspace/install/hyst_control/share/hyst_control" ] || { echo "the ament index leads to $share"; exit 1; }
-for executable in $(python -c 'import runpy, unittest.mock as mock
-with mock.patch("setuptools.setup"): print(*runpy.run_path("src/hyst_control/setup.py")["NODES"])'); do
+for executable in $(python -c 'import runpy
+nodes = runpy.run_path("src/hyst_control/hyst_control/processes/node_list.py")["NODES"]
+print(*(name for name, node in nodes.items() if node.installed))'); do
     [ -x "$share/../../lib/hyst_control/$executable" ] || { echo "no executable $executable in lib/hyst_control"; exit 1; }
 done
 [ -f "$share/config/nodes/lockstep.yaml" ] || { echo "no config in share"; exit 1; }
