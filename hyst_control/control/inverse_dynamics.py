@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag, eigvals
 from scipy.signal import zpk2sos
 
-from hyst_control.chain.linear import CrossCoupling, Delay, LinearFilter, LinearStage, StateSpace, linear_filter
+from hyst_control.chain.linear import Delay, LinearFilter, LinearStage, StateSpace, linear_filter
 from hyst_control.chain.stage import Array, Sampling, Stage
 from hyst_control.errors import InputError
 
@@ -177,7 +177,7 @@ def sampled_systems(run: Sequence[Stage], sampling: Sampling) -> list[DiscreteSy
     sampling
         Clock; its hold is the input's.
     """
-    running = linear_filter(_decoupled(run), sampling)
+    running = linear_filter(_decoupled(run, sampling.axes), sampling)
     systems = []
     for axis in range(sampling.axes):
         a, b, c, d = _shift_form(running, axis)
@@ -201,7 +201,7 @@ def tustin_systems(run: Sequence[Stage], sampling: Sampling) -> list[DiscreteSys
     ts = sampling.sample_time
     late = np.zeros(sampling.axes)
     systems = [DiscreteSystem(np.zeros(0, complex), np.zeros(0, complex), 1.0)] * sampling.axes
-    for stage in _decoupled(run):
+    for stage in _decoupled(run, sampling.axes):
         if isinstance(stage, Delay):
             late += np.broadcast_to(np.array(stage.tau, dtype=float), sampling.axes)
             continue
@@ -265,11 +265,9 @@ def zero_phase_low_pass(order: int, axes: int, sample_time: float) -> StateSpace
     return StateSpace(a, b, c, d, sample_time=float(sample_time))
 
 
-def _decoupled(run: Sequence[Stage]) -> list[Stage]:
+def _decoupled(run: Sequence[Stage], axes: int) -> list[Stage]:
     for stage in run:
-        couples = getattr(stage, "coupled", False) or (isinstance(stage, StateSpace) and len(np.array(stage.D)) > 1)
-        couples = couples or (isinstance(stage, CrossCoupling) and len(np.array(stage.matrix)) > 1)
-        if couples or getattr(stage, "discrete", False):
+        if (axes > 1 and stage.mixes_axes) or not (stage.linear or isinstance(stage, Delay)):
             raise InputError(
                 f"chain ({stage.name}): a per-axis inverse needs continuous dynamics that do not mix the axes: "
                 "use the lifted inverse of the whole chain"

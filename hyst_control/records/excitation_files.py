@@ -9,14 +9,17 @@ from typing import Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from hyst_control.errors import InputError
 from hyst_control.files import replacing, write_text
-from hyst_control.records.excitation import KINDS, Array
+from hyst_control.records.excitation import KINDS
 from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal, axis_names
 from hyst_control.records.signal_message import label_for
 from hyst_control.yaml_files import parse_yaml, read_yaml
+
+Array = NDArray[np.float64]
 
 UNITS = ("V", "um", "mrad")
 
