@@ -134,6 +134,12 @@ def test_inverse_of_any_stable_system_is_stable_and_tracks_slow_references(syste
     assert abs(plant.response(z) * inverse.response(z) * z**preview - 1.0)[0] < 2e-3 * max(slowness, 1.0)
 
 
+def separation(roots):
+    """Smallest distance between two of the roots."""
+    distances = np.abs(np.subtract.outer(roots, roots)) + np.diag(np.full(len(roots), np.inf))
+    return distances.min(initial=np.inf)
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     system=stable_systems(),
@@ -147,6 +153,8 @@ def test_stage_in_series_with_the_plant_answers_as_the_polynomials_say(system, s
     sampling = Sampling(sample_time, 1)
     plant = sampled_systems([Delay(delay), system], sampling)[0]
     assume(np.all(np.abs(plant.zeros - 1.0) > 0.02) and np.all(np.abs(plant.poles) < 0.98))
+    # Roots of a polynomial that lie close to each other are known to a fraction of the precision only.
+    assume(separation(plant.zeros) > 0.01 and separation(plant.poles) > 0.01)
     inverse = invert_dynamics([Delay(delay), system], sampling, method)
     assume(np.all(np.abs(inverse.systems[0].poles) < 0.98))
     n = np.arange(3000)
