@@ -1,9 +1,9 @@
 """Command line `hyst`: every module of this package is a subcommand, which only parses arguments and calls the library.
 
 A subcommand module has `NAME`, `HELP`, `JSON` (what `--json` writes), `add_arguments(parser)` and `run(arguments)`, and where it has
-such arguments `READS` and `WRITES`: names of those that are files or folders. `run` returns its result, which has `text()` for people
-and `document()` for programs, or an exit status when it has printed everything itself. Imports of the library stand within `run`, so
-that `hyst --help` is quick. `--json` and `--quiet` are added here for every subcommand.
+such arguments `READS` and `WRITES`: names of those that are files or folders. `run` returns its result, which has `text()` for people,
+`document()` for programs and, where it is not 0, an `exit_status`; or an exit status when it has printed everything itself. Imports
+of the library stand within `run`, so that `hyst --help` is quick. `--json` and `--quiet` are added here for every subcommand.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import tempfile
 from collections.abc import Sequence
 from contextlib import redirect_stdout
 from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from pkgutil import iter_modules
 
@@ -27,6 +28,25 @@ from hyst_control.files import check_outputs, check_writable, write_json
 ROS = ("rclpy", "std_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces")
 """Packages that nodes need and pip does not install."""
 
+FIRST_STEPS = """\
+Excite, record, identify, control and diagnose piezo stages and fast steering mirrors. To begin with:
+
+  hyst doctor                                what this computer offers, and what to do where that is not enough
+  hyst demo                                  the whole way with a simulated stage, in about a minute
+  hyst import record.csv --output record     a measured record, from a table or array, as a bag
+  hyst identify record --output model.yaml   a model of the stage from such a record
+  hyst diagnose record --model model.yaml    where model and stage disagree, and which effect is behind it
+
+`hyst --help` lists all commands, `hyst COMMAND --help` explains one."""
+
+
+def installed_version() -> str:
+    """Version of this package, or what it is called where it runs without having been installed."""
+    try:
+        return version("hyst_control")
+    except PackageNotFoundError:
+        return "not installed"
+
 
 def parser() -> argparse.ArgumentParser:
     """Parser of all subcommands."""
@@ -35,7 +55,8 @@ def parser() -> argparse.ArgumentParser:
         description="Excite, record, identify, control and diagnose piezo stages and fast steering mirrors.",
         epilog="`hyst COMMAND --help` explains a command.",
     )
-    commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    top.add_argument("--version", action="version", version=f"hyst_control {installed_version()}")
+    commands = top.add_subparsers(dest="command", metavar="COMMAND")
     for module in sorted(iter_modules(__path__), key=lambda found: found.name):
         command = import_module(f"{__name__}.{module.name}")
         sub = commands.add_parser(
@@ -74,6 +95,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         argcomplete.autocomplete(top)
     arguments = top.parse_args(argv)
+    if arguments.command is None:
+        print(FIRST_STEPS)
+        return 0
     if argv is None:
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends all that was started, as Ctrl-C does
     try:
@@ -141,4 +165,4 @@ def _run_and_print(arguments: argparse.Namespace) -> int:
     print(result.text())
     if arguments.json is not None:
         write_json(arguments.json, result.document())
-    return 0
+    return int(getattr(result, "exit_status", 0))
