@@ -1,4 +1,4 @@
-"""Checks of a computer on which loops are to run in real time, with what to do where it is not enough: Python, ROS, clock, priority, disk."""
+"""Checks of a computer on which loops are to run in real time, with what to do where it is not enough."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,6 +102,35 @@ class Record:
             there = ", ".join(sorted(self.signals)) or "none"
             raise InputError(f"{self.source}: has no topic {topic} (topics: {there}): record it, or remap the topic's name")
         return self.signals[topic]
+
+    def between(self, begin: float | None, end: float | None) -> Record:
+        """The part of the record between two sample times.
+
+        Parameters
+        ----------
+        begin, end
+            First and last sample time, s; None for the record's own.
+
+        Returns
+        -------
+        Record
+            The part, with the record's own times.
+
+        Raises
+        ------
+        InputError
+            No signal has a sample there.
+        """
+        if begin is None and end is None:
+            return self
+        first, last = -np.inf if begin is None else begin, np.inf if end is None else end
+        parts = {}
+        for topic, signal in self.signals.items():
+            rows = (signal.time >= first) & (signal.time <= last)
+            parts[topic] = replace(signal, time=signal.time[rows], values=signal.values[rows])
+        if not any(len(part.time) for part in parts.values()):
+            raise InputError(f"{self.source}: has no samples from {first:g} to {last:g} s: choose other times")
+        return replace(self, signals=parts)
 
     def check(self, topics: Sequence[str]) -> None:
         """Raise `InputError` when a value of these topics is not finite, naming its time and how many there are."""

@@ -1,0 +1,86 @@
+"""`hyst plot`: what is drawn, and how it is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from hyst_control.cli import main
+from hyst_control.records.importing import write_bag
+from hyst_control.records.record import Record, Signal
+from hyst_control.reporting.signal_figures import over_each_other, over_time, spectra, thinned
+
+RATE = 2000.0
+
+
+@pytest.fixture
+def record():
+    time = np.arange(20000) / RATE
+    wave = np.sin(2 * np.pi * 50.0 * time)
+    command = 50.0 + 40.0 * np.stack([wave, np.cos(2 * np.pi * 50.0 * time)], axis=1)
+    return Record(
+        {"command": Signal(time, command, ("x", "y"), "V"), "measurement": Signal(time, 0.02 * command, ("x", "y"), "mrad")}, "r"
+    )
+
+
+def test_a_thinned_line_keeps_every_peak():
+    rng = np.random.default_rng(3)
+    y = rng.standard_normal(100_000)
+    y[[777, 50_001]] = 40.0, -40.0
+    x, few = thinned(np.arange(len(y), dtype=float), y, 1000)
+    assert len(x) <= 1000 and few.max() == 40.0 and few.min() == -40.0
+    np.testing.assert_array_equal(y[x.astype(int)], few)
+    assert np.all(np.diff(x) > 0)
+
+
+def test_signals_of_one_unit_share_a_panel(record):
+    volts, tilt = over_time(record)
+    assert [line.name for line in volts.lines] == ["command.x", "command.y"]
+    assert tilt.y_title == "[mrad]"
+
+
+def test_a_spectrum_peaks_where_the_signal_does_and_holds_its_power(record):
+    line = spectra(record)[1].lines[0]
+    assert line.x[line.y.argmax()] == pytest.approx(50.0, abs=1.0)
+    assert np.sum(line.y**2) * (line.x[1] - line.x[0]) == pytest.approx(0.5 * (0.02 * 40.0) ** 2, rel=1e-3)
+
+
+def test_one_axis_over_the_other(record):
+    [panel] = over_each_other(record, "measurement.x", "measurement.y")
+    assert panel.x_title == "measurement.x [mrad]"
+    np.testing.assert_allclose((panel.lines[0].x - 1.0) ** 2 + (panel.lines[0].y - 1.0) ** 2, 0.64, rtol=1e-9)
+    assert len(over_each_other(record, "command", "measurement")) == 2
+
+
+@pytest.mark.parametrize(
+    "words", [[], ["--xy"], ["--spectrum"], ["--xy", "measurement.x", "measurement.y", "--from", "1", "--to", "2"]]
+)
+def test_pictures_and_pages(record, tmp_path, words):
+    write_bag(tmp_path / "bag", record)
+    picture, page = tmp_path / "a.png", tmp_path / "a.html"
+    assert main(["plot", str(tmp_path / "bag"), *words, "--output", str(picture)]) == 0
+    with Image.open(picture) as image:
+        pixels = np.asarray(image.convert("RGB"))
+    coloured = pixels.max(axis=2).astype(int) - pixels.min(axis=2) > 60
+    assert coloured.sum() > 300, "there are curves in it"
+    assert main(["plot", str(tmp_path / "bag"), *words, "--output", str(page)]) == 0
+    assert "measurement" in page.read_text(encoding="utf-8") and page.stat().st_size < 8e6
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--output", "a.bmp"], "its ending says"),
+        (["--xy", "command"], "takes two signals"),
+        (["--xy", "command", "reference"], "has no topic reference"),
+        (["--xy", "measurement.x", "command.q"], "has no axis q"),
+        (["--from", "50"], "no samples from 50"),
+    ],
+)
+def test_what_cannot_be_drawn_is_said(record, tmp_path, monkeypatch, capsys, words, said):
+    monkeypatch.chdir(tmp_path)
+    write_bag(tmp_path / "bag", record)
+    assert main(["plot", "bag", *words]) == 2
+    assert said in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["bag"]
