@@ -1,7 +1,8 @@
 """Worker processes for computations, started here only.
 
 Workers compute serially inside, end with their parent, also when that
-is killed, and end at once when the work is canceled (an error, Ctrl-C). A worker that is killed ends the work in a `WorkerLost`.
+is killed, and end at once when the work is canceled (an error, Ctrl-C). A worker that is killed ends the work in a `WorkerLost`; of
+many independent jobs (`outcomes`) it costs one.
 """
 
 from __future__ import annotations
@@ -14,13 +15,15 @@ import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import Literal, TypeVar, cast
+from dataclasses import dataclass
+from typing import Generic, Literal, TypeVar, cast
 
-from hyst_control.errors import WorkerLost
+from hyst_control.cluster import cluster_executor
+from hyst_control.errors import InputError, WorkerLost
 
 PARENT_DEATH_SIGNAL = 1  # of prctl(2)
 JOBS_PER_WORKER = 100
@@ -143,6 +146,181 @@ def mapped(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Resul
             waiting = deque(pool.submit(work, job) for job in jobs[begin : begin + batch])
             while waiting:
                 yield waiting.popleft().result()
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where many independent jobs are computed.
+
+    Parameters
+    ----------
+    count
+        Processes of this computer; None: one a core.
+    cluster
+        Address of a Dask scheduler, path of its scheduler file, or "local"; None: processes of this computer, without Dask.
+    """
+
+    count: int | None = None
+    cluster: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.count is not None and self.count < 1:
+            raise InputError(f"--workers: must be at least 1, got {self.count}")
+        if self.count is not None and self.cluster not in (None, "local"):
+            raise InputError("--workers: a cluster that is running has its own number of workers: leave it out")
+
+    @contextmanager
+    def open(self) -> Iterator[tuple[Executor, int]]:
+        """Provide the executor, and the number of jobs that it computes at the same time."""
+        count = self.count or cores()
+        if self.cluster is not None:
+            with cluster_executor(self.cluster, count) as opened:
+                yield opened
+            return
+        with executor(count) as pool:
+            yield pool, count
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[Job, Result]):
+    """What became of a job.
+
+    Parameters
+    ----------
+    job
+        The job.
+    result
+        Its result; None where it failed.
+    reason
+        Why it failed; "" where it did not.
+    """
+
+    job: Job
+    result: Result | None
+    reason: str = ""
+
+
+ATTEMPTS = 2
+"""Times that a job is tried."""
+AHEAD = 3
+"""Jobs submitted for every one that can be computed at a time: what waits keeps the workers busy, and memory flat."""
+REOPENED = 5
+"""Times in a row that workers are started or a scheduler is looked for again, without a job done in between."""
+
+
+def outcomes(work: Callable[[Job], Result], jobs: Iterable[Job], workers: Workers) -> Iterator[Outcome[Job, Result]]:
+    """Compute work(job) for many jobs, in the order in which they end; each costs at most itself.
+
+    A job that fails is tried once more. Where a worker of this computer is killed, nobody knows by which of the jobs under way: they
+    are computed one at a time until the guilty one is found. Where a cluster's scheduler is lost, it is looked for again.
+
+    Parameters
+    ----------
+    work
+        A function of a module, which can be pickled.
+    jobs
+        Its arguments; drawn as they are needed.
+    workers
+        Where they are computed.
+
+    Yields
+    ------
+    Outcome
+        Result or reason of a job.
+
+    Raises
+    ------
+    WorkerLost
+        Workers cannot be kept running, or the scheduler does not come back.
+    InputError
+        No scheduler answers at the begin.
+    """
+    source = iter(jobs)
+    again: deque[tuple[Job, int]] = deque()
+    suspects: deque[tuple[Job, int]] = deque()
+    fruitless = 0
+    while True:
+        under_way: dict[Future[Result], tuple[Job, int]] = {}
+        try:
+            with workers.open() as (pool, slots):
+                for outcome in _drive(pool, slots, work, source, again, suspects, under_way):
+                    fruitless = 0
+                    yield outcome
+                return
+        except (WorkerLost, _PoolLost, InputError) as error:
+            if isinstance(error, InputError) and not (fruitless or under_way):
+                raise
+            fruitless += 1
+            if fruitless > REOPENED:
+                raise WorkerLost(f"workers were lost {fruitless} times in a row ({error}): look after them and run again") from None
+            alone = len(under_way) == 1 and workers.cluster is None
+            for job, attempt in under_way.values():
+                if alone and attempt + 1 >= ATTEMPTS:
+                    fruitless = 0
+                    yield Outcome(job, None, KILLED)
+                else:
+                    (suspects if workers.cluster is None else again).append((job, attempt + alone))
+
+
+class _PoolLost(Exception):
+    """The workers as a whole are gone."""
+
+
+def _drive(
+    pool: Executor,
+    slots: int,
+    work: Callable[[Job], Result],
+    source: Iterator[Job],
+    again: deque[tuple[Job, int]],
+    suspects: deque[tuple[Job, int]],
+    under_way: dict[Future[Result], tuple[Job, int]],
+) -> Iterator[Outcome[Job, Result]]:
+    """Outcomes until nothing is left to do; what is under way stays in `under_way` when the pool is lost."""
+    alone = False
+    while True:
+        if not under_way:
+            alone = bool(suspects)
+        while len(under_way) < (1 if alone else AHEAD * slots):
+            waiting = suspects if alone else again
+            try:
+                due = waiting.popleft() if waiting else (next(source), 0)
+            except StopIteration:
+                break
+            try:
+                under_way[pool.submit(_serially, work, due[0])] = due
+            except (BrokenProcessPool, RuntimeError):
+                waiting.appendleft(due)
+                raise _PoolLost("no work can be given to it") from None
+        if not under_way:
+            return
+        for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+            job, attempt = under_way[future]
+            error = CancelledError() if future.cancelled() else future.exception()
+            if isinstance(error, (BrokenProcessPool, CancelledError)) or type(error).__name__ in LOST:
+                raise _PoolLost(str(error) or type(error).__name__)
+            del under_way[future]
+            if error is None:
+                yield Outcome(job, future.result())
+            elif not isinstance(error, Exception):
+                raise error
+            elif type(error).__name__ == "KilledWorker":  # the cluster has tried it on several workers
+                yield Outcome(job, None, KILLED)
+            elif attempt + 1 < ATTEMPTS:
+                again.append((job, attempt + 1))
+            else:
+                yield Outcome(job, None, str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}")
+
+
+KILLED = "its worker was killed, possibly for lack of memory"
+LOST = {"CommClosedError", "FutureCancelledError", "TimeoutError"}
+"""Names of a cluster's errors that say that the scheduler is gone, not that a job has failed."""
+
+
+def _serially(work: Callable[[Job], Result], job: Job) -> Result:
+    """Compute a job in a worker that others started: it computes serially inside."""
+    global _serial
+    _serial = True
+    return work(job)
 
 
 def _begin_worker(serial: bool) -> None:

@@ -33,6 +33,7 @@ ROOMS = (  # from the top of the house down: a room imports from itself and from
     "foreign_readers",
     "numba_cache",
     "parallel",
+    "cluster",
     "plugins",
     "progress",
     "errors",
@@ -41,6 +42,7 @@ ONE_PLACE = {  # what only one module may use, so that there is one way of doing
     "concurrent": "hyst_control.parallel",
     "multiprocessing": "hyst_control.parallel",
     "tqdm": "hyst_control.progress",
+    "distributed": "hyst_control.cluster",
 }
 
 

@@ -1,0 +1,63 @@
+"""Identify, validate or diagnose the records of many units, on all cores or on a Dask cluster, into one Parquet table.
+
+A manifest is a CSV or Parquet file with the columns bag, unit, time, model, baseline and any others; bags, or patterns of their names,
+make one. A study is taken up again where it was ended: what is done is not done again, unless its bag, its model, the options or the
+version changed. A record that fails costs itself only; it is listed with its reason.
+
+examples:
+  hyst fleet diagnose manifest.csv --output study
+  hyst fleet diagnose "nights/*/*.bag" --names "nights/(?P<time>[^/]+)/(?P<unit>[^.]+).bag" --model model.yaml --output study
+  hyst fleet identify manifest.csv --family hampi --output models --cluster tcp://10.0.0.1:8786
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hyst_control.fleet.study import Study
+
+NAME = "fleet"
+HELP = "identify, validate or diagnose the records of many units"
+JSON = "summary of the study"
+READS = ("model",)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command to `parser`."""
+    parser.add_argument("kind", choices=("identify", "validate", "diagnose"), help="what is computed of every record")
+    parser.add_argument(
+        "manifest", nargs="+", metavar="MANIFEST|BAG", help="CSV or Parquet file, or bags, or patterns of their names"
+    )
+    parser.add_argument("--output", required=True, metavar="STUDY", help="folder of the study; created, or taken up again")
+    parser.add_argument("--model", metavar="MODEL.yaml", help="model of the records whose manifest names none")
+    parser.add_argument(
+        "--baseline", nargs="+", default=[], metavar="BAG", help="clean records, for those whose manifest names none"
+    )
+    parser.add_argument(
+        "--names", metavar="REGEX", help="finds unit and time in a bag's path: groups (?P<unit>...) and (?P<time>...)"
+    )
+    parser.add_argument("--family", help="identify: model family (default: the best on held-out data)")
+    parser.add_argument("--workers", type=int, metavar="N", help="worker processes (default: one a core)")
+    parser.add_argument("--cluster", metavar="ADDRESS", help="Dask scheduler, its scheduler file, or local to start one")
+    parser.add_argument("--namespace", help="namespace of the topics")
+    parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
+
+
+def run(arguments: argparse.Namespace) -> Study:
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
+    from hyst_control import progress
+    from hyst_control.errors import InputError
+    from hyst_control.fleet.manifest import read_manifest
+    from hyst_control.fleet.study import run_study
+    from hyst_control.parallel import Workers
+
+    options: dict[str, object] = {"namespace": arguments.namespace, "unit": arguments.unit}
+    if arguments.kind == "identify":
+        options["family"] = arguments.family
+    elif arguments.family:
+        raise InputError(f"--family: goes with identify, not with {arguments.kind}")
+    entries = read_manifest(arguments.manifest, arguments.names, arguments.model, arguments.baseline)
+    workers = Workers(arguments.workers, arguments.cluster)
+    return run_study(arguments.kind, entries, arguments.output, options, workers, progress.step)

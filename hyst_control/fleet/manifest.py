@@ -1,0 +1,204 @@
+"""Manifests: lists of a fleet's records, one row a record, from a CSV or Parquet file or from the names of bags.
+
+Columns: `bag` (path, relative to the manifest's folder), `unit` (which actuator), `time` (a number, such as a night's, or a date and
+time in ISO 8601), `model` and `baseline` (paths; several separated by `;`). All but `bag` may be left out; any other column is kept.
+"""
+
+from __future__ import annotations
+
+import csv
+import glob
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from hyst_control.errors import InputError
+
+TABLES = (".csv", ".parquet")
+OWN = ("bag", "unit", "time", "model", "baseline")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One record of a fleet.
+
+    Parameters
+    ----------
+    bag
+        Path of the bag.
+    unit
+        Actuator that it is of.
+    time
+        When it was taken, as in the manifest.
+    model
+        Path of its model file; "" for none.
+    baseline
+        Paths of clean records.
+    columns
+        Further columns of the manifest, as texts.
+    """
+
+    bag: str
+    unit: str
+    time: str = ""
+    model: str = ""
+    baseline: tuple[str, ...] = ()
+    columns: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def moment(self) -> float:
+        """The time as a number: as in the manifest, or seconds since 1970 of a date; NaN where there is none."""
+        return moment(self.time)
+
+
+def moment(text: str) -> float:
+    """Convert a time as manifests have it.
+
+    Parameters
+    ----------
+    text
+        A number, a date and time in ISO 8601, or "".
+
+    Returns
+    -------
+    float
+        The number, seconds since 1970 of a date, or NaN.
+
+    Raises
+    ------
+    InputError
+        It is neither.
+    """
+    if not text:
+        return float("nan")
+    try:
+        return float(text)
+    except ValueError:
+        pass
+    try:
+        return datetime.fromisoformat(text).timestamp()
+    except ValueError:
+        raise InputError(f"time: must be a number or a date such as 2026-03-01T22:15, got {text!r}") from None
+
+
+def read_manifest(
+    sources: Sequence[str], names: str | None = None, model: str | None = None, baseline: Sequence[str] = ()
+) -> list[Entry]:
+    """Read manifests, or make one from the names of bags.
+
+    Parameters
+    ----------
+    sources
+        CSV or Parquet files; or bags, or patterns of their names such as ``nights/*/*.bag``.
+    names
+        Regular expression with the groups `unit` and, if wanted, `time` that is searched in a bag's path; without it the unit is the
+        folder that a bag lies in, and the time the bag's place among its unit's names.
+    model
+        Model file of the records that name none.
+    baseline
+        Clean records of those that name none.
+
+    Returns
+    -------
+    list of Entry
+        The records, by unit and time.
+
+    Raises
+    ------
+    InputError
+        A manifest cannot be read, a column is missing, a time is none, a pattern fits nothing, or a bag is listed twice.
+    """
+    entries: list[Entry] = []
+    bags: list[str] = []
+    for source in sources:
+        if source.endswith(TABLES):
+            entries += _of_table(Path(source))
+            continue
+        found = sorted(glob.glob(source, recursive=True)) if glob.has_magic(source) else [source]
+        if not found:
+            raise InputError(f"{source}: no file or folder has such a name")
+        bags += found
+    entries += _of_names(bags, names)
+    if not entries:
+        raise InputError(f"{', '.join(sources) or 'manifest'}: lists no records")
+    entries = [
+        Entry(each.bag, each.unit, each.time, each.model or model or "", each.baseline or tuple(baseline), each.columns)
+        for each in entries
+    ]
+    seen: set[str] = set()
+    for entry in entries:
+        if entry.bag in seen:
+            raise InputError(f"{entry.bag}: is listed twice")
+        seen.add(entry.bag)
+        entry.moment  # noqa: B018  (raises where it is none)
+    return sorted(entries, key=lambda entry: (entry.unit, np.nan_to_num(entry.moment), entry.bag))
+
+
+def _of_table(path: Path) -> Iterator[Entry]:
+    rows = _parquet_rows(path) if path.suffix == ".parquet" else _csv_rows(path)
+    for number, row in enumerate(rows, start=1):
+        if not row.get("bag"):
+            raise InputError(f"{path}: row {number}: bag: is missing; columns {', '.join(OWN)} and any others are read")
+
+        def located(text: str) -> str:
+            return str(path.parent / text) if text else ""
+
+        try:
+            moment(row.get("time", ""))
+        except InputError as error:
+            raise InputError(f"{path}: row {number}: {error}") from None
+        yield Entry(
+            located(row["bag"]),
+            row.get("unit") or Path(row["bag"]).parent.name or Path(row["bag"]).stem,
+            row.get("time", ""),
+            located(row.get("model", "")),
+            tuple(located(each.strip()) for each in row.get("baseline", "").split(";") if each.strip()),
+            {name: value for name, value in row.items() if name not in OWN},
+        )
+
+
+def _csv_rows(path: Path) -> Iterator[dict[str, str]]:
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            for row in csv.DictReader(file):
+                if None in row:
+                    raise InputError(f"{path}: a row has more cells than the header: {row[None]}")
+                yield {name.strip(): (value or "").strip() for name, value in row.items()}
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: cannot be read ({error}): give a CSV file in UTF-8") from None
+
+
+def _parquet_rows(path: Path) -> Iterator[dict[str, str]]:
+    from hyst_control.fleet.results import parquet
+
+    library, error_type = parquet()
+    try:
+        table = library.read_table(path)
+    except (OSError, error_type) as error:
+        raise InputError(f"{path}: cannot be read ({error}): give a Parquet file") from None
+    for row in table.to_pylist():
+        yield {name: "" if value is None else str(value) for name, value in row.items()}
+
+
+def _of_names(bags: Sequence[str], names: str | None) -> Iterator[Entry]:
+    try:
+        pattern = re.compile(names) if names else None
+    except re.error as error:
+        raise InputError(f"--names {names}: is no regular expression ({error})") from None
+    if pattern is not None and "unit" not in pattern.groupindex:
+        raise InputError(f"--names {names}: needs a group (?P<unit>...)")
+    count: dict[str, int] = {}
+    for bag in bags:
+        if pattern is None:
+            unit = Path(bag).resolve().parent.name
+            count[unit] = count.get(unit, -1) + 1
+            yield Entry(bag, unit, str(count[unit]))
+            continue
+        found = pattern.search(bag)
+        if found is None:
+            raise InputError(f"{bag}: --names {names} does not fit it")
+        yield Entry(bag, found["unit"], found.groupdict().get("time") or "")

@@ -1,0 +1,172 @@
+"""What is computed of one record of a fleet: a row of results from a bag, its model and its clean records, without anything else."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hyst_control.fleet.manifest import Entry
+
+
+@dataclass(frozen=True)
+class RecordJob:
+    """One record to compute.
+
+    Parameters
+    ----------
+    kind
+        Key of `KINDS`.
+    entry
+        The record.
+    options
+        Of the computation: keyword arguments of `identify_bags`, `validate_bags` or `diagnose_bags`.
+    folder
+        Folder of the study, for models that are written.
+    """
+
+    kind: str
+    entry: Entry
+    options: Mapping[str, Any]
+    folder: str
+
+
+def compute(job: RecordJob) -> dict[str, Any]:
+    """Compute a record's own columns.
+
+    Parameters
+    ----------
+    job
+        The record and what is wanted of it.
+
+    Returns
+    -------
+    dict
+        Values by column, with the seconds that it took.
+    """
+    begin = time.perf_counter()
+    values = KINDS[job.kind](job)
+    return {**values, "seconds": time.perf_counter() - begin}
+
+
+def mark(job: RecordJob, version: str) -> str:
+    """Fingerprint of all that a record's result depends on: if it is the same, the result is.
+
+    Parameters
+    ----------
+    job
+        The record and what is wanted of it.
+    version
+        Of this package.
+
+    Returns
+    -------
+    str
+        Hexadecimal digits.
+    """
+    digest = hashlib.sha256(repr((job.kind, sorted(job.options.items()), version)).encode())
+    for path in (job.entry.bag, *job.entry.baseline):
+        for file in _files(Path(path)):
+            found = os.stat(file)
+            digest.update(repr((file.name, found.st_size, found.st_mtime_ns)).encode())
+    if job.entry.model:
+        digest.update(Path(job.entry.model).read_bytes())
+    return digest.hexdigest()
+
+
+def _files(path: Path) -> list[Path]:
+    return sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
+
+
+def _identify(job: RecordJob) -> dict[str, Any]:
+    from hyst_control.identify.workflow import identify_bags
+    from hyst_control.model_file import model_to_document
+
+    name = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in f"{job.entry.unit}_{job.entry.time}")
+    folder = Path(job.folder) / "models"
+    folder.mkdir(exist_ok=True)
+    output = folder / f"{name}_{hashlib.sha256(job.entry.bag.encode()).hexdigest()[:8]}.yaml"
+    options = {"family": None, **job.options}
+    result = identify_bags([job.entry.bag], options.pop("family"), output, **options)
+    stages = model_to_document(result.fit.model)["chain"]
+    parameters = [
+        {"name": f"{index}.{stage['stage']}.{name}", "value": value}
+        for index, stage in enumerate(stages)
+        for name, value in _numbers({key: value for key, value in stage.items() if key != "stage"})
+    ]
+    return {
+        "family": str(result.fit.report.get("family", "")),
+        "model_file": str(output),
+        "held_out_nrmse": [float(value) for value in result.fit.report["held_out_nrmse"]],
+        "parameters": parameters,
+    }
+
+
+def _numbers(value: Any, name: str = "") -> list[tuple[str, float]]:
+    """Numbers within nested mappings and lists, with their paths."""
+    if isinstance(value, bool) or value is None or isinstance(value, str):
+        return []
+    if isinstance(value, (int, float)):
+        return [(name, float(value))]
+    if isinstance(value, Mapping):
+        return [found for key, each in value.items() for found in _numbers(each, f"{name}.{key}" if name else str(key))]
+    return [found for index, each in enumerate(value) for found in _numbers(each, f"{name}[{index}]")]
+
+
+def _validate(job: RecordJob) -> dict[str, Any]:
+    from hyst_control.identify.validation import validate_bags
+
+    table = validate_bags([job.entry.model], [job.entry.bag], "fleet validate", **job.options)
+    errors: dict[str, dict[str, Any]] = {}
+    for row in table.rows:
+        if row.table == "validation" and row.quantity in ("nrmse", "nrmse_centered", "nme", "rmse"):
+            errors.setdefault(row.case, {"axis": row.case.rpartition(" ")[2]})[row.quantity] = row.value
+    return {"errors": list(errors.values())}
+
+
+def _diagnose(job: RecordJob) -> dict[str, Any]:
+    import json
+    import tempfile
+
+    from hyst_control.diagnose.workflow import diagnose_bags
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = os.path.join(folder, "report.json")
+        diagnose_bags([job.entry.bag], job.entry.model or None, json=path, baseline=job.entry.baseline, **job.options)
+        report = json.loads(Path(path).read_text(encoding="utf-8"))
+    return {
+        "verdict": report["verdict"],
+        "reasons": [str(reason) for reason in report.get("reasons", [])],
+        "gap_rms": report["gap"]["rms"],
+        "gap_nrmse": report["gap"]["nrmse"],
+        "floor_rms": report["gap"]["floor_rms"],
+        "measurement_unit": report["gap"]["unit"],
+        "effects": [
+            {
+                "name": effect["name"],
+                "probability": effect["probability"],
+                "shrink": effect["shrink"],
+                "parameters": [_parameter(name, value) for name, value in effect["parameters"].items()],
+            }
+            for effect in report["effects"]
+        ],
+        "deviations": [{"name": each["name"], "z": each["z"]} for each in report["parameters"]],
+    }
+
+
+def _parameter(name: str, value: Mapping[str, Any]) -> dict[str, Any]:
+    def first(number: Any) -> float | None:
+        """A number, or the first axis' one."""
+        found = number[0] if isinstance(number, list) and number else number
+        return float(found) if isinstance(found, (int, float)) else None
+
+    low, high = value["ci90"] if value.get("ci90") else (None, None)
+    return {"name": name, "value": first(value["value"]), "low": first(low), "high": first(high), "unit": value.get("unit", "")}
+
+
+KINDS: dict[str, Callable[[RecordJob], dict[str, Any]]] = {"identify": _identify, "validate": _validate, "diagnose": _diagnose}
+"""Computations by the name of the study."""

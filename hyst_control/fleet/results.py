@@ -1,0 +1,184 @@
+"""A study's results: Parquet files with one row a record, which pandas, polars and DuckDB read as they are.
+
+Rows are appended in parts while a study runs, each part written under a temporary name and renamed, so that nothing that was computed
+is lost. At the end of a run all parts become one file, in which every record has its newest row.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hyst_control.errors import InputError
+from hyst_control.files import replacing
+
+ROWS_PER_PART = 256
+SECONDS_PER_PART = 10.0
+DONE, FAILED = "done", "failed"
+
+
+def parquet() -> tuple[Any, type[Exception]]:
+    """Give pyarrow's Parquet module, and the class of its errors.
+
+    Returns
+    -------
+    module
+        `pyarrow.parquet`.
+    error
+        Base of its exceptions.
+
+    Raises
+    ------
+    InputError
+        It is not installed.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ModuleNotFoundError:
+        raise InputError("Parquet: pyarrow is not installed: pip install 'hyst_control[fleet]'") from None
+    return pyarrow.parquet, pyarrow.ArrowException
+
+
+def schema(kind: str, columns: Sequence[str]) -> Any:
+    """Columns of a study's rows.
+
+    Parameters
+    ----------
+    kind
+        "identify", "validate" or "diagnose".
+    columns
+        Further columns of the manifest.
+
+    Returns
+    -------
+    pyarrow.Schema
+        The columns.
+    """
+    parquet()
+    import pyarrow as pa
+
+    text, number = pa.string(), pa.float64()
+
+    def several(**members: Any) -> Any:
+        return pa.list_(pa.struct(list(members.items())))
+
+    parameter = {"name": text, "value": number, "low": number, "high": number, "unit": text}
+    own: dict[str, Sequence[tuple[str, Any]]] = {
+        "identify": [
+            ("family", text),
+            ("model_file", text),
+            ("held_out_nrmse", pa.list_(number)),
+            ("parameters", several(name=text, value=number)),
+        ],
+        "validate": [("errors", several(axis=text, nrmse=number, nrmse_centered=number, nme=number, rmse=number))],
+        "diagnose": [
+            ("verdict", text),
+            ("reasons", pa.list_(text)),
+            ("gap_rms", number),
+            ("gap_nrmse", number),
+            ("floor_rms", number),
+            ("measurement_unit", text),
+            ("effects", several(name=text, probability=number, shrink=number, parameters=several(**parameter))),
+            ("deviations", several(name=text, z=number)),
+        ],
+    }
+    common = [("unit", text), ("time", text), ("moment", number), ("bag", text), ("model", text), ("baseline", pa.list_(text))]
+    ends = [("status", text), ("reason", text), ("seconds", number), ("version", text), ("mark", text)]
+    return pa.schema([*common, *own[kind], *ends, *((name, text) for name in columns)])
+
+
+class Results:
+    """Rows of a study in its folder, written in parts as they come.
+
+    Parameters
+    ----------
+    folder
+        Folder of the study; `records.parquet` and, while it runs, `parts` are in it.
+    kind
+        "identify", "validate" or "diagnose".
+    columns
+        Further columns of the manifest.
+    """
+
+    def __init__(self, folder: Path, kind: str, columns: Sequence[str]) -> None:
+        self.whole, self._parts = folder / "records.parquet", folder / "parts"
+        self._schema = schema(kind, columns)
+        self._waiting: list[Mapping[str, Any]] = []
+        self._written = time.monotonic()
+
+    def marks(self) -> dict[str, str]:
+        """Mark of every record that is done, by its bag."""
+        library, error_type = parquet()
+        found: dict[str, str] = {}
+        for file in self._files():
+            try:
+                table = library.read_table(file, columns=["bag", "mark", "status"])
+            except (OSError, error_type) as error:
+                raise InputError(f"{file}: cannot be read ({error}): remove it, its records are computed again") from None
+            for row in table.to_pylist():
+                if row["status"] == DONE:
+                    found[row["bag"]] = row["mark"]
+                else:
+                    found.pop(row["bag"], None)
+        return found
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Append a row.
+
+        Parameters
+        ----------
+        row
+            Values by column; what is missing is null.
+        """
+        self._waiting.append(row)
+        if len(self._waiting) >= ROWS_PER_PART or time.monotonic() > self._written + SECONDS_PER_PART:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the rows that wait as a part."""
+        self._written = time.monotonic()
+        if not self._waiting:
+            return
+        self._parts.mkdir(parents=True, exist_ok=True)
+        taken = [int(file.stem) for file in self._parts.glob("*.parquet") if file.stem.isdigit()]
+        self._write(self._parts / f"{max(taken, default=-1) + 1:06d}.parquet", self._waiting)
+        self._waiting = []
+
+    def join(self, bags: Sequence[str]) -> None:
+        """Make one file of all parts: the newest row of every record of the manifest.
+
+        Parameters
+        ----------
+        bags
+            Bags of the manifest, in the order of the rows.
+        """
+        self.flush()
+        newest: dict[str, Mapping[str, Any]] = {}
+        for row in self.rows():
+            newest[row["bag"]] = row
+        self._write(self.whole, [newest[bag] for bag in bags if bag in newest])
+        for file in self._parts.glob("*.parquet"):
+            file.unlink()
+        if self._parts.is_dir():
+            os.rmdir(self._parts)
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Rows as they were written: a record that was computed again comes again."""
+        library, _ = parquet()
+        for file in self._files():
+            for batch in library.ParquetFile(file).iter_batches():
+                yield from batch.to_pylist()
+
+    def _files(self) -> list[Path]:
+        return [file for file in (self.whole, *sorted(self._parts.glob("*.parquet"))) if file.exists()]
+
+    def _write(self, path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+        import pyarrow as pa
+
+        library, _ = parquet()
+        with replacing(path) as file:
+            library.write_table(pa.Table.from_pylist([dict(row) for row in rows], schema=self._schema), file)

@@ -1,0 +1,136 @@
+"""Manifests and studies of many records, with real bags; the results are read by pyarrow alone."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pyarrow")
+import pyarrow as pa
+import pyarrow.parquet
+
+from hyst_control.cli import main
+from hyst_control.errors import InputError
+from hyst_control.fleet.manifest import moment, read_manifest
+from hyst_control.model_file import load_model, simulate
+from hyst_control.records.importing import write_bag
+from hyst_control.records.record import Record, Signal
+
+MODEL = Path(__file__).resolve().parents[2] / "config" / "models" / "pea_hampi.yaml"
+TS = 1e-4
+
+
+def record(gain, seed):
+    """A short record of the model with its gain changed, and a little noise."""
+    model = load_model(MODEL)
+    command = 25.0 - 25.0 * np.cos(2 * np.pi * 20.0 * TS * np.arange(2000))[:, None]
+    found = gain * simulate(model, command, TS) + 1e-3 * np.random.default_rng(seed).standard_normal((2000, 1))
+    time = TS * np.arange(2000)
+    return Record({"command": Signal(time, command, ("x",), "V"), "measurement": Signal(time, found, ("x",), "um")}, "made")
+
+
+@pytest.fixture
+def fleet(tmp_path):
+    """Three units of two nights, the manifest beside them."""
+    lines = ["bag,unit,time,model,temperature"]
+    shutil.copy(MODEL, tmp_path / "model.yaml")
+    for unit in range(3):
+        for night in range(2):
+            write_bag(tmp_path / "bags" / f"u{unit}_{night}", record(1.0 + 0.05 * unit, 10 * unit + night))
+            lines.append(f"bags/u{unit}_{night},u{unit},{night},model.yaml,{20 + night}.5")
+    (tmp_path / "manifest.csv").write_text("\n".join(lines) + "\n")
+    return tmp_path
+
+
+def rows(study):
+    return pyarrow.parquet.read_table(study / "records.parquet").to_pylist()
+
+
+def test_a_study_is_taken_up_where_something_changed(fleet, capsys):
+    words = ["fleet", "validate", str(fleet / "manifest.csv"), "--output", str(fleet / "study"), "--workers", "2"]
+
+    def run():
+        assert main([*words, "--json", str(fleet / "out.json")]) == 0
+        return json.loads((fleet / "out.json").read_text())
+
+    first = run()
+    assert (first["records"], first["computed"], first["kept"], first["failed"]) == (6, 6, 0, [])
+    before = rows(fleet / "study")
+    assert [(row["unit"], row["time"], row["temperature"]) for row in before[:2]] == [("u0", "0", "20.5"), ("u0", "1", "21.5")]
+    for row in before:
+        stated = 100 * 0.05 * int(row["unit"][1])
+        assert row["errors"][0]["nme"] == pytest.approx(stated / (1 + stated / 100), abs=0.6)
+    assert run()["computed"] == 0
+    assert rows(fleet / "study") == before
+    shutil.rmtree(fleet / "bags" / "u1_0")
+    write_bag(fleet / "bags" / "u1_0", record(1.2, 5))
+    second = run()
+    assert (second["computed"], second["kept"]) == (1, 5)
+    changed = [row["bag"] for row, old in zip(rows(fleet / "study"), before, strict=True) if row["errors"] != old["errors"]]
+    assert changed == [str(fleet / "bags" / "u1_0")]
+    with open(fleet / "model.yaml", "a") as file:
+        file.write("# another model\n")
+    assert run()["computed"] == 6
+
+
+def test_a_bag_that_cannot_be_read_costs_itself(fleet):
+    (file,) = (fleet / "bags" / "u2_1").glob("*.mcap")
+    file.write_bytes(b"nothing")
+    shutil.rmtree(fleet / "bags" / "u0_0")
+    words = ["fleet", "validate", str(fleet / "manifest.csv"), "--output", str(fleet / "study"), "--json", str(fleet / "out.json")]
+    assert main(words) == 0
+    out = json.loads((fleet / "out.json").read_text())
+    assert {Path(each["bag"]).name for each in out["failed"]} == {"u2_1", "u0_0"}
+    found = {Path(row["bag"]).name: row["status"] for row in rows(fleet / "study")}
+    assert sorted(name for name, status in found.items() if status == "failed") == ["u0_0", "u2_1"] and len(found) == 6
+    write_bag(fleet / "bags" / "u0_0", record(1.0, 0))
+    assert main(words) == 0
+    again = json.loads((fleet / "out.json").read_text())
+    assert again["computed"] == 2 and len(again["failed"]) == 1, "what failed is tried again"
+
+
+def test_models_and_diagnoses(fleet):
+    bag = str(fleet / "bags" / "u2_0")
+    common = [bag, "--names", r"(?P<unit>u\d)_(?P<time>\d)", "--workers", "1"]
+    assert main(["fleet", "identify", *common, "--family", "hapi", "--output", str(fleet / "models")]) == 0
+    [row] = rows(fleet / "models")
+    assert row["family"] == "hapi" and row["parameters"]
+    assert load_model(row["model_file"]).axes == ("x",)
+    pytest.importorskip("distributed")
+    words = [*common, "--model", str(MODEL), "--cluster", "local"]
+    assert main(["fleet", "diagnose", *words, "--output", str(fleet / "gaps")]) == 0
+    [row] = rows(fleet / "gaps")
+    wanted = np.std(record(1.1, 20).signal("measurement").values - record(1.0, 20).signal("measurement").values)
+    assert row["verdict"] and row["measurement_unit"] == "um" and row["gap_rms"] > wanted
+    assert main(["fleet", "validate", *words, "--output", str(fleet / "gaps")]) == 2, "a study of another kind"
+
+
+def test_manifests(fleet):
+    entries = read_manifest([str(fleet / "manifest.csv")])
+    assert [entry.unit for entry in entries] == ["u0", "u0", "u1", "u1", "u2", "u2"]
+    table = pa.table({"bag": [entry.bag for entry in entries], "unit": [entry.unit for entry in entries], "night": [1] * 6})
+    pyarrow.parquet.write_table(table, fleet / "m.parquet")
+    assert [(entry.unit, entry.columns["night"]) for entry in read_manifest([str(fleet / "m.parquet")])][:1] == [("u0", "1")]
+    named = read_manifest([str(fleet / "bags" / "*")], r"(?P<unit>u\d)_(?P<time>\d)")
+    assert [(entry.unit, entry.moment) for entry in named[:2]] == [("u0", 0.0), ("u0", 1.0)]
+    assert moment("2026-03-01T12:00:00+00:00") == 1772366400.0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("unit,time\nu,1\n", "row 1: bag: is missing"),
+        ("bag,time\nb,noon\n", "row 1: time: must be a number or a date"),
+        ("bag\nb\nb\n", "is listed twice"),
+        ("bag\n", "lists no records"),
+        ("bag,unit\nb,u,3\n", "more cells"),
+    ],
+)
+def test_a_manifest_that_is_none(tmp_path, text, said):
+    (tmp_path / "m.csv").write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_manifest([str(tmp_path / "m.csv")])
