@@ -9,6 +9,7 @@ import sys
 import unittest.mock
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import yaml
 from catkin_pkg.package import Package, parse_package
@@ -46,9 +47,7 @@ def main() -> None:
 
 def versions(package: Package) -> Iterator[str]:
     """Where setup.py, the changelog or the citation say another version or licence."""
-    with unittest.mock.patch("setuptools.setup") as setup:
-        runpy.run_path(str(ROOT / "setup.py"))
-    given = setup.call_args.kwargs
+    given = setup_arguments()
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     changelog = re.search(r"^## (\d\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
     for where, version in (
@@ -64,10 +63,18 @@ def versions(package: Package) -> Iterator[str]:
         yield f"licence {', '.join(package.licenses)}, setup.py has {given['license']}, CITATION.cff {citation['license']}"
 
 
+def setup_arguments() -> dict[str, Any]:
+    """What setup.py says of the package."""
+    with unittest.mock.patch("setuptools.setup") as setup:
+        runpy.run_path(str(ROOT / "setup.py"))
+    return dict(setup.call_args.kwargs)
+
+
 def dependencies(package: Package) -> Iterator[str]:
     """What the package imports and does not name, and what it names and does not import."""
     named = {depend.name for depend in package.exec_depends}
-    by_pip = set(re.findall(r"^([\w-]+)==", (ROOT / WITHOUT_KEY).read_text(encoding="utf-8"), re.MULTILINE))
+    optional = {re.split(r"\W", each)[0] for extra in setup_arguments()["extras_require"].values() for each in extra}
+    by_pip = optional | set(re.findall(r"^([\w-]+)==", (ROOT / WITHOUT_KEY).read_text(encoding="utf-8"), re.MULTILINE))
     needed = {
         KEYS.get(module, module)
         for folder in ("hyst_control", "hyst_plant_sim")
