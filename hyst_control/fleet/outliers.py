@@ -1,0 +1,134 @@
+"""Outlying units: those whose quantities, taken together, do not fit to the fleet's scatter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, false_discovery_control
+
+Array = NDArray[np.float64]
+
+STARTS = 50
+STEPS = 20
+SHARE = 0.75
+"""Share of the units that the scatter is estimated from, at first."""
+WELL_WITHIN = 0.975
+"""Quantile of the distances within which a unit counts for the final scatter."""
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A unit apart from the fleet.
+
+    Parameters
+    ----------
+    unit
+        The unit.
+    distance
+        Mahalanobis distance from the fleet's center.
+    probability
+        Adjusted p-value: the false discovery rate at which it would just be named.
+    farthest
+        Quantity that lies farthest from the center, in its own standard deviations.
+    deviation
+        That many.
+    """
+
+    unit: str
+    distance: float
+    probability: float
+    farthest: str
+    deviation: float
+
+
+def find_outliers(
+    units: Sequence[str], quantities: Sequence[str], values: Array, false_share: float = 0.05, seed: int = 0
+) -> list[Outlier]:
+    """Find units apart from the fleet, with the false discovery rate controlled (Benjamini and Hochberg 1995).
+
+    Center and covariance are those of the units that lie closest together (minimum covariance determinant, Rousseeuw and Van Driessen
+    1999), so that the units looked for do not hide themselves.
+
+    Parameters
+    ----------
+    units
+        Names of the units (U,).
+    quantities
+        Names of the quantities (P,); U must be at least 2 P + 2.
+    values
+        Means of the quantities (U, P), one for each unit.
+    false_share
+        Bound of the expected share of units that are named wrongly.
+    seed
+        Of the subsets that the search begins with.
+
+    Returns
+    -------
+    list of Outlier
+        The units, farthest first; none where there are too few.
+    """
+    spread = values.std(axis=0)
+    used = np.flatnonzero(spread > 1e-12 * np.maximum(np.abs(values).max(axis=0), 1e-300))
+    count, width = len(values), len(used)
+    if width == 0 or count < 2 * width + 2:
+        return []
+    scaled = values[:, used] / spread[used]
+    center, covariance = _closest_together(scaled, np.random.default_rng(seed))
+    squared = _distances(scaled, center, covariance)
+    adjusted = false_discovery_control(chi2.sf(squared, width))
+    deviations = (scaled - center) / np.sqrt(np.diag(covariance))
+    found = []
+    for index in np.argsort(-squared):
+        if adjusted[index] <= false_share:
+            worst = int(np.abs(deviations[index]).argmax())
+            name = quantities[int(used[worst])]
+            found.append(
+                Outlier(units[index], float(np.sqrt(squared[index])), float(adjusted[index]), name, float(deviations[index, worst]))
+            )
+    return found
+
+
+def _closest_together(values: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Center and covariance of the bulk, from the subset with the smallest determinant, then from all that lie well within."""
+    count, width = values.shape
+    kept = max(int(SHARE * count), width + 2)
+    best: tuple[float, Array, Array] | None = None
+    for start in range(STARTS):
+        if start == 0:  # the units closest to the median, by their own scales
+            rows = np.argsort(np.abs(values - np.median(values, axis=0)).sum(axis=1))[:kept]
+        else:
+            rows = rng.choice(count, width + 1, replace=False)
+        for _ in range(STEPS):
+            center, covariance = values[rows].mean(axis=0), _covariance(values[rows])
+            following = np.argsort(_distances(values, center, covariance))[:kept]
+            if set(following) == set(rows):
+                break
+            rows = following
+        determinant = float(np.linalg.slogdet(covariance)[1])
+        if best is None or determinant < best[0]:
+            best = determinant, center, covariance
+    assert best is not None
+    _, center, covariance = best
+    covariance = _to_scale(covariance, _distances(values, center, covariance), width)
+    within = _distances(values, center, covariance) <= chi2.ppf(WELL_WITHIN, width)
+    center, covariance = values[within].mean(axis=0), _covariance(values[within])
+    return center, _to_scale(covariance, _distances(values, center, covariance), width)
+
+
+def _covariance(rows: Array) -> Array:
+    found = np.atleast_2d(np.cov(rows, rowvar=False))
+    return np.asarray(found + 1e-9 * np.trace(found) / len(found) * np.eye(len(found)))
+
+
+def _to_scale(covariance: Array, squared: Array, width: int) -> Array:
+    """Covariance made larger until the median distance is that of a normal fleet."""
+    return np.asarray(covariance * (np.median(squared) / chi2.median(width)))
+
+
+def _distances(values: Array, center: Array, covariance: Array) -> Array:
+    """Squared Mahalanobis distances (U,)."""
+    off = values - center
+    return np.asarray(np.sum(off * np.linalg.solve(covariance, off.T).T, axis=1))

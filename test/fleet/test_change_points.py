@@ -1,0 +1,70 @@
+"""Onsets and outliers in fleets drawn by numpy from known laws: what is named is right, and how often it is not is as stated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyst_control.fleet.change_points import find_onsets
+from hyst_control.fleet.outliers import find_outliers
+
+UNITS, NIGHTS = 200, 50
+
+
+def fleet(seed, affected=20, shift=3.0, walk=0.05, missing=0.1):
+    """Levels that scatter by 1 between units; nights by 0.5; shifts of `shift` times the units' scatter from random nights on."""
+    rng = np.random.default_rng(seed)
+    values = rng.standard_normal((UNITS, 1)) + 0.5 * rng.standard_normal((UNITS, NIGHTS))
+    values += np.cumsum(walk * rng.standard_normal((UNITS, NIGHTS)), axis=1)
+    nights = {}
+    for unit in rng.choice(UNITS, affected, replace=False):
+        nights[f"u{unit}"] = int(rng.integers(3, NIGHTS - 3))
+        values[unit, nights[f"u{unit}"] :] += shift * rng.choice([-1.0, 1.0])
+    values[rng.random(values.shape) < missing] = np.nan
+    return values, nights
+
+
+def found_in(values):
+    units = [f"u{index}" for index in range(len(values))]
+    return find_onsets("gain", units, np.arange(values.shape[1], dtype=float), values)
+
+
+def test_units_and_nights_are_found():
+    hits = named = true = near = inside = 0
+    for seed in range(5):
+        values, nights = fleet(seed)
+        onsets = found_in(values)
+        named, true = named + len(onsets), true + len(nights)
+        right = [onset for onset in onsets if onset.unit in nights]
+        hits += len(right)
+        near += sum(abs(onset.moment - nights[onset.unit]) <= 1 for onset in right)
+        inside += sum(onset.earliest <= nights[onset.unit] <= onset.latest for onset in right)
+        assert all(abs(abs(onset.size) - 3.0) < 5 * onset.size_error + 0.3 for onset in right)
+    assert hits / named >= 0.95 and hits / true >= 0.90
+    assert near / hits >= 0.90 and inside / hits >= 0.85
+
+
+@pytest.mark.parametrize("walk", [0.0, 0.2])
+def test_a_fleet_without_changes_names_hardly_any_unit(walk):
+    named = [len(found_in(fleet(seed, affected=0, walk=walk)[0])) for seed in range(10)]
+    assert sum(named) <= 3, "of 2,000 units"
+
+
+def test_short_and_constant_series_are_left_out():
+    assert found_in(np.zeros((5, 10))) == []
+    assert found_in(np.full((5, 10), np.nan)) == []
+
+
+def test_outliers_in_correlated_quantities():
+    rng = np.random.default_rng(7)
+    mixing = np.array([[1.0, 0.0, 0.0], [0.95, 0.3, 0.0], [0.2, 0.1, 1.0]])
+    values = np.array([100.0, -3.0, 0.0]) + rng.standard_normal((200, 3)) @ mixing.T * np.array([10.0, 0.1, 1e-3])
+    values[:20, 1] += 0.25  # well within each quantity's own scatter of 0.1, far off the correlation
+    values[:20, 0] -= 20.0
+    found = find_outliers([f"u{i}" for i in range(200)], ["a", "b", "c"], values)
+    named = {outlier.unit for outlier in found}
+    assert len(named & {f"u{i}" for i in range(20)}) >= 19
+    assert len(named) <= 22
+    clean = find_outliers([f"u{i}" for i in range(180)], ["a", "b", "c"], values[20:])
+    assert len(clean) <= 1
+    assert find_outliers(["a", "b"], ["q"], np.zeros((2, 1))) == []
