@@ -150,7 +150,7 @@ def mapped(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Resul
 
 @dataclass(frozen=True)
 class Workers:
-    """Where many independent jobs are computed.
+    """Place where many independent jobs are computed.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ class Workers:
 
 @dataclass(frozen=True)
 class Outcome(Generic[Job, Result]):
-    """What became of a job.
+    """End of a job.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What is computed of one record of a fleet: a row of results from a bag, its model and its clean records, without anything else."""
+"""Computation of one record of a fleet: a row of results from a bag, its model and its clean records, without anything else."""
 
 from __future__ import annotations
 
@@ -78,6 +78,14 @@ def mark(job: RecordJob, version: str) -> str:
     return digest.hexdigest()
 
 
+def _own_file(job: RecordJob, kind: str, ending: str) -> Path:
+    """File of a record in a folder of the study, named by unit and time for people and by the bag to be its own."""
+    name = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in f"{job.entry.unit}_{job.entry.time}")
+    folder = Path(job.folder) / kind
+    folder.mkdir(exist_ok=True)
+    return folder / f"{name}_{hashlib.sha256(job.entry.bag.encode()).hexdigest()[:8]}{ending}"
+
+
 def _files(path: Path) -> list[Path]:
     return sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
 
@@ -86,10 +94,7 @@ def _identify(job: RecordJob) -> dict[str, Any]:
     from hyst_control.identify.workflow import identify_bags
     from hyst_control.model_file import model_to_document
 
-    name = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in f"{job.entry.unit}_{job.entry.time}")
-    folder = Path(job.folder) / "models"
-    folder.mkdir(exist_ok=True)
-    output = folder / f"{name}_{hashlib.sha256(job.entry.bag.encode()).hexdigest()[:8]}.yaml"
+    output = _own_file(job, "models", ".yaml")
     options = {"family": None, **job.options}
     result = identify_bags([job.entry.bag], options.pop("family"), output, **options)
     stages = model_to_document(result.fit.model)["chain"]
@@ -130,15 +135,14 @@ def _validate(job: RecordJob) -> dict[str, Any]:
 
 def _diagnose(job: RecordJob) -> dict[str, Any]:
     import json
-    import tempfile
 
     from hyst_control.diagnose.workflow import diagnose_bags
 
-    with tempfile.TemporaryDirectory() as folder:
-        path = os.path.join(folder, "report.json")
-        diagnose_bags([job.entry.bag], job.entry.model or None, json=path, baseline=job.entry.baseline, **job.options)
-        report = json.loads(Path(path).read_text(encoding="utf-8"))
+    path = _own_file(job, "reports", ".json")
+    diagnose_bags([job.entry.bag], job.entry.model or None, json=str(path), baseline=job.entry.baseline, **job.options)
+    report = json.loads(path.read_text(encoding="utf-8"))
     return {
+        "report_file": str(path),
         "verdict": report["verdict"],
         "reasons": [str(reason) for reason in report.get("reasons", [])],
         "gap_rms": report["gap"]["rms"],

@@ -18,6 +18,7 @@ from typing import Any
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
 from hyst_control.fleet.manifest import Entry
+from hyst_control.fleet.overview import overview, write_overview
 from hyst_control.fleet.record_jobs import KINDS, RecordJob, compute, mark
 from hyst_control.fleet.results import DONE, FAILED, Results
 from hyst_control.parallel import Outcome, Workers, outcomes
@@ -81,7 +82,7 @@ class Study:
         lines += [f"failed: {bag}: {reason}" for bag, reason in list(self.failed.items())[:MOST_NAMED]]
         if len(self.failed) > MOST_NAMED:
             lines.append(f"and {len(self.failed) - MOST_NAMED} more, see records.parquet")
-        return "\n".join([*lines, f"written: {self.folder / 'records.parquet'}"])
+        return "\n".join([*lines, f"written: {self.folder / 'records.parquet'}", f"written: {self.folder / 'fleet.html'}"])
 
 
 def run_study(
@@ -161,7 +162,9 @@ def run_study(
     finally:
         results.flush()  # also when interrupted: what is computed stays
     results.join([entry.bag for entry in entries])
-    verdicts = Counter(row["verdict"] for row in results.rows() if row["status"] == DONE) if kind == "diagnose" else Counter()
+    rows = list(results.rows())
+    write_overview(overview(kind, rows), rows, folder)
+    verdicts = Counter(row["verdict"] for row in rows if row["status"] == DONE) if kind == "diagnose" else Counter()
     study = Study(kind, folder, len(entries), len(jobs), kept, failed, time.monotonic() - begin, verdicts)
     write_json(folder / SUMMARY, {**study.document(), "finished": True})
     return study
