@@ -34,7 +34,11 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.10",
     install_requires=REQUIRED,
-    extras_require={"fleet": ["distributed", "bokeh", "pyarrow"], "parquet": ["pyarrow"]},
+    extras_require={
+        "fleet": ["distributed", "bokeh", "pyarrow"],
+        "parquet": ["pyarrow"],
+        "test": ["pytest", "pytest-timeout", "hypothesis", "rosbags"],  # by which colcon test knows that pytest runs them
+    },
     packages=find_packages(include=["hyst_control*", "hyst_plant_sim*"]),
     package_data={
         "hyst_control": ["benchmarks/*.c", "diagnose/*.yaml", "*/templates/*", "py.typed"],
