@@ -23,6 +23,6 @@ done
 [ -f "$share/config/nodes/lockstep.yaml" ] || { echo "no config in share"; exit 1; }
 "$share/../../lib/hyst_control/pipeline" --ros-args --params-file "$share/config/nodes/lockstep.yaml"
 [ -f bag/metadata.yaml ] || { echo "the pipeline left no bag"; exit 1; }
-colcon test --packages-select hyst_control --event-handlers console_cohesion+ --pytest-args -k test_pi.py > test.txt 2>&1 || { tail -50 test.txt; exit 1; }
+colcon test --packages-select hyst_control --event-handlers console_cohesion+ --pytest-args " -k" test_pi > test.txt 2>&1 || { tail -50 test.txt; exit 1; }
 colcon test-result | grep -E "Summary: [1-9][0-9]* tests, 0 errors, 0 failures" || { cat test.txt; echo "colcon test ran no tests"; exit 1; }
 echo "colcon build: installs, the loop runs from it, and colcon test runs the tests"
