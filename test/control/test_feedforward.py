@@ -308,8 +308,9 @@ def test_a_rate_filter_without_phase_weakens_the_lead_and_turns_it_by_one_tick()
 
 
 def test_a_lead_identified_behind_the_filter_that_looks_ahead_makes_up_for_a_tick():
-    """The plant is a straight line, one tick late. A rate alone is too great in amplitude, by (w T)² / 2 without preview, and by half as
-    much again as k2' cannot be below a quarter of a sample.
+    """The plant is a straight line, one tick late.
+
+    A rate alone is too great in amplitude, by (w T)² / 2 without preview, and by half as much again as k2' is at least T / 4.
     """
     rate, line = 5000.0, Madelung([1.0], [1.0], 100.0, 2.0)
     plant = replace(MHL, axes=("x",), sample_time=1.0 / rate).with_stages([line])
