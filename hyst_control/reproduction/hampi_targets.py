@@ -12,7 +12,8 @@ BOUND_AT_ZERO = (
 )
 STEP_NOISE = (
     "a step of 10 V is so small that with 1 ms of rest before it the sensor's noise alone leaves less than the bound (its row): no "
-    "model of any order reaches it. With all 20 ms of the record's rest the same model keeps the bound (its row): the paper's window is not known"
+    "model of any order reaches it. With all 20 ms of the record's rest the same model keeps the bound (its row): the paper's "
+    "window is not known"
 )
 STROKE = (
     "the stroke of both is within 2 % of the actuator's (rows of Figs. 1 and 6), for G(s), which both have, makes it; the turning and "

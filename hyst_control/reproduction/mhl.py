@@ -324,7 +324,8 @@ def tracking_reference() -> tuple[Array, dict[str, Part]]:
         excitation.sine(ts, 5.0, 0.95 * REACH, CENTRE, 0.2, -np.pi / 2),
         excitation.sine(ts, 5.0, 0.95 * REACH, CENTRE, 0.2, -np.pi / 2),
     )
-    add("single", excitation.sine(ts, 100.0, REACH, CENTRE, 0.2, -np.pi / 2), skipped=0.02)
+    lowest = np.array([CENTRE - REACH])
+    add("single", excitation.sine(ts, 100.0, REACH, CENTRE, 0.2, -np.pi / 2), skipped=0.02, after=lowest)
     # These begin and end in the middle of their motion: they are faded in and out, so that there is no kink in velocity.
     before = faded_in(excitation.sine(ts, 100.0, REACH, CENTRE, FADE))
     wave = np.concatenate([before, excitation.decaying_sine(ts, 100.0, REACH, CENTRE, 0.2, 0.1 * REACH)])

@@ -51,7 +51,7 @@ def add(table: Table, folder: Path, tuning: Tuning, preview: int, smoothing: int
     """
     period = round(1.0 / FREQUENCY / SAMPLE_TIME)
     trials = {"learning": "trials", "learning_period": period, "learning_settling": 1, "learning_averaged": PERIODS - 1}
-    static = {"inverse_model": str(folder / "inverse.yaml")}
+    static = {"inverse_model": str(folder / "inverse.yaml"), "discretisation": "tustin"}
     for index, (case, change) in enumerate(CHANGES.items()):
         errors = repeated(
             folder / f"trials_{index}", "mhl_static", {**static, **trials}, TRIAL_COUNT * PERIODS, tuning, 0, change
@@ -102,8 +102,7 @@ def repeated(
     """
     wave = excitation.sine(SAMPLE_TIME, FREQUENCY, REACH, CENTRE, 1.0 / FREQUENCY, -np.pi / 2)
     reference = np.tile(np.stack([wave, wave], axis=1), (periods, 1))
-    given = {"rate_filter": [0.0], "discretisation": "tustin", **settings}
-    signals = track(folder, kind, folder.parent / "joint.yaml", reference, tuning, given, preview, change)
+    signals = track(folder, kind, folder.parent / "joint.yaml", reference, tuning, settings, preview, change)
     return np.asarray(signals["reference"] - signals["measurement"]).reshape(periods, -1)
 
 

@@ -55,9 +55,9 @@ AMPLITUDE = (
 )
 PEAK = (
     "Ψ' was identified up to 100 Hz and goes on rising: near half the sampling rate it asks for k1'/k2', several times the static command. "
-    "That is what N(s) is for; placed at 1 kHz it leaves some of it, and left out all. The mirror's linear parts alone give the same peaks. "
-    "No causal N(s) of second order keeps both this bound and the reduction at 100 Hz: where it holds the gain back it turns the lead, and "
-    "one that looks ahead does both"
+    "That is what N(s) is for; placed at 1 kHz it leaves some of it, and left out all. The mirror's linear parts alone give the same "
+    "peaks. No causal N(s) of second order keeps both this bound and the reduction at 100 Hz: where it holds the gain back it turns "
+    "the lead, and one that looks ahead does both"
 )
 SETTLING = (
     "what N(s) holds back of a step, or Ψ' without it overshoots, is left to the integral action, which by itself is no faster (row of the "

@@ -61,7 +61,7 @@ def test_targets_are_met_or_missed_as_the_rows_say(tmp_path, given, name, met):
     text = (tmp_path / "page.md").read_text()
     found = verdicts(text)
     assert found[name] is met
-    assert f"{sum(found.values())} of {len(found)} targets met." in text
+    assert f"{sum(found.values())} of {len(found)} targets met: " in text
     assert "- A note." in text and "### HAMPI Table 4" in text
 
 
