@@ -144,7 +144,8 @@ def build_compensator(
         Denominator of N(s), descending powers of s; None for no filter.
     smoothing
         Order of the low-pass without phase (`inverse_dynamics.zero_phase_low_pass`) that the reference passes first, 0 for none;
-        for the kinds that look ahead, which then look as many ticks further ahead.
+        for the kinds that look ahead, which then look as many ticks further ahead. For `mhl` that of an N without phase in place of
+        `rate_filter` (`mhl_inverse.composite`), which looks `smoothing` + 1 ticks ahead.
 
     Returns
     -------
@@ -185,6 +186,13 @@ def _proportional(model: Model, design: Design) -> Compensator:
 def _mhl(model: Model, design: Design) -> Compensator:
     """The MHL paper's compensators."""
     tustin = Sampling(design.sample_time, len(model.axes), "foh") if design.discretisation == "tustin" else None
+    if design.smoothing and design.kind == "mhl":
+        if design.inverse_model is None:
+            raise InputError(f"smoothing: {design.smoothing} for kind mhl needs an inverse_model that was identified behind it")
+        stages = mhl_stages(model, design.kind, design.inverse_model, None, tustin, design.smoothing)
+        ahead = design.smoothing + 1
+        late = 0 if design.preview else ahead
+        return Compensator([*stages, design.rating], model, design.sample_time, ahead - late, late, design.limits)
     return _without_preview(mhl_stages(model, design.kind, design.inverse_model, design.rate_filter, tustin), model, design)
 
 
@@ -458,7 +466,12 @@ def invertible_range(core: PrandtlIshlinskii | ModifiedPrandtlIshlinskii, drive:
 
 
 def mhl_stages(
-    model: Model, kind: str, inverse_model: Model | None, rate_filter: Sequence[float] | None, tustin: Sampling | None = None
+    model: Model,
+    kind: str,
+    inverse_model: Model | None,
+    rate_filter: Sequence[float] | None,
+    tustin: Sampling | None = None,
+    smoothing: int = 0,
 ) -> list[Stage]:
     """Composite feedforward of the MHL paper, from a separately identified inverse or from the model's own curves.
 
@@ -474,6 +487,8 @@ def mhl_stages(
         Denominator of N(s), descending powers of s; None for no filter.
     tustin
         Sampling with which N(s) Ψ' is discretized by Tustin's rule; None for the exact discretization.
+    smoothing
+        Order of an N without phase, with an `inverse_model` (`mhl_inverse.composite`); 0 for none.
 
     Returns
     -------
@@ -489,7 +504,7 @@ def mhl_stages(
     if inverse_model is not None:
         front, core, _ = split(inverse_model)
         hysteresis, correction = rate_dependent_parts(core)
-        return front + composite(hysteresis, correction if kind == "mhl" else None, rate_filter, tustin)
+        return front + composite(hysteresis, correction if kind == "mhl" else None, rate_filter, tustin, smoothing)
     before, core, after = split(model)
     if not isinstance(core, (Madelung, Parallel)):
         raise InputError(f"kind: {kind!r} needs a madelung stage, which the model {model.name} has not: take none, hapi or hampi")

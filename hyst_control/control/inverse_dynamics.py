@@ -26,6 +26,7 @@ from scipy.signal import zpk2sos
 
 from hyst_control.chain.linear import Delay, LinearFilter, LinearStage, StateSpace, linear_filter
 from hyst_control.chain.stage import Array, Sampling, Stage
+from hyst_control.chain.symmetric_filter import flat_weights, weighted_sum
 from hyst_control.errors import InputError
 
 METHODS = ("zpetc", "zmetc", "npz_ignore")
@@ -254,15 +255,7 @@ def zero_phase_low_pass(order: int, axes: int, sample_time: float) -> StateSpace
     sample_time
         s.
     """
-    taps = np.ones(1)
-    for _ in range(order):
-        taps = np.convolve(taps, [-0.25, 0.5, -0.25])
-    taps = -taps
-    taps[order] += 1.0
-    count = 2 * order
-    a, b = np.eye(count, k=-1), np.eye(count, 1)
-    a, b, c, d = (block_diag(*[part] * axes).tolist() for part in (a, b, taps[None, 1:], taps[None, :1]))
-    return StateSpace(a, b, c, d, sample_time=float(sample_time))
+    return weighted_sum(flat_weights(order), axes, sample_time)
 
 
 def _decoupled(run: Sequence[Stage], axes: int) -> list[Stage]:

@@ -13,6 +13,7 @@ from hyst_control.chain.linear import Delay, LinearStage, RateCorrection, StateS
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import Array, per_axis_scalar
+from hyst_control.chain.symmetric_filter import smooth_weights, weighted_sum
 from hyst_control.control.inverse_dynamics import RINGING_LIMIT, DiscreteSystem, discrete_stage, sampled_systems
 from hyst_control.errors import InputError
 
@@ -87,6 +88,7 @@ def composite(
     correction: RateCorrection | None,
     rate_filter: Sequence[float] | None,
     sampling: Sampling | None = None,
+    smoothing: int = 0,
 ) -> list[Stage]:
     """u_ff = H_S^-1[y] + N(s) Ψ'[y] from an inverse curve and a leading correction (MHL paper Eq. 6, 7, §4.4).
 
@@ -103,9 +105,24 @@ def composite(
         Denominator of N(s), descending powers of s; None for no filter.
     sampling
         Sampling with which N Ψ' is discretized by Tustin's rule as one filter; None for the exact discretization.
+    smoothing
+        Order of an N without phase in place of the rate filter, which needs `sampling`: smooth weights, one tick ahead. The command
+        is late by `smoothing` + 1 ticks. 0 for none.
+
+    Raises
+    ------
+    InputError
+        An N without phase is asked for and `sampling` is not given.
     """
     if correction is None:
         return [hysteresis]
+    if smoothing:
+        if sampling is None:
+            raise InputError("smoothing: an N(s) without phase is a sampled one: take discretisation tustin")
+        axes, period = sampling.axes, sampling.sample_time
+        ahead: tuple[Stage, ...] = (tustin_lead(correction, None, sampling), weighted_sum(smooth_weights(smoothing), axes, period))
+        late = weighted_sum(np.eye(1, smoothing + 2, smoothing + 1)[0], axes, period)
+        return [Parallel(((hysteresis, late), ahead))]
     lead: list[Stage] = [correction]
     if sampling is not None:
         lead = [tustin_lead(correction, rate_filter, sampling)]

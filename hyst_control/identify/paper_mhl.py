@@ -24,6 +24,7 @@ from hyst_control.chain.linear import RateCorrection
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import Array
+from hyst_control.chain.symmetric_filter import smooth_weights
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.fit_report import command_bandwidth
@@ -125,7 +126,9 @@ class Inverse:
     before: float
 
 
-def inverse_model(datasets: Sequence[Dataset], options: MhlOptions | None = None, k2: float | None = None) -> Model:
+def inverse_model(
+    datasets: Sequence[Dataset], options: MhlOptions | None = None, k2: float | None = None, smoothing: int = 0
+) -> Model:
     """Identify the compensator of Eq. 6 and 7 from the paper's records, taken at the rate of the loop, whose hold it makes up for.
 
     Its chain runs from the measurement to V, for the kinds `mhl` and `mhl_static`.
@@ -138,6 +141,8 @@ def inverse_model(datasets: Sequence[Dataset], options: MhlOptions | None = None
         Options of the fit; the defaults of `MhlOptions` if None.
     k2
         Time constant k2', s, where it is given; None to identify it.
+    smoothing
+        Order of the N without phase behind which Ψ' is to stand (`mhl_inverse.composite`), and is identified; 0 for none.
 
     Raises
     ------
@@ -153,7 +158,9 @@ def inverse_model(datasets: Sequence[Dataset], options: MhlOptions | None = None
         pieces = sorted_pieces(datasets, index, sign)
         scale = full_scale(whole_records(datasets, index), options.input_scale)
         static = fit_axis(pieces.slow, options.curves, scale, options.nuisance)
-        found.append(fit_inverse_correction(datasets, index, sign, fit_inverse(static.stage, options.curves), static.offset, k2))
+        found.append(
+            fit_inverse_correction(datasets, index, sign, fit_inverse(static.stage, options.curves), static.offset, k2, smoothing)
+        )
 
     def per_axis(name: str) -> list[float]:
         return [float(getattr(inverse, name)) for inverse in found]
@@ -175,7 +182,13 @@ def inverse_model(datasets: Sequence[Dataset], options: MhlOptions | None = None
 
 
 def fit_inverse_correction(
-    datasets: Sequence[Dataset], index: int, sign: float, hysteresis: Madelung, zero: float, k2: float | None = None
+    datasets: Sequence[Dataset],
+    index: int,
+    sign: float,
+    hysteresis: Madelung,
+    zero: float,
+    k2: float | None = None,
+    smoothing: int = 0,
 ) -> Inverse:
     """Fit Ψ' of one axis to u - H_S^-1[y] on the sweeps to 100 Hz as recorded; for every k2', k1' and b1' are linear.
 
@@ -195,7 +208,10 @@ def fit_inverse_correction(
         Zero of the sensor, measurement unit.
     k2
         Time constant k2', s, where it is given; None to identify it.
+    smoothing
+        Order of the N without phase behind Ψ', which looks `smoothing` + 1 samples ahead; 0 for none.
     """
+    weights, ahead = (smooth_weights(smoothing), smoothing + 1) if smoothing else (np.ones(1), 0)
     targets: list[tuple[Array, Array, list[slice], Sampling]] = []
     for data in datasets:
         command = data.command[:, index]
@@ -213,7 +229,8 @@ def fit_inverse_correction(
         wanted, columns = [], []
         for target, y, rows, sampling in targets:
             half, k2 = 0.5 * sampling.sample_time, float(np.exp(log_k2))
-            led = lfilter([1.0, -1.0], [k2 + half, half - k2], y[:, 0] - y[0, 0])
+            held = np.append(y[:, 0], np.repeat(y[-1, 0], ahead)) - y[0, 0]
+            led = lfilter(weights, 1.0, lfilter([1.0, -1.0], [k2 + half, half - k2], held))[ahead:]
             for part in rows:
                 wanted.append(target[part])
                 columns.append(np.column_stack([led[part], np.ones(len(target[part]))]))

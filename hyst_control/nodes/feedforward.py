@@ -59,7 +59,7 @@ class Feedforward(SignalNode):
                 "smoothing",
                 0,
                 "ticks",
-                "order of a zero-phase low-pass of the reference, which looks as many ticks ahead",
+                "order of a zero-phase low-pass of the reference, which looks as many ticks ahead; mhl: of Ψ', one tick further",
                 0,
                 20,
             ),

@@ -5,8 +5,12 @@ figures are of the paper's mirror; the plant here is a simulated one whose hyste
 model's own, and nothing is taken from its parameters.
 
     traditional composite   H_S^-1 and PI (paper Eq. 9 and Fig. 7)
-    proposed composite      H_S^-1, Ψ' behind N(s), and PI (Eq. 6, Fig. 6): N(s) as published, moved to 1 kHz, and without
+    proposed composite      H_S^-1, Ψ' behind N(s), and PI (Eq. 6, Fig. 6): N(s) as published, moved to 1 kHz, left out, and without
+                            phase, which looks ahead
     whole inverse           the inverse of delay, H_D and G(s) with preview, and PI: past the paper
+
+The PI feedback has a roll-off, chosen with its gains; the published composite and the traditional one run with the paper's PI, which
+has none, too. What both papers do not have, learning from trial to trial and of gain and lag, is in `mhl_learning`.
 
 The composites take the inverse that was identified as the paper's was: its own curves, and Ψ' from u - H_S^-1[y] on the raw sweep at
 the loop's rate. Steps 1 to 3 of the paper's sequence, which find the model, have a record at 20 kHz: a delay of a third of the
@@ -17,41 +21,35 @@ of the loop together, and looks at the reference through a low-pass without phas
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hyst_control.chain.linear import CrossCoupling
 from hyst_control.chain.stage import Array
-from hyst_control.config_files import config_path
 from hyst_control.control.feedforward import RATE_FILTER, build_compensator
-from hyst_control.control.tuning import Tuning, tune
-from hyst_control.control.whole_inverse import lifted_inverse
+from hyst_control.control.tuning import AUTOMATIC, tune
 from hyst_control.identify import identify
-from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.paper_mhl import inverse_model
-from hyst_control.identify.workflow import datasets_of
 from hyst_control.model_file import Model, save_model
 from hyst_control.records import excitation
-from hyst_control.records.bag_reader import read_bag
 from hyst_control.reporting.tables import Table
-from hyst_control.reproduction import claims, mhl_figures, mhl_tables
-from hyst_control.reproduction.node_runs import run_processes
+from hyst_control.reproduction import claims, mhl_figures, mhl_learning, mhl_tables
+from hyst_control.reproduction.mhl_runs import (
+    AXES,
+    CENTRE,
+    RATING,
+    REACH,
+    SAMPLE_TIME,
+    SEED,
+    lifted,
+    record,
+    track,
+)
 
-SAMPLE_TIME = 2e-4
-"""s, of the loop and its records (paper §4.5)."""
 FINE_TIME = 5e-5
 """s, of the records up to 4 kHz, which the paper took with an oscilloscope."""
-AXES = ("x", "y")
-RATING = (0.0, 100.0)
-SLEW_LIMIT = 1e6
-CENTRE, REACH = 1.0, 0.9
-"""mrad; of 0 … 2 mrad the last twentieth at either end is left, where remanence keeps the mirror from its end."""
-SEED = 626
-BLOCK = 500
 VERIFIED = (500.0, 1000.0, 1500.0, 2000.0, 3000.0, 4000.0)
 FADE = 0.1
 """s, whole periods of every tone, over which a reference that does not begin at rest is faded in."""
@@ -64,20 +62,38 @@ PUBLISHED_CORNER = 1.0 / (2.0 * np.pi * np.sqrt(RATE_FILTER[0]))
 MOVED_CORNER = 1000.0
 """Hz, of N(s) placed anew, its damping kept: beyond the 100 Hz over which Ψ' was identified, and below the mode."""
 NO_FILTER = (0.0,)
-COMPOSITES = {
-    "traditional composite": ("mhl_static", "inverse", NO_FILTER),
-    "proposed composite, N as published": ("mhl", "inverse", RATE_FILTER),
-    "proposed composite, N at 1 kHz": (
-        "mhl",
-        "inverse",
-        tuple(value * (PUBLISHED_CORNER / MOVED_CORNER) ** power for power, value in zip((2, 1, 0), RATE_FILTER, strict=True)),
-    ),
-    "proposed composite, without N": ("mhl", "inverse", NO_FILTER),
-    "proposed composite, k2' as published, without N": ("mhl", "slower", NO_FILTER),
-}
-"""Kind of compensator, inverse model (`slower`: Ψ' with the k2' of the paper's Table 2), and denominator of N(s)."""
+MOVED_FILTER = tuple(
+    value * (PUBLISHED_CORNER / MOVED_CORNER) ** power for power, value in zip((2, 1, 0), RATE_FILTER, strict=True)
+)
 SMOOTHING = 4
-"""Order of the whole inverse's low-pass without phase: -3 dB at 1.65 kHz, 10 % above the bandwidth that is asked for."""
+"""Order of the whole inverse's low-pass without phase: -3 dB at 1.65 kHz, 10 % above the bandwidth that is asked for; and of the N
+without phase, -3 dB at 460 Hz."""
+
+
+@dataclass(frozen=True)
+class Composite:
+    """One of the paper's compensators.
+
+    kind: of the compensator; inverse: its inverse model (`slower`: Ψ' with the k2' of the paper's Table 2; `ahead`: behind the N without
+    phase); rate_filter: denominator of N(s), a single 0 for none; smoothing: order of the N without phase, 0 for none.
+    """
+
+    kind: str
+    inverse: str = "inverse"
+    rate_filter: tuple[float, ...] = NO_FILTER
+    smoothing: int = 0
+
+
+COMPOSITES = {
+    mhl_tables.TRADITIONAL: Composite("mhl_static"),
+    mhl_tables.PUBLISHED: Composite("mhl", rate_filter=RATE_FILTER),
+    mhl_tables.MOVED: Composite("mhl", rate_filter=MOVED_FILTER),
+    mhl_tables.WITHOUT: Composite("mhl"),
+    mhl_tables.AHEAD: Composite("mhl", "ahead", smoothing=SMOOTHING),
+    mhl_tables.SLOWER: Composite("mhl", "slower"),
+}
+AS_PUBLISHED = (mhl_tables.TRADITIONAL, mhl_tables.PUBLISHED)
+"""The composites that run with the paper's PI too, which has no roll-off."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +125,7 @@ def run(json_path: str | None = None, figures: str | None = None) -> Table:
     InputError
         Where a node fails.
     """
-    table = Table("reproduce mhl")
+    table, learning = Table("reproduce mhl"), Table("reproduce mhl")
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         training = record(folder / "training", identification(SAMPLE_TIME, 2.0), SAMPLE_TIME, SEED)
@@ -119,40 +135,48 @@ def run(json_path: str | None = None, figures: str | None = None) -> Table:
         fast, places = fast_check()
         verified = record(folder / "verified", fast, FINE_TIME, SEED + 3)
         fits = {"paper": identify([fine], "mhl", "paper"), "joint": identify([training], "mhl", "joint")}
-        inverses = {"inverse": inverse_model([training]), "slower": inverse_model([training], k2=mhl_tables.TABLE_2["k2'"])}
+        inverses = {
+            "inverse": inverse_model([training]),
+            "slower": inverse_model([training], k2=mhl_tables.TABLE_2["k2'"]),
+            "ahead": inverse_model([training], smoothing=SMOOTHING),
+        }
 
-        tuning = tune(without_coupling(fits["joint"].model), sample_time=SAMPLE_TIME)
-        reference, parts = tracking_reference()
         joint = without_coupling(fits["joint"].model)
+        tuning, plain = (tune(joint, sample_time=SAMPLE_TIME, roll_off=roll_off) for roll_off in (AUTOMATIC, 0.0))
+        reference, parts = tracking_reference()
         for name, model in {"joint": joint, **inverses}.items():
             save_model(model, folder / f"{name}.yaml")
-        tracked = {
-            name: track(
-                folder / name.replace(" ", "_").replace(",", "").replace("'", ""),
-                kind,
-                folder / "joint.yaml",
-                joint,
-                reference,
-                tuning,
-                {
-                    "inverse_model": str(folder / f"{inverse}.yaml"),
-                    "rate_filter": list(rate_filter),
-                    "discretisation": "tustin",
-                },
-            )
-            for name, (kind, inverse, rate_filter) in COMPOSITES.items()
-        }
-        for name, feedback in (("whole inverse", tuning), ("whole inverse, no feedback", None)):
+        runs = [(name, name, tuning) for name in COMPOSITES] + [(name + mhl_tables.PLAIN, name, plain) for name in AS_PUBLISHED]
+        tracked = {}
+        for name, composite, feedback in runs:
+            given = COMPOSITES[composite]
             tracked[name] = track(
-                folder / name.replace(", ", "_"),
-                "mhl_inverse",
+                folder / file_name(name),
+                given.kind,
                 folder / "joint.yaml",
-                joint,
                 reference,
                 feedback,
+                {
+                    "inverse_model": str(folder / f"{given.inverse}.yaml"),
+                    "rate_filter": list(given.rate_filter),
+                    "discretisation": "tustin",
+                    "smoothing": given.smoothing,
+                },
+                given.smoothing + 1 if given.smoothing else 0,
+            )
+        inverse = build_compensator(joint, "mhl_inverse", sample_time=SAMPLE_TIME, limits=RATING, smoothing=SMOOTHING)
+        for name, whole_feedback in (("whole inverse", tuning), ("whole inverse, no feedback", None)):
+            tracked[name] = track(
+                folder / file_name(name),
+                "mhl_inverse",
+                folder / "joint.yaml",
+                reference,
+                whole_feedback,
                 {"smoothing": SMOOTHING},
+                inverse.preview,
             )
         tracked["lifted inverse, no feedback"] = lifted(folder / "lifted", joint, reference)
+        mhl_learning.add(learning, folder, tuning, inverse.preview, SMOOTHING)
 
     mhl_tables.parameters(table, fits["paper"], inverses["inverse"])
     mhl_tables.widening(table, training)
@@ -161,9 +185,10 @@ def run(json_path: str | None = None, figures: str | None = None) -> Table:
     mhl_tables.open_loop(table, fits["paper"].model, fine)
     mhl_tables.tracking(table, tracked, parts)
     mhl_tables.feedback_effort(table, tracked, parts)
-    mhl_tables.phases(table, *checked["multi"], inverses["inverse"], COMPOSITES["proposed composite, N as published"][2])
+    mhl_tables.phases(table, *checked["multi"], inverses["inverse"], RATE_FILTER)
     mhl_tables.error_spectrum(table, tracked, parts["single"], SAMPLE_TIME)
     mhl_tables.closed_loop(table, tracked, parts, SAMPLE_TIME)
+    table.rows += learning.rows
     mhl_tables.robustness(table, tuning)
     table.notes += [*mhl_tables.NOTES, *claims.notes(claims.MHL)]
     if json_path:
@@ -282,8 +307,8 @@ def tracking_reference() -> tuple[Array, dict[str, Part]]:
     pieces: list[Array] = []
     parts: dict[str, Part] = {}
 
-    def add(name: str, x: Array, y: Array | None = None, skipped: float = 0.0) -> None:
-        """One experiment, joined to what was before along half a cosine."""
+    def add(name: str, x: Array, y: Array | None = None, skipped: float = 0.0, after: Array | None = None) -> None:
+        """One experiment, joined to what was before along half a cosine; `after` is how x comes to rest, and is not scored."""
         rows = np.stack([x, np.full(len(x), CENTRE) if y is None else y], axis=1)
         last = pieces[-1][-1] if pieces else np.zeros(2)
         pieces.append(np.stack([excitation.cosine_ramp(ts, a, b, 0.1) for a, b in zip(last, rows[0], strict=True)], axis=1))
@@ -291,21 +316,25 @@ def tracking_reference() -> tuple[Array, dict[str, Part]]:
         begin = sum(len(piece) for piece in pieces)
         pieces.append(rows)
         parts[name] = Part(begin, begin + len(rows), begin + int(round(skipped / ts)))
+        if after is not None:
+            pieces.append(np.stack([after, np.full(len(after), rows[-1, 1])], axis=1))
 
     add(
         "conditioning",
         excitation.sine(ts, 5.0, 0.95 * REACH, CENTRE, 0.2, -np.pi / 2),
         excitation.sine(ts, 5.0, 0.95 * REACH, CENTRE, 0.2, -np.pi / 2),
     )
-    add("single", excitation.sine(ts, 100.0, REACH, CENTRE, 0.2, -np.pi / 2), skipped=0.02)
-    # These begin in the middle of their motion: they are faded in, so that nothing starts with a kink in velocity.
+    lowest = np.array([CENTRE - REACH])
+    add("single", excitation.sine(ts, 100.0, REACH, CENTRE, 0.2, -np.pi / 2), skipped=0.02, after=lowest)
+    # These begin and end in the middle of their motion: they are faded in and out, so that there is no kink in velocity.
     before = faded_in(excitation.sine(ts, 100.0, REACH, CENTRE, FADE))
     wave = np.concatenate([before, excitation.decaying_sine(ts, 100.0, REACH, CENTRE, 0.2, 0.1 * REACH)])
-    add("decreasing", wave, skipped=FADE)
+    add("decreasing", wave, skipped=FADE, after=faded_out(excitation.sine(ts, 100.0, 0.1 * REACH, CENTRE, FADE)))
     scale = REACH / 50.0
     tones = (20.0, 60.0, 100.0), (-35.3 * scale, -19.6 * scale, -19.6 * scale), CENTRE
-    before = faded_in(excitation.multi_frequency(ts, *tones, FADE))
-    add("multi", np.concatenate([before, excitation.multi_frequency(ts, *tones, 0.2)]), skipped=FADE)
+    whole = excitation.multi_frequency(ts, *tones, FADE)
+    wave = np.concatenate([faded_in(whole), excitation.multi_frequency(ts, *tones, 0.2)])
+    add("multi", wave, skipped=FADE, after=faded_out(whole))
     spiral = excitation.spiral(ts, 2, REACH, 20.0, 0.5, CENTRE)
     add("spiral", spiral[:, 0], spiral[:, 1])
     add("step", excitation.step(ts, STEP, CENTRE, 0.02, 0.08))
@@ -332,6 +361,11 @@ def faded_in(wave: Array) -> Array:
     return CENTRE + (wave - CENTRE) * (0.5 - 0.5 * np.cos(np.pi * np.arange(len(wave)) / len(wave)))
 
 
+def faded_out(wave: Array) -> Array:
+    """Fade a `wave` (N,) in mrad out along half a cosine, to rest at the center."""
+    return CENTRE + (wave - CENTRE) * (0.5 + 0.5 * np.cos(np.pi * np.arange(len(wave)) / len(wave)))
+
+
 def without_coupling(model: Model) -> Model:
     """Remove the cross-coupling from a model: the compensators treat each axis alone.
 
@@ -348,144 +382,6 @@ def without_coupling(model: Model) -> Model:
     return model.with_stages([stage for stage in model.chain.stages if not isinstance(stage, CrossCoupling)])
 
 
-def record(folder: Path, signal: Array, sample_time: float, seed: int) -> Dataset:
-    """Record the truth mirror in open loop, through the five nodes.
-
-    Parameters
-    ----------
-    folder : Path
-        Working folder of the run.
-    signal : ndarray, shape (N, 2)
-        Drive, V.
-    sample_time : float
-        Sample time, s.
-    seed : int
-        Seed of the plant's noise.
-
-    Returns
-    -------
-    Dataset
-        The record.
-    """
-    bag = run_processes(
-        folder,
-        signal,
-        sample_time,
-        {
-            "mhl_feedforward": {"kind": "proportional", "gain": [1.0], "offset": [0.0]},
-            "pi_feedback": {"lower": RATING[0], "upper": RATING[1], "start": "first_command"},
-            "plant": {"plant": str(config_path("plants/fsm.yaml")), "seed": seed},
-        },
-        AXES,
-        "mrad",
-        BLOCK,
-        feedforward="mhl_feedforward",
-    )
-    return datasets_of(read_bag(bag))[0]
-
-
-def track(
-    folder: Path,
-    kind: str,
-    path: Path,
-    model: Model,
-    reference: Array,
-    tuning: Tuning | None,
-    settings: Mapping[str, Any],
-) -> dict[str, Array]:
-    """Run one tracking experiment with a compensator, and with feedback if it is tuned.
-
-    Parameters
-    ----------
-    folder : Path
-        Working folder of the run.
-    kind : str
-        Kind of compensator, such as "mhl".
-    path : Path
-        Model file for the feedforward node.
-    model : Model
-        The same model.
-    reference : ndarray, shape (N, 2)
-        Reference, mrad.
-    tuning : Tuning or None
-        Tuned PI feedback; None: open loop.
-    settings : mapping of str to object
-        Further parameters of the feedforward node.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Signals (N, 2) by name, mrad or V.
-    """
-    smoothing = settings.get("smoothing", 0)
-    preview = build_compensator(model, kind, sample_time=SAMPLE_TIME, limits=RATING, smoothing=smoothing).preview
-    feedback = {"lower": RATING[0], "upper": RATING[1], "slew_limit": SLEW_LIMIT, "feedback": tuning is not None}
-    if tuning is not None:
-        feedback |= {"kp": tuning.kp, "ki": tuning.ki}
-    bag = run_processes(
-        folder,
-        reference,
-        SAMPLE_TIME,
-        {
-            "mhl_feedforward": {"kind": kind, "model": str(path), "limits": list(RATING), **settings},
-            "pi_feedback": feedback,
-            "plant": {"plant": str(config_path("plants/fsm.yaml")), "seed": SEED + 4},
-        },
-        AXES,
-        "mrad",
-        1 if tuning else BLOCK,
-        preview + 1,
-        "mhl_feedforward",
-    )
-    return signals_of(bag)
-
-
-def lifted(folder: Path, model: Model, reference: Array) -> dict[str, Array]:
-    """Track open loop with the whole model inverted over the whole reference by iteration: the limit of any feedforward.
-
-    Parameters
-    ----------
-    folder : Path
-        Working folder of the run.
-    model : Model
-        Model that is inverted.
-    reference : ndarray, shape (N, 2)
-        Reference, mrad.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Signals (N, 2) by name, mrad or V.
-    """
-    command = lifted_inverse(model, reference, sample_time=SAMPLE_TIME, limits=RATING).command
-    bag = run_processes(
-        folder,
-        command,
-        SAMPLE_TIME,
-        {
-            "mhl_feedforward": {"kind": "proportional", "gain": [1.0], "offset": [0.0]},
-            "pi_feedback": {"lower": RATING[0], "upper": RATING[1]},
-            "plant": {"plant": str(config_path("plants/fsm.yaml")), "seed": SEED + 4},
-        },
-        AXES,
-        "mrad",
-        BLOCK,
-        feedforward="mhl_feedforward",
-    )
-    return {**signals_of(bag), "reference": reference}
-
-
-def signals_of(bag: Path) -> dict[str, Array]:
-    """Read every signal of a tracking bag on one clock.
-
-    Parameters
-    ----------
-    bag : Path
-        Bag of a tracking run.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Signals (N, 2) by name, mrad or V.
-    """
-    return dict(read_bag(bag).aligned(("reference", "feedforward", "feedback", "command", "measurement"))[0].values)
+def file_name(name: str) -> str:
+    """The `name` of a compensator as that of a folder."""
+    return "".join(letter if letter.isalnum() else "_" for letter in name)

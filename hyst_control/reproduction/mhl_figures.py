@@ -20,7 +20,7 @@ from hyst_control.reporting.tables import Table
 from hyst_control.reproduction import mhl_tables
 
 LOOP = 2e-4
-SHOWN = ("traditional composite", "proposed composite, N as published", "proposed composite, N at 1 kHz", "whole inverse")
+SHOWN = (mhl_tables.TRADITIONAL, mhl_tables.PUBLISHED, mhl_tables.MOVED, mhl_tables.AHEAD, "whole inverse")
 MOST = 4000
 """Points of a line, at most."""
 

@@ -52,23 +52,37 @@ LAGS = {"open loop": 14.4, "lead of Ψ'": 61.0, "lag of N(s)": 39.0}
 """Degrees at 100 Hz (paper §4.4)."""
 NOTES = [
     "MHL records of models (Figs. 9 to 13) move one axis at a time, as the paper's do: its model has no cross-coupling.",
+    "MHL feedback: tuned on the joint model with a roll-off, alike for all that is compared. The paper's PI has none: the published "
+    "composite and the traditional one run with such a PI, tuned likewise, too, and the published figures are held against those runs.",
     "MHL Table 4: the composites take the inverse identified from the loop's own sweep to 100 Hz, as published; the whole inverse and "
     "the lifted one invert the model of all records together, the former of the reference behind a low-pass without phase.",
+    "MHL Table 4, N without phase: past the paper, for a reference that is known ahead. In place of N(s) symmetric weights over 9 samples, "
+    "-3 dB at 460 Hz, one tick ahead, with Ψ' identified behind them; H_S^-1 looks no further ahead than in the others.",
     "MHL Table 4, k2' as published: Ψ' identified with the k2' of Table 2. Its peak, its gain at 100 Hz and its settling time without "
     "N(s) may be held against 5.22 dB, 0.2 dB and 2 ms of the paper.",
     "MHL Fig. 18: the lifted inverse has no such low-pass: a jump makes it ring near half the sampling rate, where a model of sampled "
     "records knows least.",
+    "MHL learning: a sine of 100 Hz on both axes, which repeats; from trial to trial on the traditional composite, which leaves most to "
+    "learn, and from the feedback on the whole inverse. The noise of the sensor alone is 0.017 %.",
 ]
 TRADITIONAL = "traditional composite"
-COMPOSITES = (
-    "proposed composite, N as published",
-    "proposed composite, N at 1 kHz",
-    "proposed composite, without N",
-    "proposed composite, k2' as published, without N",
-    "whole inverse",
-)
-PUBLISHED = COMPOSITES[0]
+PUBLISHED = "proposed composite, N as published"
+MOVED = "proposed composite, N at 1 kHz"
+WITHOUT = "proposed composite, without N"
+AHEAD = "proposed composite, N without phase"
+SLOWER = "proposed composite, k2' as published, without N"
+PLAIN = ", PI without roll-off"
+"""Ending of the names of what runs with the paper's PI."""
+OWN_LOOP = PUBLISHED + PLAIN
 """The composite to which the published figures belong."""
+COMPOSITES = (PUBLISHED, MOVED, WITHOUT, AHEAD, SLOWER, "whole inverse", OWN_LOOP)
+
+
+def rival_of(name: str) -> str:
+    """The traditional composite with the same feedback as the composite `name`."""
+    return TRADITIONAL + PLAIN if name.endswith(PLAIN) else TRADITIONAL
+
+
 Complex = NDArray[np.complex128]
 
 
@@ -362,11 +376,11 @@ def tracking(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Ma
         found = {}
         for name, signals in tracked.items():
             found[name] = errors(*(signals[key][part.scored : part.end, 0] for key in ("reference", "measurement")))
-            theirs = published.get(name, published["proposed composite"] if name in COMPOSITES else None)
+            theirs = published["proposed composite"] if name in COMPOSITES else published.get(name.removesuffix(PLAIN))
             add_errors(table, "MHL Table 4", case, name, found[name], theirs)
         for name in COMPOSITES:
             for quantity, at, published_lower in (("nme", 0, NME_LOWER), ("nrmse", 1, LOWER)):
-                lower = 100.0 * (1.0 - found[name][at] / found[TRADITIONAL][at])
+                lower = 100.0 * (1.0 - found[name][at] / found[rival_of(name)][at])
                 table.add(
                     "MHL Table 4",
                     case,
@@ -404,7 +418,7 @@ def feedback_effort(table: Table, tracked: Mapping[str, Mapping[str, Array]], pa
     for case in TABLE_4:
         rows = slice(parts[case].scored, parts[case].end)
         effort = {name: float(np.std(signals["feedback"][rows, 0])) for name, signals in tracked.items()}
-        for name in (TRADITIONAL, *COMPOSITES):
+        for name in (TRADITIONAL, TRADITIONAL + PLAIN, *COMPOSITES):
             table.add("MHL feedback", case, name, "output of the PI feedback, rms", "V", effort[name])
         for name in COMPOSITES:
             table.add(
@@ -413,7 +427,7 @@ def feedback_effort(table: Table, tracked: Mapping[str, Mapping[str, Array]], pa
                 f"{name} against the traditional one",
                 "output of the PI feedback lower by",
                 "%",
-                100.0 * (1.0 - effort[name] / effort[TRADITIONAL]),
+                100.0 * (1.0 - effort[name] / effort[rival_of(name)]),
                 published=PI_LOWER if name.startswith("proposed") else None,
             )
 
@@ -626,7 +640,7 @@ def closed_loop(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts:
             "peak",
             "dB",
             20 * np.log10(np.abs(value).max()),
-            published=(2.94 if "without" not in name else 5.22) if composite else None,
+            published=(5.22 if name in (WITHOUT, SLOWER) else 2.94) if composite else None,
         )
         at = fundamental(signals, parts["single"], sample_time, 100.0)
         table.add("MHL Fig. 18", "100 Hz", name, "gain", "dB", 20 * np.log10(abs(at)), published=0.2 if composite else None)
@@ -658,7 +672,8 @@ def robustness(table: Table, tuning: Tuning, plant: str = "fsm", title: str = "M
     title : str
         Title of the table.
     """
-    for quantity, unit in (("kp", "V/unit"), ("ki", "V/(unit s)"), ("settling_time", "s")):
+    gains = (("kp", "V/unit"), ("ki", "V/(unit s)"), *((("roll_off", "Hz"),) if tuning.roll_off else ()), ("settling_time", "s"))
+    for quantity, unit in gains:
         table.add(title, "model", "tuned PI", quantity, unit, getattr(tuning, quantity))
     table.add(title, "model", "tuned PI", "bandwidth", "Hz", tuning.nominal.bandwidth)
     for quantity, unit in (("gain_margin", "dB"), ("phase_margin", "deg"), ("peak_sensitivity", "")):

@@ -9,10 +9,16 @@ from dataclasses import dataclass
 from hyst_control.errors import InputError
 from hyst_control.reporting.tables import Row
 
+PAPER, OURS = "paper", "ours"
+"""Where a bound is from: a figure or a statement of the paper, or our own choice."""
+
 
 @dataclass(frozen=True)
 class Target:
-    """One figure against its bound; `claim` is what of the paper it belongs to, `cause` says in plain words why it is missed."""
+    """One figure against its bound.
+
+    claim: what of the paper it belongs to; cause: in plain words, why it is missed; origin: of the bound, `PAPER` or `OURS`.
+    """
 
     name: str
     value: float
@@ -21,6 +27,7 @@ class Target:
     at_least: bool = False
     cause: str = ""
     claim: str = ""
+    origin: str = PAPER
 
     @property
     def met(self) -> bool:
@@ -105,6 +112,6 @@ def margin_targets(rows: Rows, table: str, cause: str) -> list[Target]:
     """
     where = "tuned feedback on the truth plant, ±10 % gain, ±20 % mode"
     return [
-        Target(f"{where}: gain margin", rows.least(table, "gain_margin"), 6.0, "dB", True, cause),
-        Target(f"{where}: phase margin", rows.least(table, "phase_margin"), 45.0, "deg", True, cause),
+        Target(f"{where}: gain margin", rows.least(table, "gain_margin"), 6.0, "dB", True, cause, origin=OURS),
+        Target(f"{where}: phase margin", rows.least(table, "phase_margin"), 45.0, "deg", True, cause, origin=OURS),
     ]

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.inverse_multiplicative import InverseMultiplicative, slope_range
 from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
+from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
@@ -19,7 +20,11 @@ from hyst_control.control.loop import feedforward_rows
 from hyst_control.control.mhl_inverse import inverse_rate_correction, mean_slope, rate_dependent_parts, tustin_lead
 from hyst_control.control.reachable_stroke import check_reachable
 from hyst_control.errors import InputError
-from hyst_control.model_file import Model, Simulator, load_model
+from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.mhl_axis import MhlOptions
+from hyst_control.identify.paper_mhl import inverse_model
+from hyst_control.model_file import Model, Simulator, load_model, simulate
+from hyst_control.records.excitation import build
 
 MODELS = Path(__file__).resolve().parents[2] / "config" / "models"
 HAMPI, HAPI = load_model(MODELS / "pea_hampi.yaml"), load_model(MODELS / "pea_hapi.yaml")
@@ -273,9 +278,52 @@ def test_smoothing_looks_further_ahead_and_softens_jumps_alone():
 
 
 def test_smoothing_is_refused_where_nothing_looks_ahead():
-    for kind, order in (("none", 2), ("mhl", 2), ("mhl_inverse", -1)):
+    for kind, order in (("none", 2), ("mhl", 2), ("mhl_static", 2), ("mhl_inverse", -1)):
         with pytest.raises(InputError, match="smoothing"):
             build_compensator(MHL, kind, smoothing=order)
+    with pytest.raises(InputError, match="tustin"):
+        build_compensator(MHL, "mhl", smoothing=2, inverse_model=MHL_INVERSE)
+
+
+def test_a_rate_filter_without_phase_weakens_the_lead_and_turns_it_by_one_tick():
+    """N = cos(w / 2)^(2 n) at w radians a tick, one tick ahead: the closed form of binomial weights, whatever Ψ' is."""
+    order, rate = 3, 5000.0
+    given = {"sample_time": 1.0 / rate, "inverse_model": MHL_INVERSE, "discretisation": "tustin"}
+    static = build_compensator(MHL, "mhl_static", sample_time=1.0 / rate, inverse_model=MHL_INVERSE)
+    plain = build_compensator(MHL, "mhl", rate_filter=None, **given)
+    smooth = build_compensator(MHL, "mhl", smoothing=order, **given)
+    late = build_compensator(MHL, "mhl", smoothing=order, preview=False, **given)
+    assert (smooth.preview, late.preview, late.residual_delay_ticks) == (order + 1, 0, order + 1)
+    for frequency in (50.0, 100.0, 500.0):
+        count = round(rate / frequency)
+        reference = sine(frequency, 0.1, 1.0, 1.0 / rate, axes=2, periods=8)
+        base, led, smoothed = (feedforward_rows(reference, each)[4 * count : 5 * count, 0] for each in (static, plain, smooth))
+        turn = np.exp(-2j * np.pi * np.arange(count) / count)
+        w = 2.0 * np.pi * frequency / rate
+        expected = np.cos(0.5 * w) ** (2 * order) * np.exp(1j * w)
+        assert turn @ (smoothed - base) / (turn @ (led - base)) == pytest.approx(expected, rel=1e-6)
+        np.testing.assert_array_equal(
+            feedforward_rows(reference, late)[order + 1 :], feedforward_rows(reference, smooth)[: -order - 1]
+        )
+
+
+def test_a_lead_identified_behind_the_filter_that_looks_ahead_makes_up_for_a_tick():
+    """The plant is a straight line, one tick late.
+
+    A rate alone is too great in amplitude, by (w T)² / 2 without preview, and by half as much again as k2' is at least T / 4.
+    """
+    rate, line = 5000.0, Madelung([1.0], [1.0], 100.0, 2.0)
+    plant = replace(MHL, axes=("x",), sample_time=1.0 / rate).with_stages([line])
+    command = build({"signal": "mhl_identification", "peak": 100.0, "sweep_time": 1.0}, 1.0 / rate)
+    record = Dataset("raw", command, simulate(plant, command, 1.0 / rate), 1.0 / rate, ("x",), "mrad")
+    reference = sine(100, 0.9, 1.0, 1.0 / rate, periods=10)
+    errors = []
+    for order in (0, 4):
+        inverse = inverse_model([record], MhlOptions(degree=1), smoothing=order)
+        given = {"inverse_model": inverse, "discretisation": "tustin", "rate_filter": None, "limits": (0, 100)}
+        errors.append(nrmse(track(plant, build_compensator(plant, "mhl", smoothing=order, **given), reference), reference, 100))
+    assert errors[0] == pytest.approx(100 * 0.75 * (2 * np.pi * 100 / rate) ** 2 / np.sqrt(8), rel=0.05)
+    assert errors[1] < 0.2 * errors[0]
 
 
 @pytest.mark.parametrize("kind", ["mhl", "mhl_static"])

@@ -32,7 +32,8 @@ CLASSES = {
 }
 PERIOD = 200
 TICKS = 9 * PERIOD
-WAVE = (1.5 + (1 - np.cos(2 * np.pi * np.arange(PERIOD) / PERIOD)))[:, None]
+WAVE = (1.0 + (1 - np.cos(2 * np.pi * np.arange(PERIOD) / PERIOD)))[:, None]
+"""um; from 0.5 um the command would be at 0 V over a part of the period, where there is nothing to be learned: the error grows."""
 ROLL_OFF = 900.0
 TRIALS = {"learning": "trials", "learning_period": PERIOD}
 FEEDBACK_ERROR = {"learning": "feedback_error", "learning_time": 0.02, "learning_corner": 20.0}
@@ -85,7 +86,7 @@ def test_trials_in_the_node_equal_offline(tmp_path, ros_context):
     composed(ros_context, settings(tmp_path, **TRIALS))
     learner = learner_of_trials()
     expected = offline(learner)
-    assert len(learner.history) == 3 and learner.history[2].error < 0.5 * learner.history[0].error
+    assert len(learner.history) == 3 and learner.history[1].error < 0.5 * learner.history[0].error
     assert np.any(expected["learned"] != 0.0)
     assert_same(tmp_path / "bag", expected)
 

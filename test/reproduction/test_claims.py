@@ -49,3 +49,14 @@ def test_a_missed_target_has_its_reason():
     for line in PAGE.read_text(encoding="utf-8").splitlines():
         if "| **missed** |" in line:
             assert len(line.split("| **missed** |")[1].strip(" |")) > 40, line
+
+
+def test_the_counts_are_those_of_the_table():
+    """Of every section: all targets, those whose bound is the paper's, and those whose bound is ours; met, and in all."""
+    for section in PAGE.read_text(encoding="utf-8").split("\n## ")[1:]:
+        line = next(line for line in section.splitlines() if " targets met" in line)
+        counts = [(int(met), int(every)) for met, every in re.findall(r"(\d+) of (\d+) ", line)]
+        rows = re.findall(r"^\| .* \| (paper|ours) \| (met|\*\*missed\*\*) \|", section, re.MULTILINE)
+        for (met, every), origins in zip(counts, ({"paper", "ours"}, {"paper"}, {"ours"}), strict=True):
+            verdicts = [verdict for origin, verdict in rows if origin in origins]
+            assert (met, every) == (verdicts.count("met"), len(verdicts))

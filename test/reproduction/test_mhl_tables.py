@@ -5,8 +5,9 @@ import pytest
 
 from hyst_control.control.feedforward import RATE_FILTER
 from hyst_control.reporting.tables import Table
-from hyst_control.reproduction.mhl import REACH, SAMPLE_TIME, Part, tracking_reference
-from hyst_control.reproduction.mhl_tables import TABLE_2, error_spectrum
+from hyst_control.reproduction.mhl import Part, tracking_reference
+from hyst_control.reproduction.mhl_runs import REACH, SAMPLE_TIME
+from hyst_control.reproduction.mhl_tables import AHEAD, OWN_LOOP, PLAIN, TABLE_2, TRADITIONAL, error_spectrum, rival_of
 
 
 def test_the_error_at_one_frequency_falls_into_its_parts():
@@ -38,11 +39,15 @@ def test_the_error_at_one_frequency_falls_into_its_parts():
 
 
 @pytest.mark.parametrize("name", ["single", "decreasing", "multi"])
-def test_references_start_without_a_kink_in_velocity(name):
-    """From a second before to the end no velocity changes by more from one sample to the next than in the sine of 100 Hz itself."""
+def test_references_start_and_end_without_a_kink_in_velocity(name):
+    """No velocity changes by more from one sample to the next than in the sine of 100 Hz itself, from 200 samples before to 600 after."""
     reference, parts = tracking_reference()
-    turn = np.abs(np.diff(reference[parts[name].begin - 200 : parts[name].end, 0], 2)).max()
+    turn = np.abs(np.diff(reference[parts[name].begin - 200 : parts[name].end + 600, 0], 2)).max()
     assert turn <= 1.1 * REACH * (2 * np.pi * 100.0 * SAMPLE_TIME) ** 2
+
+
+def test_a_composite_is_held_against_the_traditional_one_with_its_own_feedback():
+    assert [rival_of(name) for name in (AHEAD, OWN_LOOP)] == [TRADITIONAL, TRADITIONAL + PLAIN]
 
 
 def test_the_printed_lead_and_filter_fit_another_mirror_than_the_printed_model():
