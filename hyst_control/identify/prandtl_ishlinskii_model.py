@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from hyst_control.chain import Chain, Stage
 from hyst_control.chain.linear import Delay, TransferFunction
@@ -17,6 +18,7 @@ from hyst_control.identify.bounded_least_squares import covariance
 from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.gram_sums import Operators
+from hyst_control.identify.parameter_covariance import Uncertainty, uncertainty_of
 from hyst_control.identify.variable_projection import Solution
 from hyst_control.model_file import Model
 
@@ -79,18 +81,18 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
     rows, residuals = record_rows(model, datasets)
     parameters: list[ParameterRow] = []
     notes: list[str] = []
-    relative: dict[str, list[float]] = {}
     for axis, name in zip(axes, first.axes, strict=True):
-        for row in parameter_rows(axis, first):
-            row["axis"] = name
-            parameters.append(row)
-            key = row["name"].split("[")[0]
-            if row["standard_error"] is not None and row["value"]:
-                relative.setdefault(key, []).append(abs(row["standard_error"] / row["value"]))
+        parameters += [{**row, "axis": name} for row in parameter_rows(axis, first)]
         notes += unresolved_parameters(axis, name, parameters)
-    tolerance = {key: float(np.round(np.median(values), 6)) for key, values in relative.items()}
+    known = uncertainty(axes, first.axes)
+    notes += known.notes("record loops of more amplitudes, and steps or a sweep up to beyond the resonance")
     sigma = noise_sigma(residuals)
-    model = Model(**{**model.__dict__, "tolerance": tolerance, "noise": {"sigma": sigma if len(sigma) > 1 else sigma[0]}})
+    model = replace(
+        model,
+        tolerance=known.tolerance,
+        uncertainty=known.document,
+        noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
+    )
     travel = [max(float(data.range[i]) for data in datasets) for i in range(len(first.axes))]
     report: Report = {
         "family": family,
@@ -103,6 +105,76 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
         "notes": notes,
     }
     return Fit(model, report)
+
+
+def axis_covariance(axis: AxisFit) -> Array:
+    """Covariance of the parameters of one axis: linear ones, then those of G(s).
+
+    Parameters
+    ----------
+    axis
+        Fit of the axis.
+
+    Returns
+    -------
+    Array
+        Covariance (J + P, J + P), errors of the model included.
+    """
+    solution = axis.solution
+    size = solution.structure.size
+    spread = covariance(solution.grams.blocks, np.concatenate([solution.theta, np.zeros(size), solution.nuisances]))
+    free = len(solution.theta) + size
+    return spread[:free, :free]
+
+
+def uncertainty(axes: Sequence[AxisFit], names: Sequence[str]) -> Uncertainty:
+    """Uncertainty of the model of all axes, which are fitted independently.
+
+    Parameters
+    ----------
+    axes
+        A fit an axis.
+    names
+        Names of the axes.
+
+    Returns
+    -------
+    Uncertainty
+        Of the numbers of the model's chain.
+    """
+    vectors = [np.concatenate([axis.solution.theta, axis.solution.parameters]) for axis in axes]
+    # Weights are compared with all of them, and the dynamic ones with what moves the output as much.
+    sizes = [np.concatenate([parameter_sizes(axis), np.ones(axis.solution.structure.size)]) for axis in axes]
+    edges = np.cumsum([0, *(len(vector) for vector in vectors)])
+
+    def stages_of(vector: Array) -> Sequence[Stage]:
+        chains = []
+        for axis, begin, end in zip(axes, edges[:-1], edges[1:], strict=True):
+            theta, parameters = np.split(vector[begin:end], [len(axis.solution.theta)])
+            chains.append(axis_stages(replace(axis, solution=replace(axis.solution, theta=theta, parameters=parameters))))
+        return merge_axes(chains)
+
+    spread = block_diag(*(axis_covariance(axis) for axis in axes))
+    return uncertainty_of(stages_of, np.concatenate(vectors), spread, names, np.concatenate(sizes))
+
+
+def parameter_sizes(axis: AxisFit) -> Array:
+    """Sizes (J,) of the linear parameters of one axis, by the columns that they multiply.
+
+    Parameters
+    ----------
+    axis
+        Fit of the axis.
+
+    Returns
+    -------
+    Array
+        Changes of the parameters that move the output by as much as all operators together, divided by their number.
+    """
+    columns = len(axis.solution.theta)
+    power = np.sqrt(np.maximum(np.diag(axis.solution.grams.fitted + axis.solution.grams.held_out), 0.0))
+    found: Array = power[-1] / np.maximum(power[:columns], 1e-12 * power[:columns].max()) / columns
+    return found
 
 
 def axis_stages(axis: AxisFit) -> list[Stage]:
@@ -193,8 +265,7 @@ def parameter_rows(axis: AxisFit, data: Dataset) -> list[ParameterRow]:
         A row a parameter.
     """
     solution, operators = axis.solution, axis.operators
-    size = solution.structure.size
-    spread = covariance(solution.grams.blocks, np.concatenate([solution.theta, np.zeros(size), solution.nuisances]))
+    spread = axis_covariance(axis)
     errors = np.sqrt(np.maximum(np.diag(spread), 0.0))
     count, columns = len(operators.thresholds), operators.columns
     rows: list[ParameterRow] = [
