@@ -18,7 +18,6 @@ from scipy.linalg import block_diag, expm, matrix_balance
 
 from hyst_control.chain import rational_factors
 from hyst_control.chain.bounded_cache import remembered
-
 from hyst_control.chain.linear_kernels import advance_linear, advance_single
 from hyst_control.chain.parameter import (
     AllAxes,

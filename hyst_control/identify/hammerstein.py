@@ -13,6 +13,7 @@ import numpy as np
 
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.excited_band import REACH, excited_band
 from hyst_control.identify.fit_windows import largest_drift, stretches, whole_records
 from hyst_control.identify.gram_sums import Operators, Window
 from hyst_control.identify.options import INTEGER, NUMBERS, TRUTH, Options, methods_option, option
@@ -195,7 +196,7 @@ def default_operators(
 
 
 def choose_structure(problem: Problem, given: Structure | None) -> Solution:
-    """Grow G factor by factor as long as the held-out error falls.
+    """Grow G factor by factor as long as the held-out error falls, by none whose poles lie beyond what the records excite.
 
     Parameters
     ----------
@@ -209,12 +210,15 @@ def choose_structure(problem: Problem, given: Structure | None) -> Solution:
     Solution
         The solution with the chosen structure.
     """
-    frequency = _start_frequency(problem)
     if given is not None:
-        return solve(problem, given, given.start(frequency))
-    best = solve(problem, Structure(), np.zeros(0))
+        return solve(problem, given, given.start(_start_frequency(problem)))
+    plain = Structure(highest=REACH * excited_band(problem.windows))
+    frequency = _start_frequency(problem, plain.highest)
+    best = solve(problem, plain, np.zeros(0))
+    sample_time = min(window.sample_time for window in problem.windows)
     while True:
-        trials = _grown(problem, best, frequency)
+        grown = _grown(problem, best, frequency)
+        trials = [trial for trial in grown if not trial.structure.at_limit(trial.parameters, sample_time)]
         if not trials:
             return best
         lowest = min(trial.held_out for trial in trials)
@@ -236,10 +240,11 @@ def _grown(problem: Problem, best: Solution, frequency: float) -> list[Solution]
     return list(forked(grown, len(structures)))
 
 
-def _start_frequency(problem: Problem) -> float:
+def _start_frequency(problem: Problem, highest: float = np.inf) -> float:
     """The resonance (Hz) on a coarse grid at which a single mode fits best, from which Gauss-Newton starts."""
     sample_time = min(window.sample_time for window in problem.windows)
-    grid = [f for f in (30.0, 100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0) if f < 0.4 / sample_time] or [0.2 / sample_time]
+    limit = min(0.4 / sample_time, 0.8 * highest)
+    grid = [f for f in (30.0, 100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0) if f < limit] or [0.5 * limit]
     structure = Structure(modes=1)
     trials = forked(lambda i: solve(problem, structure, structure.start(grid[i]), passes=2).fitted, len(grid))
     return grid[int(np.argmin(list(trials)))]

@@ -164,7 +164,7 @@ class Linear(Estimator[LinearOptions]):
         if np.any(np.abs(offset) > 3.0 * spread):
             model = model.with_stages([*stages, Offset(_alike(offset))])
         rows, residuals = record_rows(model, datasets)
-        model = replace(model, noise={"sigma": noise_sigma(residuals)})
+        model = replace(model, noise={"sigma": noise_sigma(residuals, datasets)})
         notes = (
             []
             if any(row["held_out"] is not None for row in table)

@@ -570,7 +570,7 @@ def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) 
         parameters += [{**row, "axis": name} for row in found]
         tolerances.append(tolerance)
     tolerance = float(np.round(np.median(tolerances), 6))
-    sigma = noise_sigma(residuals)
+    sigma = noise_sigma(residuals, datasets)
     model = replace(
         model,
         tolerance={"ascending": tolerance, "descending": tolerance},

@@ -551,7 +551,7 @@ def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], 
             parameters.append({**row, "axis": name})
     if coupling is not None:
         parameters += coupling.rows(datasets[0].axes)
-    sigma = noise_sigma(residuals)
+    sigma = noise_sigma(residuals, datasets)
     model = replace(
         model,
         tolerance={key: float(f"{np.median(values):.4g}") for key, values in relative.items()},

@@ -16,6 +16,7 @@ from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPr
 from hyst_control.chain.stage import Array
 from hyst_control.identify.bounded_least_squares import covariance
 from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report
+from hyst_control.identify.excited_band import REACH
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.gram_sums import Operators
 from hyst_control.identify.parameter_covariance import Uncertainty, uncertainty_of
@@ -86,7 +87,7 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
         notes += unresolved_parameters(axis, name, parameters)
     known = uncertainty(axes, first.axes)
     notes += known.notes("record loops of more amplitudes, and steps or a sweep up to beyond the resonance")
-    sigma = noise_sigma(residuals)
+    sigma = noise_sigma(residuals, datasets)
     model = replace(
         model,
         tolerance=known.tolerance,
@@ -374,9 +375,10 @@ def unresolved_parameters(axis: AxisFit, name: str, parameters: Sequence[Paramet
         )
     structure = axis.solution.structure
     if axis.dynamics and not structure.modes:
+        known = "" if np.isinf(structure.highest) else f"; these excite the dynamics up to {structure.highest / REACH:.0f} Hz"
         notes.append(
-            f"axis {name}: the dynamics G(s) cannot be determined from these data ({structure.describe()}): record a step or a "
-            "sweep up to beyond the resonance"
+            f"axis {name}: the resonance cannot be determined from these data ({structure.describe()}): record a step or a sweep "
+            f"up to beyond it{known}"
         )
     if axis.operators.dynamic:
         rates = {row["name"]: row for row in own if row["name"] in ("m1", "m2")}
