@@ -102,7 +102,9 @@ def run(table: Table, runs: int = RUNS) -> None:
         table.add("coverage of the 90 % intervals", case.name, case.family, "coverage", "%", _percent(inside[-1]), n=each)
         for name, values in hits.items():
             table.add("coverage by number", case.name, name, "coverage", "%", _percent(values), n=each)
-    table.add("coverage of the 90 % intervals", "all", "all", "coverage", "%", _percent(np.concatenate(inside)), n=each * len(CASES))
+    table.add(
+        "coverage of the 90 % intervals", "all", "all", "coverage", "%", _percent(np.concatenate(inside)), n=each * len(CASES)
+    )
 
 
 def _percent(hits: Array) -> float:
@@ -143,10 +145,10 @@ def _held(case: Case, random: np.random.Generator) -> dict[str, float]:
     known = {name: each.value for name, each in chain_coordinates(stages, ("x",)).items()}
     values = chain_coordinates(fit.model.chain.stages, ("x",))
     uncertainty = fit.model.uncertainty
-    errors = {
-        name: float(np.linalg.norm(row)) for name, row in zip(uncertainty["parameters"], uncertainty["factor"], strict=True)
+    errors = {name: float(np.linalg.norm(row)) for name, row in zip(uncertainty["parameters"], uncertainty["factor"], strict=True)}
+    return {
+        name: float(abs(values[name].value - known[name]) <= QUANTILE * error) for name, error in errors.items() if name in known
     }
-    return {name: float(abs(values[name].value - known[name]) <= QUANTILE * error) for name, error in errors.items() if name in known}
 
 
 def _plant(random: np.random.Generator, dynamics: bool) -> list[Stage]:

@@ -9,7 +9,6 @@ from scipy.stats import t as student
 
 from hyst_control.chain.stage import Array
 
-
 LEAST_REST = 1e-4
 """Share of what a block tells of a parameter that the others tell at least: no score grows beyond it."""
 

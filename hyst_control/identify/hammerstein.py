@@ -6,7 +6,7 @@ is over G's few parameters alone (`variable_projection`). G's structure is chose
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -150,10 +150,11 @@ def fit_dynamic(problem: Problem, structure: Structure | None) -> AxisFit:
         Weights and dynamics.
     """
     selection = replace(problem, windows=stretches(problem.windows, SELECTION_ROWS))
-    chosen = choose_structure(selection, structure)
+    tried: list[Solution] = []
+    chosen = choose_structure(selection, structure, tried.append)
     chosen = solve(selection, chosen.structure, chosen.parameters, chosen.theta, passes=20)
     final = solve(problem, chosen.structure, chosen.parameters, chosen.theta, passes=3, everything=True)
-    return AxisFit(final, problem.operators, chosen.held_out)
+    return AxisFit(final, problem.operators, chosen.held_out, tried=tuple(tried))
 
 
 def default_operators(
@@ -195,7 +196,7 @@ def default_operators(
     return Operators(thresholds, one_sided, dynamic, center=0.5 * highest)
 
 
-def choose_structure(problem: Problem, given: Structure | None) -> Solution:
+def choose_structure(problem: Problem, given: Structure | None, report: Callable[[Solution], object] = lambda _: None) -> Solution:
     """Grow G factor by factor as long as the held-out error falls, by none whose poles lie beyond what the records excite.
 
     Parameters
@@ -204,6 +205,8 @@ def choose_structure(problem: Problem, given: Structure | None) -> Solution:
         One axis of stretches of the records.
     given
         Factors to use without a choice.
+    report
+        Is told every solution that is compared.
 
     Returns
     -------
@@ -215,10 +218,13 @@ def choose_structure(problem: Problem, given: Structure | None) -> Solution:
     plain = Structure(highest=REACH * excited_band(problem.windows))
     frequency = _start_frequency(problem, plain.highest)
     best = solve(problem, plain, np.zeros(0))
+    report(best)
     sample_time = min(window.sample_time for window in problem.windows)
     while True:
         grown = _grown(problem, best, frequency)
         trials = [trial for trial in grown if not trial.structure.at_limit(trial.parameters, sample_time)]
+        for trial in trials:
+            report(trial)
         if not trials:
             return best
         lowest = min(trial.held_out for trial in trials)

@@ -21,7 +21,9 @@ PRIOR = 0.3
 """Relative standard deviation of a number that the data cannot tell."""
 STEP = 1e-5
 """Difference of neighboring parameters of a fit, which are all of order one unless their own size is given."""
-NAMED = 0.4
+NAMED = 0.7
+MOST_NAMED = 6
+"""Directions that a note lists."""
 """Parameters that make up an undetermined direction: those that take part with this share of the largest one."""
 DIGITS = 6
 """Significant digits of the factor: what correlated numbers need to cancel."""
@@ -92,8 +94,12 @@ class Uncertainty:
         """
         if not self.undetermined:
             return []
-        listed = "; ".join(" with ".join(names) for names in self.undetermined)
-        return [f"the data cannot tell {listed}: assumed known to {100 * PRIOR:.0f} %: {remedy}"]
+        listed = "; ".join(" with ".join(names) for names in self.undetermined[:MOST_NAMED])
+        more = len(self.undetermined) - MOST_NAMED
+        return [
+            f"the data cannot tell {listed}{f' and {more} more' if more > 0 else ''}, which are assumed to be known to "
+            f"{100 * PRIOR:.0f} %: {remedy}"
+        ]
 
 
 def uncertainty_of(

@@ -15,11 +15,12 @@ from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, Pra
 from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.stage import Array
 from hyst_control.identify.bounded_least_squares import covariance
-from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report
+from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report, StructureRow
 from hyst_control.identify.excited_band import REACH
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.gram_sums import Operators
 from hyst_control.identify.parameter_covariance import Uncertainty, uncertainty_of
+from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.identify.variable_projection import Solution
 from hyst_control.model_file import Model
 
@@ -40,6 +41,8 @@ class AxisFit:
         Thresholds that widen with the command's rate.
     dynamics
         Dynamics behind the operators were looked for.
+    tried
+        Solutions of the structures that were compared, on the rows of the selection.
     """
 
     solution: Solution
@@ -47,6 +50,7 @@ class AxisFit:
     held_out: float
     rate_dependent: bool = False
     dynamics: bool = True
+    tried: tuple[Solution, ...] = ()
 
 
 def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequence[AxisFit]) -> Fit:
@@ -105,7 +109,42 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
         "parameters": parameters,
         "notes": notes,
     }
-    return Fit(model, report)
+    compared = [row for axis, name, span in zip(axes, first.axes, travel, strict=True) for row in structure_rows(axis, name, span)]
+    return Fit(model, {**report, "structures": compared} if compared else report)
+
+
+def structure_rows(axis: AxisFit, name: str, span: float) -> list[StructureRow]:
+    """List the structures of G(s) that were compared for one axis.
+
+    Parameters
+    ----------
+    axis
+        Fit of the axis.
+    name
+        Name of the axis.
+    span
+        Range of the measurement.
+
+    Returns
+    -------
+    list[StructureRow]
+        A row a structure; where one was met several times, its best.
+    """
+    best: dict[Structure, Solution] = {}
+    for solution in axis.tried:
+        known = best.get(solution.structure)
+        if known is None or solution.held_out < known.held_out:
+            best[solution.structure] = solution
+    return [
+        {
+            "axis": name,
+            "structure": structure.describe(),
+            "parameters": len(solution.theta) + structure.size,
+            "held_out_nrmse": 100.0 * float(np.sqrt(solution.held_out)) / span,
+            "chosen": structure == axis.solution.structure,
+        }
+        for structure, solution in best.items()
+    ]
 
 
 def axis_covariance(axis: AxisFit) -> Array:
