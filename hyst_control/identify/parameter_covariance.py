@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from hyst_control.chain import Stage
 from hyst_control.chain.coordinates import chain_coordinates
@@ -143,6 +144,40 @@ def uncertainty_of(
     )
     parameters = tuple(known[name].parameter for name in names)
     return Uncertainty(tuple(names), parameters, values, factor, np.minimum(relative, PRIOR), tuple(dict.fromkeys(undetermined)))
+
+
+def independent_axes(
+    parts: Sequence[tuple[Array, Array]],
+    stages_of: Callable[[Sequence[Array]], Sequence[Stage]],
+    axes: Sequence[str],
+    sizes: Sequence[Array] | None = None,
+) -> Uncertainty:
+    """Uncertainty of a model whose axes are fitted one by one.
+
+    Parameters
+    ----------
+    parts
+        Parameters (Q,) and their covariance (Q, Q) of every axis.
+    stages_of
+        Chain of the parameters of all axes.
+    axes
+        Names of the axes.
+    sizes
+        Sizes (Q,) of the parameters of every axis; None: of order one.
+
+    Returns
+    -------
+    Uncertainty
+        Of all numbers that follow the parameters.
+    """
+    edges = np.cumsum([len(vector) for vector, _ in parts])[:-1]
+    return uncertainty_of(
+        lambda vector: stages_of(np.split(vector, edges)),
+        np.concatenate([vector for vector, _ in parts]),
+        block_diag(*(covariance for _, covariance in parts)),
+        axes,
+        None if sizes is None else np.concatenate(sizes),
+    )
 
 
 def limited_root(covariance: Array) -> tuple[Array, Array]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from hyst_control.chain import Chain, Stage
 from hyst_control.chain.linear import Delay, TransferFunction
@@ -19,7 +18,7 @@ from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report, St
 from hyst_control.identify.excited_band import REACH
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.gram_sums import Operators
-from hyst_control.identify.parameter_covariance import Uncertainty, uncertainty_of
+from hyst_control.identify.parameter_covariance import Uncertainty, independent_axes
 from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.identify.variable_projection import Solution
 from hyst_control.model_file import Model
@@ -182,20 +181,19 @@ def uncertainty(axes: Sequence[AxisFit], names: Sequence[str]) -> Uncertainty:
     Uncertainty
         Of the numbers of the model's chain.
     """
-    vectors = [np.concatenate([axis.solution.theta, axis.solution.parameters]) for axis in axes]
-    # Weights are compared with all of them, and the dynamic ones with what moves the output as much.
-    sizes = [np.concatenate([parameter_sizes(axis), np.ones(axis.solution.structure.size)]) for axis in axes]
-    edges = np.cumsum([0, *(len(vector) for vector in vectors)])
 
-    def stages_of(vector: Array) -> Sequence[Stage]:
+    def stages_of(vectors: Sequence[Array]) -> Sequence[Stage]:
         chains = []
-        for axis, begin, end in zip(axes, edges[:-1], edges[1:], strict=True):
-            theta, parameters = np.split(vector[begin:end], [len(axis.solution.theta)])
+        for axis, vector in zip(axes, vectors, strict=True):
+            theta, parameters = np.split(vector, [len(axis.solution.theta)])
             chains.append(axis_stages(replace(axis, solution=replace(axis.solution, theta=theta, parameters=parameters))))
         return merge_axes(chains)
 
-    spread = block_diag(*(axis_covariance(axis) for axis in axes))
-    return uncertainty_of(stages_of, np.concatenate(vectors), spread, names, np.concatenate(sizes))
+    vectors = [np.concatenate([axis.solution.theta, axis.solution.parameters]) for axis in axes]
+    # Weights are compared with all of them, and the dynamic ones with what moves the output as much.
+    sizes = [np.concatenate([parameter_sizes(axis), np.ones(axis.solution.structure.size)]) for axis in axes]
+    parts = [(vector, axis_covariance(axis)) for vector, axis in zip(vectors, axes, strict=True)]
+    return independent_axes(parts, stages_of, names, sizes)
 
 
 def parameter_sizes(axis: AxisFit) -> Array:
