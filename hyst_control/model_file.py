@@ -91,8 +91,11 @@ class Model:
         return self.chain.filter(Sampling(sample_time or self.sample_time, len(self.axes), hold or self.hold))
 
     def with_stages(self, stages: Sequence[Stage]) -> Model:
-        """The same model with a chain of other stages."""
-        return replace(self, chain=Chain(tuple(stages)))
+        """The same model with a chain of other stages; of its uncertainty the numbers that are still in the chain."""
+        known = chain_coordinates(stages, self.axes) if self.uncertainty else {}
+        kept = [i for i, name in enumerate(self.uncertainty.get("parameters", ())) if name in known]
+        uncertainty = {key: [values[i] for i in kept] for key, values in self.uncertainty.items()} if kept else {}
+        return replace(self, chain=Chain(tuple(stages)), uncertainty=uncertainty)
 
 
 class Simulator:
@@ -365,11 +368,11 @@ def _stage_from_document(row: Any, where: str) -> Stage:
         raise InputError(f"{where} ({name}): {FORM} ({error})") from None
 
 
-def _nearest(word: str, known: Sequence[str]) -> str:
+def _nearest(word: str, known: Sequence[str], otherwise: str = "") -> str:
     from difflib import get_close_matches
 
     close = get_close_matches(word, known, 1)
-    return f"did you mean {close[0]!r}?" if close else f"must be one of {', '.join(known)}"
+    return f"did you mean {close[0]!r}?" if close else otherwise or f"must be one of {', '.join(known)}"
 
 
 def _units(units: Any) -> dict[str, str]:
@@ -430,7 +433,7 @@ def _uncertainty(uncertainty: Any, stages: Sequence[Stage], axes: Sequence[str])
     known = list(chain_coordinates(stages, axes))
     for name in names:
         if name not in known:
-            raise InputError(f"uncertainty.parameters: {name!r} is not in the chain: {_nearest(name, known)}")
+            raise InputError(f"uncertainty.parameters: {name!r} is no number of the chain: {_nearest(name, known, 'take it out')}")
     if not isinstance(factor, list) or not _numeric(factor) or np.ndim(factor) != 2 or len(factor) != len(names):
         raise InputError(f"uncertainty.factor: must be a list of {len(names)} rows of numbers, one for each of the parameters")
     return {"parameters": list(names), "factor": factor}

@@ -59,19 +59,60 @@ class Case:
 
 
 def white(random: np.random.Generator, count: int) -> Array:
-    """White noise of `SIGMA`, from a generator and a number of samples."""
+    """White noise of `SIGMA`.
+
+    Parameters
+    ----------
+    random
+        Generator.
+    count
+        Number of samples.
+
+    Returns
+    -------
+    Array
+        Noise (N,), um.
+    """
     return random.normal(0.0, SIGMA, count)
 
 
 def colored(random: np.random.Generator, count: int, pole: float = 0.95) -> Array:
-    """Noise of `SIGMA` below a corner (80 Hz at 10 kHz), from a generator and a number of samples; `pole`: its correlation per sample."""
+    """Noise of `SIGMA` below a corner, 80 Hz at 10 kHz.
+
+    Parameters
+    ----------
+    random
+        Generator.
+    count
+        Number of samples.
+    pole
+        Correlation of neighboring samples.
+
+    Returns
+    -------
+    Array
+        Noise (N,), um.
+    """
     start = random.normal()
     driven = lfilter([np.sqrt(1.0 - pole**2)], [1.0, -pole], random.normal(size=count), zi=[pole * start])[0]
     return SIGMA * np.asarray(driven, dtype=float)
 
 
 def faint(random: np.random.Generator, count: int) -> Array:
-    """White noise of a tenth of `SIGMA`, from a generator and a number of samples."""
+    """White noise of a tenth of `SIGMA`.
+
+    Parameters
+    ----------
+    random
+        Generator.
+    count
+        Number of samples.
+
+    Returns
+    -------
+    Array
+        Noise (N,), um.
+    """
     return 0.1 * white(random, count)
 
 
