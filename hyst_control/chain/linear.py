@@ -499,16 +499,17 @@ class RateCorrection(LinearStage):
         return replace(self, k1=scaled(self.k1, factor, 0, "k1"))
 
     def systems(self, axes: int) -> list[LinearSystem]:
-        k1, k2, b1, b2 = per_axis_scalars(self, axes, "k1", "k2", "b1", "b2")
+        # Plain numbers: what is out of proportion becomes infinite, and is refused where the system is discretized.
+        values = zip(*(each.tolist() for each in per_axis_scalars(self, axes, "k1", "k2", "b1", "b2")), strict=True)
         return [
             LinearSystem(
-                np.array([[-b2[i] / k2[i]]]),
+                np.array([[-b2 / k2]]),
                 np.array([[1.0]]),
-                np.array([[-k1[i] * b2[i] / k2[i] ** 2]]),
-                np.array([[k1[i] / k2[i]]]),
-                np.array([b1[i] / b2[i]]),
+                np.array([[-(k1 / k2) * (b2 / k2)]]),
+                np.array([[k1 / k2]]),
+                np.array([b1 / b2]),
             )
-            for i in range(axes)
+            for k1, k2, b1, b2 in values
         ]
 
 
