@@ -189,8 +189,7 @@ class Linear(Estimator[LinearOptions]):
             model = model.with_stages([*stages, Offset(_alike(offset))])
         rows, residuals = record_rows(model, datasets)
         model = replace(model, noise={"sigma": noise_sigma(residuals, datasets)})
-        notes = known.notes("record a sweep or multisine over their band")
-        notes += (
+        notes = (
             []
             if any(row["held_out"] is not None for row in table)
             else [
@@ -198,6 +197,7 @@ class Linear(Estimator[LinearOptions]):
                 "A second record, or a longer one with the same kind of excitation, would test it."
             ]
         )
+        notes += known.notes("record a sweep or multisine over their band")
         report: Report = {
             "family": "linear",
             "method": options.method,

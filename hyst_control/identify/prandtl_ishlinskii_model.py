@@ -414,8 +414,8 @@ def unresolved_parameters(axis: AxisFit, name: str, parameters: Sequence[Paramet
     if axis.dynamics and not structure.modes:
         known = "" if np.isinf(structure.highest) else f"; these excite the dynamics up to {structure.highest / REACH:.0f} Hz"
         notes.append(
-            f"axis {name}: the resonance cannot be determined from these data ({structure.describe()}): record a step or a sweep "
-            f"up to beyond it{known}"
+            f"axis {name}: the dynamics G(s) cannot be determined from these data ({structure.describe()}): record a step or a "
+            f"sweep up to beyond the resonance{known}"
         )
     if axis.operators.dynamic:
         rates = {row["name"]: row for row in own if row["name"] in ("m1", "m2")}
