@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
@@ -174,14 +175,14 @@ def coverage(case: Case, seed: int, runs: int) -> dict[str, Array]:
 
 
 def _held(case: Case, random: np.random.Generator) -> dict[str, float]:
-    stages = _plant(random, bool(case.dynamics))
+    stages = tuple(_plant(random, bool(case.dynamics)))
     truth = Model("truth", ("x",), {"command": "V", "measurement": "um"}, 1.0 / RATE, Chain(stages))
     command = excitation(random)[:, None]
     measured = simulate(truth, command) + case.noise(random, len(command))[:, None]
     if case.step:
         measured = case.step * np.rint(measured / case.step)
     data = Dataset("run", command, measured, 1.0 / RATE, ("x",), "um")
-    options: dict[str, object] = {"structure": case.dynamics} if case.dynamics else {}
+    options: dict[str, Any] = {"structure": case.dynamics} if case.dynamics else {}
     fit = identify([data], case.family, thresholds=(0.0, *THRESHOLDS), **options)
     known = {name: each.value for name, each in chain_coordinates(stages, ("x",)).items()}
     values = chain_coordinates(fit.model.chain.stages, ("x",))

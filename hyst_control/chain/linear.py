@@ -408,9 +408,8 @@ class StateSpace(LinearStage):
     def with_coordinates(self, values: Mapping[tuple[str, int | None], float], axes: int) -> StateSpace:
         a, c = np.array(self.A, dtype=float), np.array(self.C, dtype=float)
         for i, mode in enumerate(self._modes()):
-            pole = mode.moved(
-                *(values.get((f"{name}[{i}]", None)) for name in ("frequency", "damping", "corner")), self.sample_time
-            )
+            frequency, damping, corner = (values.get((f"{name}[{i}]", None)) for name in ("frequency", "damping", "corner"))
+            pole = mode.moved(frequency, damping, corner, self.sample_time)
             a = a + (1 if mode.pole.imag == 0.0 else 2) * np.real((pole - mode.pole) * np.outer(mode.right, mode.left))
             for output, gain in enumerate(mode.gains):
                 moved = values.get((f"gain[{i}][{output}]", None), gain)

@@ -120,4 +120,5 @@ def _neighbor_weights(scores: Array) -> Array:
     )
     width = min(1.1447 * (alpha * len(scores)) ** (1.0 / 3.0), len(scores) / 4.0)
     lags = np.arange(1.0, np.floor(width) + 1.0)
-    return 1.0 - lags / (np.floor(width) + 1.0)
+    weights: Array = 1.0 - lags / (np.floor(width) + 1.0)
+    return weights

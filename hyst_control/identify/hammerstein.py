@@ -216,9 +216,11 @@ def choose_structure(problem: Problem, given: Structure | None, report: Callable
     if given is not None:
         return solve(problem, given, given.start(_start_frequency(problem)))
     plain = Structure(highest=REACH * excited_band(problem.windows))
-    frequency = _start_frequency(problem, plain.highest)
     best = solve(problem, plain, np.zeros(0))
     report(best)
+    if not plain.highest:
+        return best
+    frequency = _start_frequency(problem, plain.highest)
     sample_time = min(window.sample_time for window in problem.windows)
     while True:
         grown = _grown(problem, best, frequency)

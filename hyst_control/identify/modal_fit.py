@@ -436,7 +436,8 @@ class Layout:
             (Q,).
         """
         part = self.slices[name]
-        return (index >= part.start) & (index < part.stop)
+        found: NDArray[np.bool_] = (index >= part.start) & (index < part.stop)
+        return found
 
     def indices(self, name: str, *shape: int) -> Array:
         """Return the positions of a kind of parameter.

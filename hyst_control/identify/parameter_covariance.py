@@ -209,9 +209,6 @@ def _slope(stages_of: Callable[[Array], Sequence[Stage]], vector: Array, step: A
         there = chain_coordinates(stages_of(moved), axes)
         found.append(None if there.keys() != known.keys() else np.array([there[name].value for name in known]))
     nominal = np.array([coordinate.value for coordinate in known.values()])
-    ahead, back = found
-    if ahead is None and back is None:
-        return np.zeros(len(known))
-    if ahead is None or back is None:
-        return nominal - back if ahead is None else ahead - nominal
-    return 0.5 * (ahead - back)
+    changes = [sign * (values - nominal) for sign, values in zip((1.0, -1.0), found, strict=True) if values is not None]
+    slope: Array = np.mean(changes, axis=0) if changes else np.zeros(len(known))
+    return slope

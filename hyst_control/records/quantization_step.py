@@ -108,4 +108,5 @@ def _repeated(command: Array, values: Array) -> NDArray[np.bool_]:
     repetitions = len(known.ravel()[moving]) - len(counts)
     if not repetitions or np.count_nonzero(again & moving) < REPEATED * repetitions:
         again[:] = False
-    return again & moving
+    found: NDArray[np.bool_] = again & moving
+    return found
