@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from hyst_control.chain import Stage
 from hyst_control.chain.bounded_cache import KEPT
@@ -119,8 +120,7 @@ def scatter_of(model: Model) -> Scatter:
     if model.uncertainty:
         joint = _joint(model)
         companions = scatter_of(replace(model, uncertainty={}, tolerance={}))
-        columns = tuple(_column(joint, k) for k in range(joint.factor.shape[1]))
-        return Scatter(companions.model, (*columns, *companions.coefficients), joint)
+        return Scatter(companions.model, (*_columns(joint), *companions.coefficients), joint)
     axes = len(model.axes)
     spread = tuple(_spread(stage, model.tolerance, axes) for stage in model.chain.stages)
     found: list[Coefficient] = []
@@ -136,11 +136,14 @@ def _joint(model: Model) -> Joint:
     return Joint(names, np.array([known[name].value for name in names]), factor[:, used])
 
 
-def _column(joint: Joint, k: int) -> Coefficient:
-    """Column of the factor, called by the number of which it makes up the largest part."""
+def _columns(joint: Joint) -> tuple[Coefficient, ...]:
+    """Columns of the factor, each called by a number of its own that it moves more than other columns do, as far as there are so many."""
     sizes = np.linalg.norm(joint.factor, axis=1)
-    most = int(np.argmax(np.abs(joint.factor[:, k]) / np.where(sizes > 0.0, sizes, np.inf)))
-    return Coefficient((), "", (), None, 1.0, joint.names[most].partition(".")[2])
+    share = np.abs(joint.factor) / np.where(sizes > 0.0, sizes, np.inf)[:, None]
+    numbers = np.argmax(share, axis=0)
+    own, columns = linear_sum_assignment(share, maximize=True)
+    numbers[columns] = own
+    return tuple(Coefficient((), "", (), None, 1.0, joint.names[number].partition(".")[2]) for number in numbers)
 
 
 def _named(stage: Stage, tolerance: Mapping[str, float]) -> dict[str, float]:
