@@ -12,6 +12,7 @@ import yaml
 
 import hyst_control.effects  # noqa: F401  (makes the effects' stages known)
 from hyst_control.chain import STAGES, Chain, Filter, Sampling, Stage
+from hyst_control.chain.coordinates import chain_coordinates
 from hyst_control.chain.parameter import Array, Kind, declared
 from hyst_control.chain.stage import HOLDS
 from hyst_control.errors import InputError
@@ -23,7 +24,21 @@ VERSION = 1
 COMMAND_UNITS = ("V",)
 MEASUREMENT_UNITS = ("um", "mrad")
 FORM = "its parameters do not have the form of numbers and lists it needs"
-KEYS = ("format", "version", "name", "axes", "units", "sample_time", "hold", "valid", "chain", "noise", "tolerance", "discrepancy")
+KEYS = (
+    "format",
+    "version",
+    "name",
+    "axes",
+    "units",
+    "sample_time",
+    "hold",
+    "valid",
+    "chain",
+    "noise",
+    "tolerance",
+    "uncertainty",
+    "discrepancy",
+)
 DISCREPANCY_VERSION = 1
 
 
@@ -51,6 +66,9 @@ class Model:
         {"sigma": rms in the measurement unit}, a number or one per axis.
     tolerance
         Relative standard deviation by parameter name or "stage.parameter".
+    uncertainty
+        {"parameters": names as in `chain.coordinates`, "factor": a row (K,) for each}: value = nominal + factor @ z, z ~ N(0, I), in the
+        units of the parameters; it takes the place of `tolerance`, where there is one.
     discrepancy
         What the model leaves on the records it was identified from: {"version": 1, "rms": by axis, measurement unit, each record's own
         zero and drift taken off, "zero": largest difference of the records' zeros, drifts and curvatures by axis, None of one record}.
@@ -65,6 +83,7 @@ class Model:
     valid: Mapping[str, Any] = field(default_factory=dict)
     noise: Mapping[str, Any] = field(default_factory=dict)
     tolerance: Mapping[str, float] = field(default_factory=dict)
+    uncertainty: Mapping[str, Any] = field(default_factory=dict)
     discrepancy: Mapping[str, Any] = field(default_factory=dict)
 
     def filter(self, sample_time: float | None = None, hold: str | None = None) -> Filter:
@@ -72,8 +91,11 @@ class Model:
         return self.chain.filter(Sampling(sample_time or self.sample_time, len(self.axes), hold or self.hold))
 
     def with_stages(self, stages: Sequence[Stage]) -> Model:
-        """The same model with a chain of other stages."""
-        return replace(self, chain=Chain(tuple(stages)))
+        """The same model with a chain of other stages; of its uncertainty the numbers that are still in the chain."""
+        known = chain_coordinates(stages, self.axes) if self.uncertainty else {}
+        kept = [i for i, name in enumerate(self.uncertainty.get("parameters", ())) if name in known]
+        uncertainty = {key: [values[i] for i in kept] for key, values in self.uncertainty.items()} if kept else {}
+        return replace(self, chain=Chain(tuple(stages)), uncertainty=uncertainty)
 
 
 class Simulator:
@@ -232,6 +254,7 @@ def model_from_document(document: Any) -> Model:
         valid=_ranges(document.get("valid")),
         noise=_noise(document.get("noise"), len(axes)),
         tolerance=_tolerance(document.get("tolerance")),
+        uncertainty=_uncertainty(document.get("uncertainty"), chain.stages, axes),
         discrepancy=_discrepancy(document.get("discrepancy"), len(axes)),
     )
 
@@ -265,6 +288,8 @@ def model_to_document(model: Model) -> dict[str, Any]:
         document["noise"] = _plain(model.noise)
     if model.tolerance:
         document["tolerance"] = _plain(model.tolerance)
+    if model.uncertainty:
+        document["uncertainty"] = _plain(model.uncertainty)
     if model.discrepancy:
         document["discrepancy"] = _plain(model.discrepancy)
     return document
@@ -343,11 +368,11 @@ def _stage_from_document(row: Any, where: str) -> Stage:
         raise InputError(f"{where} ({name}): {FORM} ({error})") from None
 
 
-def _nearest(word: str, known: Sequence[str]) -> str:
+def _nearest(word: str, known: Sequence[str], otherwise: str = "") -> str:
     from difflib import get_close_matches
 
     close = get_close_matches(word, known, 1)
-    return f"did you mean {close[0]!r}?" if close else f"must be one of {', '.join(known)}"
+    return f"did you mean {close[0]!r}?" if close else otherwise or f"must be one of {', '.join(known)}"
 
 
 def _units(units: Any) -> dict[str, str]:
@@ -395,6 +420,23 @@ def _tolerance(tolerance: Any) -> dict[str, float]:
         if not _numeric(value) or np.any(np.array(value, dtype=float) < 0):
             raise InputError(f"tolerance.{key}: {value!r}, a relative standard deviation, not negative, is due")
     return {str(key): value for key, value in tolerance.items()}
+
+
+def _uncertainty(uncertainty: Any, stages: Sequence[Stage], axes: Sequence[str]) -> dict[str, Any]:
+    if uncertainty is None:
+        return {}
+    if not isinstance(uncertainty, Mapping) or set(uncertainty) != {"parameters", "factor"}:
+        raise InputError("uncertainty: must be a mapping with parameters and factor: identify the model again, or leave it out")
+    names, factor = uncertainty["parameters"], uncertainty["factor"]
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+        raise InputError(f"uncertainty.parameters: must be a list of different names, got {names!r}")
+    known = list(chain_coordinates(stages, axes))
+    for name in names:
+        if name not in known:
+            raise InputError(f"uncertainty.parameters: {name!r} is no number of the chain: {_nearest(name, known, 'take it out')}")
+    if not isinstance(factor, list) or not _numeric(factor) or np.ndim(factor) != 2 or len(factor) != len(names):
+        raise InputError(f"uncertainty.factor: must be a list of {len(names)} rows of numbers, one for each of the parameters")
+    return {"parameters": list(names), "factor": factor}
 
 
 def _discrepancy(discrepancy: Any, axes: int) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""`hyst bench`: speed of kernels, bags and the running loop on this machine, as a result table."""
+"""`hyst bench`: speed of kernels, bags and the running loop on this machine, and what intervals hold, as a result table."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hyst_control import progress
-from hyst_control.benchmarks import kernels, loops, workflows
+from hyst_control.benchmarks import coverage, kernels, loops, workflows
 from hyst_control.errors import InputError
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.bag_writer import BagWriter
@@ -21,7 +21,7 @@ MESSAGES, ROWS = 24_000, 50
 REPEATS = 5
 
 
-GROUPS = ("kernels", "bags", "loops", "workflows")
+GROUPS = ("kernels", "bags", "loops", "workflows", "coverage")
 
 
 def run(only: str | None = None, seconds: float = loops.SECONDS, soak: float | None = None) -> Table:
@@ -62,6 +62,9 @@ def run(only: str | None = None, seconds: float = loops.SECONDS, soak: float | N
         bags(table)
     if only in (None, "loops"):
         loops.run(table, seconds)
+    if only in (None, "coverage"):
+        progress.step("coverage of identified intervals")
+        coverage.run(table)
     if only in (None, "workflows"):
         progress.step("workflows")
         workflows.run(table)

@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm, matrix_balance
 
+from hyst_control.chain import rational_factors
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.linear_kernels import advance_linear, advance_single
 from hyst_control.chain.parameter import (
     AllAxes,
     Array,
+    Coordinate,
     Kind,
     Parameter,
     ScalarPerAxis,
@@ -34,6 +36,8 @@ from hyst_control.chain.parameter import (
 from hyst_control.chain.stage import Filter, Sampling, Stage, depth, per_axis, per_axis_scalar, per_axis_scalars, register, scaled
 from hyst_control.errors import InputError
 
+MOST_SKEW = 1e8
+"""Condition number of the eigenvectors up to which a state space has modes to speak of."""
 LONGEST_DELAY = 1e6
 """Longest delay in samples: what is held in memory."""
 
@@ -203,6 +207,28 @@ class TransferFunction(LinearStage):
     def pole_tolerances(self, pole: float, residue: float) -> dict[str, float]:
         return {"num": residue, "den": pole}
 
+    def coordinates(self, axes: int) -> dict[tuple[str, int | None], Coordinate]:
+        """Gain, frequencies, dampings and times of every axis; none where polynomials couple the axes."""
+        return {
+            (name, axis): coordinate
+            for axis, (num, den) in enumerate(self._pairs(axes))
+            for name, coordinate in rational_factors.factors(num, den).items()
+        }
+
+    def with_coordinates(self, values: Mapping[tuple[str, int | None], float], axes: int) -> TransferFunction:
+        moved = [
+            rational_factors.rational(num, den, {name: value for (name, of), value in values.items() if of == axis})
+            for axis, (num, den) in enumerate(self._pairs(axes))
+        ]
+        if axes == 1:
+            return replace(self, num=moved[0][0], den=moved[0][1])
+        return replace(self, num=[num for num, _ in moved], den=[den for _, den in moved])
+
+    def _pairs(self, axes: int) -> list[tuple[Array, Array]]:
+        if self.coupled:
+            return []
+        return list(zip(per_axis(self.num, axes, 1, "num"), per_axis(self.den, axes, 1, "den"), strict=True))
+
     def check(self) -> None:
         axes = next((len(value) for value in self._polynomials if depth(value) > 1), 1)
         for system in self.systems(axes):
@@ -250,6 +276,95 @@ class TransferFunction(LinearStage):
         return transfer_function_system(num, den)
 
 
+@dataclass(frozen=True)
+class Mode:
+    """A mode of a state space: one real pole, or a pair of which `pole` is the one above the real axis.
+
+    Parameters
+    ----------
+    pole
+        Eigenvalue of A; of a discrete system its z.
+    right, left
+        Right and left eigenvector (n,), left @ right = 1.
+    frequency, damping
+        Hz; damping ratio, negative where the mode is unstable.
+    gains
+        Gain at rest (p,) of every output, root mean square over the inputs.
+    """
+
+    pole: complex
+    right: NDArray[np.complex128]
+    left: NDArray[np.complex128]
+    frequency: float
+    damping: float
+    gains: Array
+
+    @classmethod
+    def of(
+        cls,
+        pole: complex,
+        right: NDArray[np.complex128],
+        left: NDArray[np.complex128],
+        b: Array,
+        c: Array,
+        sample_time: float | None,
+    ) -> Mode:
+        """Mode of a pole with its eigenvectors.
+
+        Parameters
+        ----------
+        pole, right, left
+            As in the class.
+        b, c
+            Matrices B (n, m) and C (p, n).
+        sample_time
+            Of a discrete system, s.
+
+        Returns
+        -------
+        Mode
+            The mode.
+        """
+        rate = pole if sample_time is None else np.log(pole + 0j) / sample_time
+        size = max(abs(rate), 1e-300)
+        rest = -pole if sample_time is None else 1.0 - pole
+        static = np.real(np.outer(c @ right, left @ b) / rest) * (1 if pole.imag == 0.0 else 2)
+        return cls(pole, right, left, size / (2 * np.pi), -rate.real / size, np.sqrt(np.mean(static**2, axis=1)))
+
+    @property
+    def projection(self) -> Array:
+        """Projector (n, n) of the states onto the mode."""
+        return (1 if self.pole.imag == 0.0 else 2) * np.real(np.outer(self.right, self.left))
+
+    def moved(self, frequency: float | None, damping: float | None, corner: float | None, sample_time: float | None) -> complex:
+        """The pole for another frequency and damping; None: as it is. Neither changes its sign.
+
+        Parameters
+        ----------
+        frequency, corner
+            Hz.
+        damping
+            Damping ratio, below 1.
+        sample_time
+            Of a discrete system, s.
+
+        Returns
+        -------
+        complex
+            The pole.
+        """
+        if frequency is None and damping is None and corner is None:
+            return self.pole
+        given = corner if frequency is None else frequency
+        size = 2 * np.pi * max(self.frequency if given is None else given, 0.05 * self.frequency)
+        ratio = self.damping if damping is None else damping
+        if self.pole.imag:
+            # Neither unstable nor split in two real poles.
+            ratio = np.sign(self.damping) * min(max(abs(ratio) * np.sign(ratio * self.damping), 0.05 * abs(self.damping)), 0.999)
+        rate = size * complex(-ratio, np.sqrt(max(1.0 - ratio**2, 0.0)) if self.pole.imag else 0.0)
+        return rate if sample_time is None else complex(np.exp(rate * sample_time))
+
+
 @register
 @dataclass(frozen=True)
 class StateSpace(LinearStage):
@@ -276,6 +391,45 @@ class StateSpace(LinearStage):
 
     def pole_tolerances(self, pole: float, residue: float) -> dict[str, float]:
         return {"A": pole, "C": residue}
+
+    def coordinates(self, axes: int) -> dict[tuple[str, int | None], Coordinate]:
+        """Frequency and damping, or corner, of every mode, and its gain at rest to every output, root mean square over the inputs."""
+        found: dict[tuple[str, int | None], Coordinate] = {}
+        for i, mode in enumerate(self._modes()):
+            if mode.pole.imag:
+                found[f"frequency[{i}]", None] = Coordinate(mode.frequency, mode.frequency, "Hz", "A")
+                found[f"damping[{i}]", None] = Coordinate(mode.damping, abs(mode.damping), "", "A")
+            else:
+                found[f"corner[{i}]", None] = Coordinate(mode.frequency, mode.frequency, "Hz", "A")
+            for output, gain in enumerate(mode.gains):
+                found[f"gain[{i}][{output}]", None] = Coordinate(float(gain), float(mode.gains.max()), "gain", "C")
+        return found
+
+    def with_coordinates(self, values: Mapping[tuple[str, int | None], float], axes: int) -> StateSpace:
+        a, c = np.array(self.A, dtype=float), np.array(self.C, dtype=float)
+        for i, mode in enumerate(self._modes()):
+            frequency, damping, corner = (values.get((f"{name}[{i}]", None)) for name in ("frequency", "damping", "corner"))
+            pole = mode.moved(frequency, damping, corner, self.sample_time)
+            a = a + (1 if mode.pole.imag == 0.0 else 2) * np.real((pole - mode.pole) * np.outer(mode.right, mode.left))
+            for output, gain in enumerate(mode.gains):
+                moved = values.get((f"gain[{i}][{output}]", None), gain)
+                if gain:
+                    c[output] += (moved / gain - 1.0) * (np.array(self.C, dtype=float)[output] @ mode.projection)
+        return replace(self, A=a, C=c)
+
+    def _modes(self) -> list[Mode]:
+        """The modes in rising order of frequency; none where the states have no modes of their own (a defective matrix)."""
+        a, b, c = (np.array(getattr(self, part), dtype=float) for part in "ABC")
+        if not len(a):
+            return []
+        poles, right = np.linalg.eig(a)
+        if np.linalg.cond(right) > MOST_SKEW:
+            return []
+        left = np.linalg.inv(right)
+        found = [
+            Mode.of(complex(pole), right[:, i], left[i], b, c, self.sample_time) for i, pole in enumerate(poles) if pole.imag >= 0.0
+        ]
+        return sorted(found, key=lambda mode: mode.frequency)
 
     def check(self) -> None:
         a, b, c, d = (np.array(getattr(self, field), dtype=float) for field in "ABCD")
@@ -344,16 +498,17 @@ class RateCorrection(LinearStage):
         return replace(self, k1=scaled(self.k1, factor, 0, "k1"))
 
     def systems(self, axes: int) -> list[LinearSystem]:
-        k1, k2, b1, b2 = per_axis_scalars(self, axes, "k1", "k2", "b1", "b2")
+        # Plain numbers: what is out of proportion becomes infinite, and is refused where the system is discretized.
+        values = zip(*(each.tolist() for each in per_axis_scalars(self, axes, "k1", "k2", "b1", "b2")), strict=True)
         return [
             LinearSystem(
-                np.array([[-b2[i] / k2[i]]]),
+                np.array([[-b2 / k2]]),
                 np.array([[1.0]]),
-                np.array([[-k1[i] * b2[i] / k2[i] ** 2]]),
-                np.array([[k1[i] / k2[i]]]),
-                np.array([b1[i] / b2[i]]),
+                np.array([[-(k1 / k2) * (b2 / k2)]]),
+                np.array([[k1 / k2]]),
+                np.array([b1 / b2]),
             )
-            for i in range(axes)
+            for k1, k2, b1, b2 in values
         ]
 
 

@@ -61,6 +61,28 @@ class Scattering(Enum):
 
 
 @dataclass(frozen=True)
+class Coordinate:
+    """A number in which the uncertainty of a stage is stated.
+
+    Parameters
+    ----------
+    value
+        Nominal value.
+    size
+        What a relative uncertainty of it refers to: its own size, or of a list's entry the mean size of the list, if that is larger.
+    unit
+        "" where it has none.
+    parameter
+        Parameter of the model file that it is written in.
+    """
+
+    value: float
+    size: float
+    unit: str
+    parameter: str
+
+
+@dataclass(frozen=True)
 class Parameter:
     """Declaration of one parameter of a stage.
 

@@ -20,7 +20,8 @@ from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 
-from hyst_control.chain.parameter import AllAxes, Parameter, ScalarPerAxis, VectorPerAxis, declared, undeclared
+from hyst_control.chain import stage_coordinates
+from hyst_control.chain.parameter import AllAxes, Coordinate, Parameter, ScalarPerAxis, VectorPerAxis, declared, undeclared
 from hyst_control.chain.parameter import Array as Array
 from hyst_control.errors import InputError
 from hyst_control.plugins import Registry
@@ -241,6 +242,41 @@ class Stage:
             By name, in the form that the stage has them.
         """
         return replace(self, **values)
+
+    def coordinates(self, axes: int) -> dict[tuple[str, int | None], Coordinate]:
+        """Numbers in which the uncertainty of the stage is stated: its own parameters, or what is known better one by one.
+
+        Parameters
+        ----------
+        axes
+            Number of axes.
+
+        Returns
+        -------
+        dict
+            By name, as `weights[3]`, and axis; None for what belongs to all axes together.
+        """
+        return stage_coordinates.of_parameters(self.declarations(), self._values(), axes)
+
+    def with_coordinates(self, values: Mapping[tuple[str, int | None], float], axes: int) -> Stage:
+        """The stage with other values of some of its `coordinates`, moved inside their bounds.
+
+        Parameters
+        ----------
+        values
+            By name and axis.
+        axes
+            Number of axes.
+
+        Raises
+        ------
+        InputError
+            The values together make no such stage.
+        """
+        return self.with_values(stage_coordinates.changed(self.declarations(), self._values(), values, axes))
+
+    def _values(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in self.declarations()}
 
     # Answers to effects, control and diagnosis.
 

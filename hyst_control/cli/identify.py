@@ -2,6 +2,7 @@
 
 examples:
   hyst identify demo_out/excitation --model hampi --output hampi.yaml --json fit.json
+  hyst identify loops.bag --output best.yaml --figure choice.svg
   hyst identify loops.bag sweeps.bag --model hapi --method paper --output hapi.yaml
   hyst identify loops.bag --model madelung --degree 7 --output madelung.yaml
 """
@@ -18,13 +19,14 @@ NAME = "identify"
 HELP = "fit a model's parameters to recorded bags"
 JSON = "fit report"
 READS = ("bags",)
-WRITES = ("output",)
+WRITES = ("output", "figure")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
     parser.add_argument("bags", nargs="+", metavar="BAG", help="rosbag2 directories, or .mcap or .db3 files")
-    parser.add_argument("--model", metavar="NAME", help="model family (default: the best of several on held-out data)")
+    parser.add_argument("--model", metavar="NAME", help="model family (default: auto, the best of several on held-out data)")
+    parser.add_argument("--figure", metavar="OUT.svg", help="figure of the families that auto tried, to write (.svg, .png, .pdf)")
     parser.add_argument("--output", metavar="MODEL.yaml", required=True, help="model file to write")
     parser.add_argument(
         "--hold",
@@ -109,5 +111,6 @@ def run(arguments: argparse.Namespace) -> Result:
         force=arguments.force,
         namespace=arguments.namespace,
         unit=arguments.unit,
+        figure=arguments.figure,
         **given,
     )

@@ -184,7 +184,7 @@ def _carried(
     repeatability = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if differences else np.zeros(len(spans))
     usual = np.max(zeros, axis=0) if zeros else np.full((len(spans), len(SHAPES)), np.nan)
     stages = (*problem.model.chain.stages, CarriedError(tuple(series)), SessionZero.absent(settings.zero_share * spans, durations))
-    model = replace(problem.model.with_stages(stages), tolerance={}, noise={"sigma": repeatability.tolist()})
+    model = replace(problem.model.with_stages(stages), tolerance={}, uncertainty={}, noise={"sigma": repeatability.tolist()})
     beside = replace(problem, model=model, pieces=tuple(pieces), slowest=_slowest(problem))
     return Baseline(beside, True, repeatability, usual, settings.same_floor * repeatability, clean)
 

@@ -13,7 +13,6 @@ from hyst_control.diagnose.configuration import CONFIGURATION, ExperimentSetting
 from hyst_control.diagnose.diagnosis import AxisDiagnosis, Diagnosis
 from hyst_control.diagnose.hypothesis_fit import Linearised
 from hyst_control.diagnose.hypothesis_search import Scored
-from hyst_control.diagnose.parameter_uncertainty import Scatter
 from hyst_control.diagnose.policy import Verdict
 from hyst_control.diagnose.problem import Piece, Problem
 from hyst_control.effects import EFFECTS
@@ -138,7 +137,7 @@ def _distance(part: AxisDiagnosis, rivals: Sequence[Scored], command: Array) -> 
         problem.sigma,
         problem.slowest,
     )
-    linearised = Linearised(fresh, Scatter(part.linearised.scatter.model, part.linearised.scatter.coefficients))
+    linearised = Linearised(fresh, replace(part.linearised.scatter))
     predictions = []
     for scored in rivals:
         if scored.candidate is None:

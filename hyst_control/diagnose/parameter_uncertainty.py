@@ -1,19 +1,23 @@
 """The scatter of a nominal model: which of its coefficients are uncertain, by how much, and the model for other values of them.
 
-A nominal model whose coefficients are 1 % off looks like every effect at once; so each coefficient that the model file's
-`tolerance` names becomes a nuisance parameter z with prior N(0, 1): value = nominal · (1 + tolerance · z). What a name stands for
-(one number per axis, a list, all axes together) and whether it scatters at all is declared by the stage (`chain.parameter`).
+A nominal model whose coefficients are 1 % off looks like every effect at once; so they become nuisance parameters z with prior N(0, 1).
+Where the model file has `uncertainty`, values = nominal + factor · z, as the identification found them to scatter together, dynamics in
+frequencies, dampings and gains (`chain.coordinates`). Else each coefficient that its `tolerance` names scatters by itself: value =
+nominal · (1 + tolerance · z). What a name stands for (one number per axis, a list, all axes together) and whether it scatters at all is
+declared by the stage (`chain.parameter`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from hyst_control.chain import Stage
 from hyst_control.chain.bounded_cache import KEPT
+from hyst_control.chain.coordinates import chain_coordinates, with_coordinates
 from hyst_control.chain.parameter import Array, Scattering
 from hyst_control.model_file import Model
 
@@ -22,7 +26,8 @@ from hyst_control.model_file import Model
 class Coefficient:
     """One uncertain number: the stage it is in (indices from the chain down through branches), its field and index in it.
 
-    tolerance: relative, 1 sigma; of a companion, which is free about 0 in every hypothesis, absolute.
+    tolerance: relative, 1 sigma; of a companion, which is free about 0 in every hypothesis, absolute; of a column of the uncertainty's
+    factor, which has no path and is called by the number that it moves most, a factor of the column.
     """
 
     path: tuple[int, ...]
@@ -40,7 +45,9 @@ class Scatter:
 
     model: Model
     coefficients: tuple[Coefficient, ...]
-    _known: dict[bytes, tuple[Stage, ...]] = field(default_factory=dict, compare=False, repr=False)
+    joint: Joint | None = None
+    """Numbers that scatter together, by the first coefficients; None where each scatters by itself."""
+    _known: dict[bytes, tuple[Stage, ...]] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     @property
     def companions(self) -> Array:
@@ -72,10 +79,17 @@ class Scatter:
         return self._known[key]
 
     def _stages(self, z: Array) -> tuple[Stage, ...]:
+        stages = self.model.chain.stages
+        if self.joint is not None:
+            columns = self.joint.factor.shape[1]
+            sizes = np.array([coefficient.tolerance for coefficient in self.coefficients[:columns]])
+            if np.any(z[:columns]):
+                moved = self.joint.values + self.joint.factor @ (sizes * z[:columns])
+                stages = with_coordinates(stages, dict(zip(self.joint.names, moved.tolist(), strict=True)), self.model.axes)
         changes: dict[tuple[int, ...], dict[str, Array]] = {}
         for coefficient, value in zip(self.coefficients, z, strict=True):
-            if value:
-                stage = _find(self.model.chain.stages, coefficient.path)
+            if value and coefficient.path:
+                stage = _find(stages, coefficient.path)
                 changed = changes.setdefault(coefficient.path, {})
                 if coefficient.field not in changed:
                     changed[coefficient.field] = np.array(getattr(stage, coefficient.field), dtype=float)
@@ -83,17 +97,53 @@ class Scatter:
                     changed[coefficient.field][coefficient.index] += coefficient.tolerance * value
                 else:
                     changed[coefficient.field][coefficient.index] *= 1.0 + coefficient.tolerance * value
-        return tuple(_changed(stage, (i,), changes) for i, stage in enumerate(self.model.chain.stages))
+        return tuple(_changed(stage, (i,), changes) for i, stage in enumerate(stages))
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Numbers of a chain that scatter together: values = nominal + factor @ z.
+
+    names: of the P numbers, as in `chain.coordinates`; values: their nominal ones (P,); factor: (P, K), a column per coefficient.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    factor: Array
 
 
 def scatter_of(model: Model) -> Scatter:
-    """Every coefficient that the model's tolerance names, by parameter or `stage.parameter`; zero coefficients have none."""
+    """The coefficients of the model's uncertainty; without one, those that its tolerance names by parameter or `stage.parameter`.
+
+    Coefficients that are zero have no tolerance.
+    """
+    if model.uncertainty:
+        joint = _joint(model)
+        companions = scatter_of(replace(model, uncertainty={}, tolerance={}))
+        return Scatter(companions.model, (*_columns(joint), *companions.coefficients), joint)
     axes = len(model.axes)
     spread = tuple(_spread(stage, model.tolerance, axes) for stage in model.chain.stages)
     found: list[Coefficient] = []
     for i, stage in enumerate(spread):
         found += _coefficients(stage, (i,), model.tolerance, model.axes)
     return Scatter(model.with_stages(spread), tuple(found))
+
+
+def _joint(model: Model) -> Joint:
+    names, factor = tuple(model.uncertainty["parameters"]), np.array(model.uncertainty["factor"], dtype=float)
+    known = chain_coordinates(model.chain.stages, model.axes)
+    used = np.flatnonzero(np.any(factor, axis=0))
+    return Joint(names, np.array([known[name].value for name in names]), factor[:, used])
+
+
+def _columns(joint: Joint) -> tuple[Coefficient, ...]:
+    """Columns of the factor, each called by a number of its own that it moves more than other columns do, as far as there are so many."""
+    sizes = np.linalg.norm(joint.factor, axis=1)
+    share = np.abs(joint.factor) / np.where(sizes > 0.0, sizes, np.inf)[:, None]
+    numbers = np.argmax(share, axis=0)
+    own, columns = linear_sum_assignment(share, maximize=True)
+    numbers[columns] = own
+    return tuple(Coefficient((), "", (), None, 1.0, joint.names[number].partition(".")[2]) for number in numbers)
 
 
 def _named(stage: Stage, tolerance: Mapping[str, float]) -> dict[str, float]:

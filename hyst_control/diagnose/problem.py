@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -102,7 +103,44 @@ def axis_model(model: Model, axis: int) -> Model:
     noise = {name: value[axis] if np.ndim(value) else value for name, value in model.noise.items()}
     stages = tuple(stage.for_axis(axis) for stage in model.chain.stages)
     discrepancy = {name: [value[axis]] if np.ndim(value) else value for name, value in model.discrepancy.items()}
-    return replace(model, axes=(model.axes[axis],), chain=Chain(stages), noise=noise, discrepancy=discrepancy)
+    return replace(
+        model,
+        axes=(model.axes[axis],),
+        chain=Chain(stages),
+        noise=noise,
+        uncertainty=uncertainty_of_axis(model.uncertainty, model.axes, axis),
+        discrepancy=discrepancy,
+    )
+
+
+def uncertainty_of_axis(uncertainty: Mapping[str, Any], axes: Sequence[str], axis: int) -> dict[str, Any]:
+    """The uncertainty of one axis: the rows of its numbers, with a factor of their own covariance.
+
+    Parameters
+    ----------
+    uncertainty : mapping
+        As in the model file; may be empty.
+    axes : sequence of str
+        Names of the axes.
+    axis : int
+        Index of the one that is kept.
+
+    Returns
+    -------
+    dict
+        As in the model file of that axis.
+    """
+    names = list(uncertainty.get("parameters", ()))
+    own = [i for i, name in enumerate(names) if name.endswith(f" ({axes[axis]})") or not name.endswith(")")]
+    if not own:
+        return {}
+    rows = np.array(uncertainty["factor"], dtype=float)[own]
+    # The symmetric root in units of each number's own deviation keeps a column for each of them.
+    size = np.linalg.norm(rows, axis=1)
+    size[size == 0.0] = 1.0
+    spectrum, vectors = np.linalg.eigh(rows @ rows.T / size[:, None] / size)
+    factor = size[:, None] * ((vectors * np.sqrt(np.maximum(spectrum, 0.0))) @ vectors.T)
+    return {"parameters": [names[i].removesuffix(f" ({axes[axis]})") for i in own], "factor": factor.tolist()}
 
 
 def split(problem: Problem) -> list[Problem]:

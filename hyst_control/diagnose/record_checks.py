@@ -19,6 +19,7 @@ from hyst_control.diagnose.noise_floor import noise_of
 from hyst_control.diagnose.problem import Problem
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import Effect, RecordCheck
+from hyst_control.records.quantization_step import quantization_step
 
 NORMAL_95 = 1.645
 """95 % quantile of the normal distribution: half a 90 % interval."""
@@ -57,16 +58,14 @@ def lattice_of(values: Array, settings: CheckSettings = CONFIGURATION.checks) ->
         In the values' unit, 0 where there is no lattice.
 
     """
-    levels = np.unique(values)
-    if len(levels) < settings.lattice_levels or len(levels) > settings.lattice_crowding * len(values):
-        return 0.0
-    steps = np.diff(levels)
-    step = float(np.median(steps[steps <= settings.lattice_spread * steps.min()]))
-    if step <= 0 or step < 1e-9 * np.ptp(levels):
-        return 0.0
-    step = float(np.ptp(levels) / np.rint(np.ptp(levels) / step))
-    off = np.abs((levels - levels[0]) / step - np.rint((levels - levels[0]) / step))
-    return step if np.mean(off < settings.lattice_off) > settings.lattice_share else 0.0
+    return quantization_step(
+        values,
+        fewest=settings.lattice_levels,
+        crowding=settings.lattice_crowding,
+        spread=settings.lattice_spread,
+        off=settings.lattice_off,
+        share=settings.lattice_share,
+    )
 
 
 def repeated_samples(values: Array, step: float, sigma: float, settings: CheckSettings = CONFIGURATION.checks) -> tuple[float, int]:

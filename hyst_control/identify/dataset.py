@@ -215,6 +215,63 @@ class OrderRow(TypedDict, total=False):
     delay_samples: list[float]
 
 
+class StructureRow(TypedDict):
+    """A structure of G(s) that was tried.
+
+    Parameters
+    ----------
+    axis
+        The axis.
+    structure
+        Factors of G(s) in words.
+    parameters
+        Number of parameters of the axis' model.
+    held_out_nrmse
+        % of range, on rows that were not fitted.
+    chosen
+        Whether it is the model's.
+    """
+
+    axis: str
+    structure: str
+    parameters: int
+    held_out_nrmse: float
+    chosen: bool
+
+
+class TriedRow(TypedDict):
+    """A model family that was tried.
+
+    Parameters
+    ----------
+    family
+        Name of the family.
+    structure
+        G(s) of each axis in words.
+    parameters
+        Number of parameters of all axes.
+    held_out_nrmse
+        % of range of the worst axis, on rows that were not fitted; None where the records do not suit the family.
+    seconds
+        Time that the fit took, s.
+    chosen
+        Whether the model is of this family.
+    refused
+        Reason why the records do not suit the family; "" where they do.
+    structures
+        Structures of G(s) among which the family chose.
+    """
+
+    family: str
+    structure: str
+    parameters: int
+    held_out_nrmse: float | None
+    seconds: float
+    chosen: bool
+    refused: str
+    structures: list[StructureRow]
+
+
 class _Report(TypedDict):
     family: str
     method: str
@@ -233,6 +290,10 @@ class Report(_Report, total=False):
         % of range per axis, on rows that were not fitted.
     structure
         G(s) of each axis in words.
+    structures
+        Structures of G(s) that were tried.
+    tried
+        Families that were tried, where none was named.
     steps
         Results of the paper's sequence step by step, per axis.
     orders
@@ -255,6 +316,8 @@ class Report(_Report, total=False):
 
     held_out_nrmse: list[float]
     structure: list[str]
+    structures: list[StructureRow]
+    tried: list[TriedRow]
     steps: list[dict[str, dict[str, Any]]]
     orders: list[OrderRow]
     states: int

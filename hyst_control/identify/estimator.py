@@ -24,7 +24,22 @@ E = TypeVar("E", bound="type[Estimator[Any]]")
 
 
 RESERVED_NAMES = frozenset(
-    {"allow_gaps", "bags", "family", "help", "hold", "json", "model", "namespace", "once", "output", "quiet", "start", "unit"}
+    {
+        "allow_gaps",
+        "bags",
+        "family",
+        "figure",
+        "help",
+        "hold",
+        "json",
+        "model",
+        "namespace",
+        "once",
+        "output",
+        "quiet",
+        "start",
+        "unit",
+    }
 )
 """Names that options may not have: `hyst identify` and the node use them."""
 

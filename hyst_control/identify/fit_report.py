@@ -10,6 +10,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify.dataset import Dataset, RecordRow
 from hyst_control.identify.fit_windows import before
 from hyst_control.model_file import Model, simulate
+from hyst_control.records.quantization_step import quantization_step
 
 
 def residual(model: Model, data: Dataset) -> Array:
@@ -95,13 +96,15 @@ def lag_one(error: Array) -> float:
     return float(centered[1:] @ centered[:-1]) / power if power > 0 else 0.0
 
 
-def noise_sigma(residuals: Sequence[Array]) -> list[float]:
+def noise_sigma(residuals: Sequence[Array], datasets: Sequence[Dataset] = ()) -> list[float]:
     """Estimate the white noise in residuals from their third differences, to which smooth model errors contribute little.
 
     Parameters
     ----------
     residuals
         Residuals (N, A) of every record.
+    datasets
+        The records: noise is never less than their rounding, which at rest does not show.
 
     Returns
     -------
@@ -109,7 +112,10 @@ def noise_sigma(residuals: Sequence[Array]) -> list[float]:
         Noise (A), rms in the measurement unit.
     """
     stacked = np.concatenate([np.diff(error, 3, axis=0) for error in residuals])
-    return [float(value) for value in np.median(np.abs(stacked), axis=0) / 0.6745 / np.sqrt(20.0)]
+    sigma = np.median(np.abs(stacked), axis=0) / 0.6745 / np.sqrt(20.0)
+    for data in datasets:
+        sigma = np.maximum(sigma, [quantization_step(column) / np.sqrt(12.0) for column in data.measurement.T])
+    return [float(value) for value in sigma]
 
 
 def command_bandwidth(data: Dataset) -> float:

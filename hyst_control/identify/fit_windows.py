@@ -11,6 +11,7 @@ from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.record_segmentation import REST_TIME, resting_stretches, stretches_between_rests
 from hyst_control.identify.reversal_points import turning_points
+from hyst_control.records.quantization_step import rounding_weights
 
 SETTLE_TIME = 0.25
 """Time (s) after which a window's linear transient is over, the slow pair's included; its rows before that do not count."""
@@ -53,6 +54,8 @@ def whole_records(datasets: Sequence[Dataset], axis: int) -> list[Window]:
 def balanced_weights(data: Dataset, axis: int) -> Array | None:
     """Weight rows so that slow and fast motions between rests count alike and short fast loops are not drowned.
 
+    Readings that repeat because they are rounded count as one (`rounding_weights`).
+
     Parameters
     ----------
     data
@@ -66,12 +69,13 @@ def balanced_weights(data: Dataset, axis: int) -> Array | None:
         Weights (N,), 1 on average, from a fifth to five times the plain weight; None where the record is one motion.
     """
     motions = [stretch for stretch in stretches_between_rests(data, 0, axis) if stretch.kind == "motion"]
+    rounded = rounding_weights(data.command[:, axis], data.measurement[:, axis])
     if len(motions) < 2:
-        return None
-    weight = np.ones(len(data.command))
+        return rounded
+    weight = np.ones(len(data.command)) if rounded is None else rounded
     mean = np.mean([stretch.end - stretch.begin for stretch in motions])
     for stretch in motions:
-        weight[stretch.begin : stretch.end] = np.clip(mean / (stretch.end - stretch.begin), 0.2, 5.0)
+        weight[stretch.begin : stretch.end] *= np.clip(mean / (stretch.end - stretch.begin), 0.2, 5.0)
     balanced: Array = weight / weight.mean()
     return balanced
 

@@ -6,13 +6,14 @@ is over G's few parameters alone (`variable_projection`). G's structure is chose
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.excited_band import REACH, excited_band
 from hyst_control.identify.fit_windows import largest_drift, stretches, whole_records
 from hyst_control.identify.gram_sums import Operators, Window
 from hyst_control.identify.options import INTEGER, NUMBERS, TRUTH, Options, methods_option, option
@@ -149,10 +150,11 @@ def fit_dynamic(problem: Problem, structure: Structure | None) -> AxisFit:
         Weights and dynamics.
     """
     selection = replace(problem, windows=stretches(problem.windows, SELECTION_ROWS))
-    chosen = choose_structure(selection, structure)
+    tried: list[Solution] = []
+    chosen = choose_structure(selection, structure, tried.append)
     chosen = solve(selection, chosen.structure, chosen.parameters, chosen.theta, passes=20)
     final = solve(problem, chosen.structure, chosen.parameters, chosen.theta, passes=3, everything=True)
-    return AxisFit(final, problem.operators, chosen.held_out)
+    return AxisFit(final, problem.operators, chosen.held_out, tried=tuple(tried))
 
 
 def default_operators(
@@ -194,8 +196,8 @@ def default_operators(
     return Operators(thresholds, one_sided, dynamic, center=0.5 * highest)
 
 
-def choose_structure(problem: Problem, given: Structure | None) -> Solution:
-    """Grow G factor by factor as long as the held-out error falls.
+def choose_structure(problem: Problem, given: Structure | None, report: Callable[[Solution], object] = lambda _: None) -> Solution:
+    """Grow G factor by factor as long as the held-out error falls, by none whose poles lie beyond what the records excite.
 
     Parameters
     ----------
@@ -203,18 +205,28 @@ def choose_structure(problem: Problem, given: Structure | None) -> Solution:
         One axis of stretches of the records.
     given
         Factors to use without a choice.
+    report
+        Is told every solution that is compared.
 
     Returns
     -------
     Solution
         The solution with the chosen structure.
     """
-    frequency = _start_frequency(problem)
     if given is not None:
-        return solve(problem, given, given.start(frequency))
-    best = solve(problem, Structure(), np.zeros(0))
+        return solve(problem, given, given.start(_start_frequency(problem)))
+    plain = Structure(highest=REACH * excited_band(problem.windows))
+    best = solve(problem, plain, np.zeros(0))
+    report(best)
+    if not plain.highest:
+        return best
+    frequency = _start_frequency(problem, plain.highest)
+    sample_time = min(window.sample_time for window in problem.windows)
     while True:
-        trials = _grown(problem, best, frequency)
+        grown = _grown(problem, best, frequency)
+        trials = [trial for trial in grown if not trial.structure.at_limit(trial.parameters, sample_time)]
+        for trial in trials:
+            report(trial)
         if not trials:
             return best
         lowest = min(trial.held_out for trial in trials)
@@ -236,10 +248,11 @@ def _grown(problem: Problem, best: Solution, frequency: float) -> list[Solution]
     return list(forked(grown, len(structures)))
 
 
-def _start_frequency(problem: Problem) -> float:
+def _start_frequency(problem: Problem, highest: float = np.inf) -> float:
     """The resonance (Hz) on a coarse grid at which a single mode fits best, from which Gauss-Newton starts."""
     sample_time = min(window.sample_time for window in problem.windows)
-    grid = [f for f in (30.0, 100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0) if f < 0.4 / sample_time] or [0.2 / sample_time]
+    limit = min(0.4 / sample_time, 0.8 * highest)
+    grid = [f for f in (30.0, 100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0) if f < limit] or [0.5 * limit]
     structure = Structure(modes=1)
     trials = forked(lambda i: solve(problem, structure, structure.start(grid[i]), passes=2).fitted, len(grid))
     return grid[int(np.argmin(list(trials)))]

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from hyst_control.chain.chain import Chain
 from hyst_control.chain.linear import Delay, LinearStage, StateSpace, TransferFunction
@@ -20,9 +21,11 @@ from hyst_control.chain.stage import Array, Stage
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset, Fit, OrderRow, ParameterRow, Report, check_records
 from hyst_control.identify.estimator import Estimator, register
+from hyst_control.identify.excited_band import REACH
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.modal_fit import Layout, ModalModel, Problem, Spectra, refine, subspace
 from hyst_control.identify.options import INTEGER, NUMBER, TRUTH, Options, option
+from hyst_control.identify.parameter_covariance import Uncertainty, uncertainty_of
 from hyst_control.model_file import Model
 
 MAX_LINES = 6000
@@ -96,6 +99,26 @@ class Candidate:
     layout: Layout
     seconds: float
 
+    def covariance(self) -> tuple[Array, Array]:
+        """Covariance of the parameters that make the model, for a white residual; transients are estimated along.
+
+        b counts as known, as c could be exchanged for it.
+
+        Returns
+        -------
+        index : Array
+            Places (Q,) of the parameters in the vector.
+        covariance : Array
+            (Q, Q).
+        """
+        kinds = ("pole", "c", "D", "delay")
+        index = np.concatenate([np.arange(self.normal.shape[0])[self.layout.slices[kind]] for kind in (*kinds, "t", "d")])
+        own = sum(len(np.arange(self.normal.shape[0])[self.layout.slices[kind]]) for kind in kinds)
+        part = self.normal[np.ix_(index, index)]
+        scale = np.sqrt(np.maximum(np.diag(part), 1e-300))
+        inverse = np.linalg.pinv(part / scale / scale[:, None], rcond=1e-12, hermitian=True) / scale / scale[:, None]
+        return index[:own], self.variance * inverse[:own, :own]
+
     def standard_errors(self, *kinds: str) -> Array:
         """Standard errors of parameters that are estimated together, for a white residual; the other parameters count as known.
 
@@ -155,8 +178,9 @@ class Linear(Estimator[LinearOptions]):
                 "command": [float(command.min()), float(command.max())],
                 "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
             },
-            tolerance=tolerance_of(found, stages),
         )
+        known = uncertainty(found, first.sample_time, first.axes)
+        model = replace(model, tolerance=tolerance_of(found, stages), uncertainty=known.document)
         # The static line took no part in the fit, so a common offset of the sensor comes last.
         _, residuals = record_rows(model, datasets)
         offset = np.concatenate(residuals).mean(axis=0)
@@ -164,7 +188,7 @@ class Linear(Estimator[LinearOptions]):
         if np.any(np.abs(offset) > 3.0 * spread):
             model = model.with_stages([*stages, Offset(_alike(offset))])
         rows, residuals = record_rows(model, datasets)
-        model = replace(model, noise={"sigma": noise_sigma(residuals)})
+        model = replace(model, noise={"sigma": noise_sigma(residuals, datasets)})
         notes = (
             []
             if any(row["held_out"] is not None for row in table)
@@ -173,6 +197,7 @@ class Linear(Estimator[LinearOptions]):
                 "A second record, or a longer one with the same kind of excitation, would test it."
             ]
         )
+        notes += known.notes("record a sweep or multisine over their band")
         report: Report = {
             "family": "linear",
             "method": options.method,
@@ -365,6 +390,8 @@ def choose(
             candidate = refined(train, models[index], direct, free_delay, iterations)
             candidate = replace(candidate, held_out=error_of(candidate.model, held_out) if held_out else np.nan)
             score = candidate.held_out if held_out else information(candidate, train)
+            if index and beyond_reach(candidate.model, train):
+                score = np.inf
             rows.append(
                 {
                     "order": order,
@@ -387,6 +414,25 @@ def choose(
     lowest = min(score for score, _ in tried)
     limit = lowest * (1.0 + NEGLIGIBLE_IMPROVEMENT) if held_out else lowest
     return next(candidate for score, candidate in tried if score <= limit), rows
+
+
+def beyond_reach(model: ModalModel, data: Sequence[Spectra]) -> bool:
+    """Report whether a pole lies so far beyond the lines that were excited that the data cannot tell it from a delay or a direct path.
+
+    Parameters
+    ----------
+    model
+        The model.
+    data
+        Spectra it was fitted to.
+
+    Returns
+    -------
+    bool
+        True if one does.
+    """
+    highest = max(float(spectra.angle.max()) for spectra in data)
+    return bool(np.any(np.abs(model.poles) > REACH * highest))
 
 
 def refined(data: Sequence[Spectra], start: ModalModel, direct: bool, free_delay: bool, iterations: int) -> Candidate:
@@ -503,6 +549,46 @@ def _axis(data: Dataset, axis: int) -> Dataset:
         measurement=data.measurement[:, axis : axis + 1],
         axes=(data.axes[axis],),
     )
+
+
+def uncertainty(found: Sequence[Candidate], sample_time: float, axes: Sequence[str]) -> Uncertainty:
+    """Uncertainty of frequencies, dampings, gains and delays.
+
+    Parameters
+    ----------
+    found
+        One fitted model of all axes, or one an axis.
+    sample_time
+        Sample time, s.
+    axes
+        Names of the axes.
+
+    Returns
+    -------
+    Uncertainty
+        Of the numbers of the chain.
+    """
+    parts = [candidate.covariance() for candidate in found]
+    edges = np.cumsum([0, *(len(index) for index, _ in parts)])
+
+    def chain_of(vector: Array) -> Sequence[Stage]:
+        moved = []
+        for candidate, (index, _), begin, end in zip(found, parts, edges[:-1], edges[1:], strict=True):
+            change = np.zeros(candidate.layout.size)
+            change[index] = vector[begin:end]
+            moved.append(candidate.model.moved(change, candidate.layout))
+        return stages_of(moved[0], sample_time) if len(found) == 1 else diagonal_stages(moved, sample_time)
+
+    spread = block_diag(*(covariance for _, covariance in parts))
+    sizes = np.concatenate(
+        [
+            np.where(
+                candidate.layout.belongs(index, "c"), max(float(np.abs(candidate.model.outputs).max(initial=0.0)), 1e-300), 1.0
+            )
+            for candidate, (index, _) in zip(found, parts, strict=True)
+        ]
+    )
+    return uncertainty_of(chain_of, np.zeros(edges[-1]), spread, axes, sizes)
 
 
 def stages_of(model: ModalModel, sample_time: float) -> list[Stage]:

@@ -23,6 +23,7 @@ from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, rec
 from hyst_control.identify.fit_windows import whole_records
 from hyst_control.identify.gram_sums import NUISANCES, Window
 from hyst_control.identify.options import INTEGER, NUMBER, NUMBERS, Options, option
+from hyst_control.identify.parameter_covariance import PRIOR, independent_axes
 from hyst_control.identify.shared_options import nuisance_option
 from hyst_control.identify.simulation_error import Parametrization, Solution, minimize_simulation_error
 from hyst_control.model_file import Model
@@ -570,10 +571,23 @@ def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) 
         parameters += [{**row, "axis": name} for row in found]
         tolerances.append(tolerance)
     tolerance = float(np.round(np.median(tolerances), 6))
-    sigma = noise_sigma(residuals)
+    sigma = noise_sigma(residuals, datasets)
+    known = independent_axes(
+        [(axis.solution.parameters, axis.solution.covariance) for axis in axes],
+        lambda vectors: [
+            merged(
+                [
+                    replace(axis, solution=replace(axis.solution, parameters=vector)).stage
+                    for axis, vector in zip(axes, vectors, strict=True)
+                ]
+            )
+        ],
+        first.axes,
+    )
     model = replace(
         model,
-        tolerance={"ascending": tolerance, "descending": tolerance},
+        tolerance={"ascending": min(tolerance, PRIOR), "descending": min(tolerance, PRIOR)},
+        uncertainty=known.document,
         noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
     )
     report: Report = {

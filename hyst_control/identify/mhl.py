@@ -39,6 +39,7 @@ from hyst_control.identify.madelung import (
     response_sign,
 )
 from hyst_control.identify.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
+from hyst_control.identify.parameter_covariance import PRIOR, independent_axes
 from hyst_control.identify.parted_pair import PAIR_DAMPINGS, WORTHWHILE, parted_pair, unexplained_frequency, with_numerator
 from hyst_control.identify.simulation_error import Parametrization, Solution, minimize_simulation_error, short_stretches, thinned
 from hyst_control.identify.stable_dynamics import TAU_UNIT, Structure
@@ -551,14 +552,22 @@ def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], 
             parameters.append({**row, "axis": name})
     if coupling is not None:
         parameters += coupling.rows(datasets[0].axes)
-    sigma = noise_sigma(residuals)
+    sigma = noise_sigma(residuals, datasets)
+    known = independent_axes(
+        [(axis.vector, axis.covariance) for axis in axes],
+        lambda vectors: chain_stages([replace(axis, vector=vector) for axis, vector in zip(axes, vectors, strict=True)]),
+        datasets[0].axes,
+    )
+    physical = {key: value for key, value in known.tolerance.items() if key in ("num", "den")}
     model = replace(
         model,
-        tolerance={key: float(f"{np.median(values):.4g}") for key, values in relative.items()},
+        tolerance={key: float(f"{min(np.median(values), PRIOR):.4g}") for key, values in relative.items()} | physical,
+        uncertainty=known.document,
         noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
     )
     travel = [max(float(data.range[i]) for data in datasets) for i in range(len(axes))]
     notes = range_notes(datasets, axes) + unresolved_parameters(parameters)
+    notes += known.notes("record steps, and loops of full amplitude from 20 Hz up to beyond the resonance")
     report: Report = {
         "family": "mhl",
         "method": method,

@@ -22,6 +22,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from hyst_control.chain.stage import Array
@@ -120,6 +121,39 @@ class ModalModel:
 
     def _direct(self, z: np.ndarray) -> np.ndarray:
         return direct_response(self.delay, self.hold, z)
+
+    def moved(self, change: Array, layout: Layout, slowest: float = -np.inf) -> ModalModel:
+        """Move the model along a step in its parameters.
+
+        Parameters
+        ----------
+        change
+            Step (P,) of the parameters.
+        layout
+            Places of the parameters.
+        slowest
+            Logarithm of the slowest decay per sample.
+
+        Returns
+        -------
+        ModalModel
+            The moved model; its decays change by a factor e² at most.
+        """
+        part = layout.slices
+        (n, p), m = self.outputs.shape, self.inputs.shape[1]
+        pole = change[part["pole"]].reshape(n, 2)
+        log_decay = np.clip(np.log(-self.poles.real) + np.clip(pole[:, 0], -2.0, 2.0), slowest, 3.0)
+        frequency = np.where(self.poles.imag == 0, 0.0, np.clip(self.poles.imag + pole[:, 1], 1e-7, np.pi))
+        c, b = change[part["c"]].reshape(2, n, p), change[part["b"]].reshape(2, n, m)
+        direct, free_delay = change[part["D"]], change[part["delay"]]
+        return replace(
+            self,
+            poles=-np.exp(log_decay) + 1j * frequency,
+            outputs=self.outputs + c[0] + 1j * c[1],
+            inputs=self.inputs + b[0] + 1j * b[1],
+            feedthrough=self.feedthrough + direct.reshape(p, m) if len(direct) else self.feedthrough,
+            delay=np.maximum(self.delay + free_delay, 0.0) if len(free_delay) else self.delay,
+        )
 
     def state_space(self) -> tuple[Array, Array, Array, Array]:
         """Real block-diagonal A, B, C, D in continuous time, time counted in samples; the delay is apart."""
@@ -386,6 +420,25 @@ class Layout:
             int(ends[-1]),
         )
 
+    def belongs(self, index: Array, name: str) -> NDArray[np.bool_]:
+        """Report which positions in the vector are of a kind of parameter.
+
+        Parameters
+        ----------
+        index
+            Positions (Q,).
+        name
+            The kind.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (Q,).
+        """
+        part = self.slices[name]
+        found: NDArray[np.bool_] = (index >= part.start) & (index < part.stop)
+        return found
+
     def indices(self, name: str, *shape: int) -> Array:
         """Return the positions of a kind of parameter.
 
@@ -499,22 +552,9 @@ class Problem:
         change
             Step (P,) of the parameters.
         """
-        model, part = self.model, self.layout.slices
-        n, p, m = len(model.poles), *model.feedthrough.shape
-        pole = change[part["pole"]].reshape(n, 2)
-        log_decay = np.clip(np.log(-model.poles.real) + np.clip(pole[:, 0], -2.0, 2.0), self.slowest, 3.0)
-        frequency = np.where(model.poles.imag == 0, 0.0, np.clip(model.poles.imag + pole[:, 1], 1e-7, np.pi))
-        c, b = change[part["c"]].reshape(2, n, p), change[part["b"]].reshape(2, n, m)
-        feedthrough = model.feedthrough + change[part["D"]].reshape(p, m) if self.direct else model.feedthrough
-        delay = np.maximum(model.delay + change[part["delay"]], 0.0) if self.free_delay else model.delay
-        self.model = replace(
-            model,
-            poles=-np.exp(log_decay) + 1j * frequency,
-            outputs=model.outputs + c[0] + 1j * c[1],
-            inputs=model.inputs + b[0] + 1j * b[1],
-            feedthrough=feedthrough,
-            delay=delay,
-        )
+        part = self.layout.slices
+        n, p = self.model.outputs.shape
+        self.model = self.model.moved(change, self.layout, self.slowest)
         t, d = change[part["t"]].reshape(self.records, 2, n), change[part["d"]].reshape(self.records, self.edges, p)
         self.transients = Transients(
             [old + row[0] + 1j * row[1] for old, row in zip(self.transients.modes, t, strict=True)],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -14,9 +14,12 @@ from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, Pra
 from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.stage import Array
 from hyst_control.identify.bounded_least_squares import covariance
-from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report
+from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report, StructureRow
+from hyst_control.identify.excited_band import REACH
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.gram_sums import Operators
+from hyst_control.identify.parameter_covariance import Uncertainty, independent_axes
+from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.identify.variable_projection import Solution
 from hyst_control.model_file import Model
 
@@ -37,6 +40,8 @@ class AxisFit:
         Thresholds that widen with the command's rate.
     dynamics
         Dynamics behind the operators were looked for.
+    tried
+        Solutions of the structures that were compared, on the rows of the selection.
     """
 
     solution: Solution
@@ -44,6 +49,7 @@ class AxisFit:
     held_out: float
     rate_dependent: bool = False
     dynamics: bool = True
+    tried: tuple[Solution, ...] = ()
 
 
 def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequence[AxisFit]) -> Fit:
@@ -79,18 +85,18 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
     rows, residuals = record_rows(model, datasets)
     parameters: list[ParameterRow] = []
     notes: list[str] = []
-    relative: dict[str, list[float]] = {}
     for axis, name in zip(axes, first.axes, strict=True):
-        for row in parameter_rows(axis, first):
-            row["axis"] = name
-            parameters.append(row)
-            key = row["name"].split("[")[0]
-            if row["standard_error"] is not None and row["value"]:
-                relative.setdefault(key, []).append(abs(row["standard_error"] / row["value"]))
+        parameters += [{**row, "axis": name} for row in parameter_rows(axis, first)]
         notes += unresolved_parameters(axis, name, parameters)
-    tolerance = {key: float(np.round(np.median(values), 6)) for key, values in relative.items()}
-    sigma = noise_sigma(residuals)
-    model = Model(**{**model.__dict__, "tolerance": tolerance, "noise": {"sigma": sigma if len(sigma) > 1 else sigma[0]}})
+    known = uncertainty(axes, first.axes)
+    notes += known.notes("record loops of more amplitudes, and steps or a sweep up to beyond the resonance")
+    sigma = noise_sigma(residuals, datasets)
+    model = replace(
+        model,
+        tolerance=known.tolerance,
+        uncertainty=known.document,
+        noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
+    )
     travel = [max(float(data.range[i]) for data in datasets) for i in range(len(first.axes))]
     report: Report = {
         "family": family,
@@ -102,7 +108,111 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
         "parameters": parameters,
         "notes": notes,
     }
-    return Fit(model, report)
+    compared = [row for axis, name, span in zip(axes, first.axes, travel, strict=True) for row in structure_rows(axis, name, span)]
+    return Fit(model, {**report, "structures": compared} if compared else report)
+
+
+def structure_rows(axis: AxisFit, name: str, span: float) -> list[StructureRow]:
+    """List the structures of G(s) that were compared for one axis.
+
+    Parameters
+    ----------
+    axis
+        Fit of the axis.
+    name
+        Name of the axis.
+    span
+        Range of the measurement.
+
+    Returns
+    -------
+    list[StructureRow]
+        A row a structure; where one was met several times, its best.
+    """
+    best: dict[Structure, Solution] = {}
+    for solution in axis.tried:
+        known = best.get(solution.structure)
+        if known is None or solution.held_out < known.held_out:
+            best[solution.structure] = solution
+    return [
+        {
+            "axis": name,
+            "structure": structure.describe(),
+            "parameters": len(solution.theta) + structure.size,
+            "held_out_nrmse": 100.0 * float(np.sqrt(solution.held_out)) / span,
+            "chosen": structure == axis.solution.structure,
+        }
+        for structure, solution in best.items()
+    ]
+
+
+def axis_covariance(axis: AxisFit) -> Array:
+    """Covariance of the parameters of one axis: linear ones, then those of G(s).
+
+    Parameters
+    ----------
+    axis
+        Fit of the axis.
+
+    Returns
+    -------
+    Array
+        Covariance (J + P, J + P), errors of the model included.
+    """
+    solution = axis.solution
+    size = solution.structure.size
+    spread = covariance(solution.grams.blocks, np.concatenate([solution.theta, np.zeros(size), solution.nuisances]))
+    free = len(solution.theta) + size
+    return spread[:free, :free]
+
+
+def uncertainty(axes: Sequence[AxisFit], names: Sequence[str]) -> Uncertainty:
+    """Uncertainty of the model of all axes, which are fitted independently.
+
+    Parameters
+    ----------
+    axes
+        A fit an axis.
+    names
+        Names of the axes.
+
+    Returns
+    -------
+    Uncertainty
+        Of the numbers of the model's chain.
+    """
+
+    def stages_of(vectors: Sequence[Array]) -> Sequence[Stage]:
+        chains = []
+        for axis, vector in zip(axes, vectors, strict=True):
+            theta, parameters = np.split(vector, [len(axis.solution.theta)])
+            chains.append(axis_stages(replace(axis, solution=replace(axis.solution, theta=theta, parameters=parameters))))
+        return merge_axes(chains)
+
+    vectors = [np.concatenate([axis.solution.theta, axis.solution.parameters]) for axis in axes]
+    # Weights are compared with all of them, and the dynamic ones with what moves the output as much.
+    sizes = [np.concatenate([parameter_sizes(axis), np.ones(axis.solution.structure.size)]) for axis in axes]
+    parts = [(vector, axis_covariance(axis)) for vector, axis in zip(vectors, axes, strict=True)]
+    return independent_axes(parts, stages_of, names, sizes)
+
+
+def parameter_sizes(axis: AxisFit) -> Array:
+    """Sizes (J,) of the linear parameters of one axis, by the columns that they multiply.
+
+    Parameters
+    ----------
+    axis
+        Fit of the axis.
+
+    Returns
+    -------
+    Array
+        Changes of the parameters that move the output by as much as all operators together, divided by their number.
+    """
+    columns = len(axis.solution.theta)
+    power = np.sqrt(np.maximum(np.diag(axis.solution.grams.fitted + axis.solution.grams.held_out), 0.0))
+    found: Array = power[-1] / np.maximum(power[:columns], 1e-12 * power[:columns].max()) / columns
+    return found
 
 
 def axis_stages(axis: AxisFit) -> list[Stage]:
@@ -193,8 +303,7 @@ def parameter_rows(axis: AxisFit, data: Dataset) -> list[ParameterRow]:
         A row a parameter.
     """
     solution, operators = axis.solution, axis.operators
-    size = solution.structure.size
-    spread = covariance(solution.grams.blocks, np.concatenate([solution.theta, np.zeros(size), solution.nuisances]))
+    spread = axis_covariance(axis)
     errors = np.sqrt(np.maximum(np.diag(spread), 0.0))
     count, columns = len(operators.thresholds), operators.columns
     rows: list[ParameterRow] = [
@@ -303,9 +412,10 @@ def unresolved_parameters(axis: AxisFit, name: str, parameters: Sequence[Paramet
         )
     structure = axis.solution.structure
     if axis.dynamics and not structure.modes:
+        known = "" if np.isinf(structure.highest) else f"; these excite the dynamics up to {structure.highest / REACH:.0f} Hz"
         notes.append(
             f"axis {name}: the dynamics G(s) cannot be determined from these data ({structure.describe()}): record a step or a "
-            "sweep up to beyond the resonance"
+            f"sweep up to beyond the resonance{known}"
         )
     if axis.operators.dynamic:
         rates = {row["name"]: row for row in own if row["name"] in ("m1", "m2")}

@@ -8,7 +8,7 @@ it could not be separated.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from hyst_control.chain.linear import (
 )
 from hyst_control.chain.stage import Array, Sampling, Stage
 
+LEAST_DAMPING, MOST_DAMPING = 0.002, 5.0
+NEAR = 0.01
+"""Relative distance from a bound at which a parameter is at it."""
 TAU_UNIT = 1e-4
 """The delay's unit (s) in the parameter vector, so that every entry is of order one."""
 
@@ -42,6 +45,8 @@ class Structure:
         A slow pole and zero, for creep.
     delay
         A delay.
+    highest
+        Highest frequency (Hz) of a pole that the records could tell; structures are equal whatever it is.
     """
 
     modes: int = 0
@@ -49,6 +54,7 @@ class Structure:
     zeros: int = 0
     slow_pair: bool = False
     delay: bool = False
+    highest: float = field(default=np.inf, compare=False)
 
     @property
     def size(self) -> int:
@@ -304,11 +310,36 @@ class Structure:
             Parameters (P,) within the range.
         """
         parts = self.split(parameters)
-        fastest = np.log(2 * np.pi * 1.5 / sample_time)
+        fastest = self._fastest(sample_time)
         parts["modes"][:, 0] = np.minimum(parts["modes"][:, 0], fastest)
-        parts["modes"][:, 1] = np.clip(parts["modes"][:, 1], np.log(0.002), np.log(5.0))
+        parts["modes"][:, 1] = np.clip(parts["modes"][:, 1], np.log(LEAST_DAMPING), np.log(MOST_DAMPING))
         parts["lags"] = np.minimum(parts["lags"], fastest)
         parts["delay"] = np.maximum(parts["delay"], 0.0)
         if self.slow_pair:
             parts["slow_pair"] = np.clip(parts["slow_pair"], [np.log(0.3), -0.1], [np.log(60.0), 0.1])
         return np.concatenate([part.ravel() for part in parts.values()])
+
+    def at_limit(self, parameters: Array, sample_time: float) -> bool:
+        """Report whether a pole is as fast as it may be, or a damping at a bound: then the data tell no such factor.
+
+        Parameters
+        ----------
+        parameters
+            Parameters (P,).
+        sample_time
+            Sample time, s.
+
+        Returns
+        -------
+        bool
+            True if one is.
+        """
+        parts = self.split(parameters)
+        rates = np.concatenate([parts["modes"][:, 0], parts["lags"]])
+        damping = parts["modes"][:, 1]
+        bounded = (damping <= np.log(LEAST_DAMPING) + NEAR) | (damping >= np.log(MOST_DAMPING) - NEAR)
+        return bool(np.any(rates >= self._fastest(sample_time) - NEAR) or np.any(bounded))
+
+    def _fastest(self, sample_time: float) -> float:
+        """Logarithm of the fastest rate (1/s) of a pole."""
+        return float(np.log(2 * np.pi * min(1.5 / sample_time, self.highest)))

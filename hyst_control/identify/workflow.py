@@ -14,12 +14,15 @@ from hyst_control.errors import InputError
 from hyst_control.files import check_writable, write_json
 from hyst_control.identify import estimator_of, estimators, identify
 from hyst_control.identify.dataset import Dataset, Fit, Report
+from hyst_control.identify.model_choice import best_family, choice_lines
 from hyst_control.model_file import COMMAND_UNITS, DISCREPANCY_VERSION, MEASUREMENT_UNITS, Model, save_model, simulate
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.record import Record
 from hyst_control.records.record_validity import Trial, refuse_invalid
 from hyst_control.records.session_zero import without_zero
 
+AUTO = "auto"
+"""In place of a family: the best one."""
 TOPICS = ("command", "measurement")
 
 
@@ -49,6 +52,8 @@ class Result:
             )
         if "held_out_nrmse" in report:
             lines.append("  held-out blocks: NRMSE " + ", ".join(f"{value:.3f} %" for value in report["held_out_nrmse"]))
+        if "tried" in report:
+            lines += choice_lines(report["tried"])
         lines += [f"  note: {note}" for note in report["notes"]]
         return "\n".join([*lines, f"  written: {self.output}"])
 
@@ -70,6 +75,7 @@ def identify_bags(
     force: bool = False,
     namespace: str | None = None,
     unit: str = "unknown",
+    figure: str | Path | None = None,
     **options: object,
 ) -> Result:
     """Identify a model from bags and write it. Nothing is written unless the fit succeeded.
@@ -79,7 +85,7 @@ def identify_bags(
     bags
         rosbag2 directories, or .mcap or .db3 files, with command and measurement.
     family
-        Model family; None: the best on held-out data of those that have the options given.
+        Model family; None or "auto": the best on held-out data of those that have the options given.
     output
         Model file to write.
     json_path
@@ -90,6 +96,8 @@ def identify_bags(
         How the bags are read: see `datasets_of` and `read_bag`.
     force
         Fit records, too, that are no measurement of their command, or of several plants.
+    figure
+        Figure of the choice between families to write.
     **options
         Options of the family, as values or texts; None: not given.
 
@@ -107,7 +115,12 @@ def identify_bags(
     if json_path is not None:
         check_writable(json_path)
     given = {name: value for name, value in options.items() if value is not None}
-    chosen = chosen_families(family, method, given)
+    named = family not in (None, AUTO)
+    chosen = chosen_families(family if named else None, method, given)
+    if figure is not None:
+        if named:
+            raise InputError(f"figure: shows the choice between families, of which {family} is named: leave the figure out")
+        check_writable(figure)
     datasets: list[Dataset] = []
     notes: list[str] = []
     for bag in bags:
@@ -117,13 +130,19 @@ def identify_bags(
         datasets += datasets_of(record, hold, start, allow_gaps)
     if not force:
         refuse_invalid([Trial(each.name, each.command, each.measurement, each.sample_time, each.axes) for each in datasets])
-    fits = (identify(datasets, name, method, **given) for name in chosen)
-    fit = next(fits) if family is not None else min(fits, key=lambda fit: max(fit.report["held_out_nrmse"]))
+    if named:
+        fit = identify(datasets, chosen[0], method, **given)
+    else:
+        fit = best_family(chosen, lambda name: identify(datasets, name, method, **given))
     fit = replace(fit, report={**fit.report, "bags": [str(bag) for bag in bags], "notes": [*notes, *fit.report["notes"]]})
     fit = replace(fit, model=replace(fit.model, discrepancy=discrepancy(fit.model, datasets)))
     save_model(fit.model, output)
     if json_path is not None:
         write_json(json_path, fit.report)
+    if figure is not None:
+        from hyst_control.identify.choice_figure import write_choice  # takes a second
+
+        write_choice(figure, fit.report["tried"])
     return Result(fit, Path(output))
 
 

@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 
 from hyst_control.chain import Chain, Parallel, Stage
+from hyst_control.chain.coordinates import chain_coordinates
 from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.memoryless import Offset
 from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
+from hyst_control.diagnose.parameter_uncertainty import scatter_of
 from hyst_control.errors import InputError
 from hyst_control.identify import Dataset, Fit, estimator_of, estimators, identify
 from hyst_control.identify.estimator import described, every_option
@@ -256,3 +258,23 @@ def test_the_report_has_one_form(name, fits, tmp_path):
     assert fit.model.axes == ("x",) and fit.model.units["measurement"] == "um"
     assert fit.model.sample_time == example.sample_time and fit.model.valid["command"][1] == pytest.approx(50.0, rel=0.1)
     assert fit.model.tolerance and all(value >= 0 for value in fit.model.tolerance.values())
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_the_uncertainty_is_of_physical_size_and_makes_models(name, fits):
+    """No number is less known than to 30 %, and what the covariance draws runs and stays near the identified model."""
+    model, example = fits[name].model, EXAMPLES[name]
+    known = chain_coordinates(model.chain.stages, model.axes)
+    factor = np.array(model.uncertainty["factor"])
+    names = model.uncertainty["parameters"]
+    assert factor.shape == (len(names), len(names))
+    sizes = np.array([known[number].size for number in names])
+    assert np.all(np.linalg.norm(factor, axis=1) <= 0.3 * sizes * (1.0 + 1e-6) + 1e-12)
+    assert all(value <= 0.3 for value in model.tolerance.values())
+    command = example.record(0).command
+    nominal = simulate(model, command)
+    scatter = scatter_of(model)
+    for seed in range(5):
+        drawn = scatter.at(np.random.default_rng(seed).normal(size=len(scatter.coefficients)))
+        change = simulate(model.with_stages(drawn), command) - nominal
+        assert 0.0 < np.std(change) < 0.05 * np.ptp(nominal)

@@ -149,7 +149,9 @@ def test_the_model_file_keeps_what_was_identified(tmp_path):
     loaded = load_model(tmp_path / "hapi.yaml")
     command = excitation(4)
     np.testing.assert_array_equal(simulate(loaded, command), simulate(fit.model, command))
-    assert set(loaded.tolerance) <= {"weights", "num", "den", "tau"} and loaded.noise["sigma"] == pytest.approx(SIGMA, rel=0.2)
+    assert set(loaded.tolerance) <= {"w0", "weights", "num", "den", "tau"} and loaded.noise["sigma"] == pytest.approx(
+        SIGMA, rel=0.2
+    )
 
 
 def test_two_axes_are_identified_side_by_side():

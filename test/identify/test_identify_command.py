@@ -98,3 +98,26 @@ def test_the_help_explains_every_family_and_option(capsys):
     for name, families in every_option().items():
         assert f"--{name.replace('_', '-')}" in text
         assert next(iter(families.values())).meaning[:40] in text
+
+
+def test_auto_shows_what_it_tried(bag, tmp_path, capsys):
+    out, figure = tmp_path / "fit.json", tmp_path / "choice.svg"
+    words = ["--model", "auto", "--operators", "4", "--json", str(out), "--figure", str(figure), "--quiet"]
+    assert main(["identify", str(bag), "--output", str(tmp_path / "m.yaml"), *words]) == 0
+    rows = json.loads(out.read_text())["tried"]
+    assert [row["family"] for row in rows] == ["pi", "hapi", "rdpi", "hampi"] and sum(row["chosen"] for row in rows) == 1
+    chosen = next(row for row in rows if row["chosen"])
+    assert chosen["family"] == json.loads(out.read_text())["family"]
+    assert chosen["held_out_nrmse"] <= 1.0101 * min(row["held_out_nrmse"] for row in rows)
+    assert all(row["seconds"] > 0 and row["parameters"] > 3 for row in rows)
+    assert all(each["held_out_nrmse"] > 0 for row in rows if row["family"] == "hapi" for each in row["structures"])
+    told = capsys.readouterr().out
+    assert f"* {chosen['family']} " in told and "held-out NRMSE" in told
+    assert figure.read_text().lstrip().startswith("<?xml") and "number of parameters" in figure.read_text()
+
+
+def test_a_figure_of_the_choice_needs_a_choice(bag, tmp_path, capsys):
+    words = ["--model", "pi", "--figure", str(tmp_path / "choice.svg"), "--quiet"]
+    assert main(["identify", str(bag), "--output", str(tmp_path / "m.yaml"), *words]) == 2
+    assert "figure: shows the choice between families" in capsys.readouterr().err
+    assert not (tmp_path / "m.yaml").exists()

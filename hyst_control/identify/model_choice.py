@@ -1,0 +1,97 @@
+"""Choice between model families by their error on rows that were not fitted, with a table of what was tried."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from hyst_control import progress
+from hyst_control.errors import InputError
+from hyst_control.identify.dataset import Fit, TriedRow
+
+AS_GOOD = 0.01
+"""The model with fewest parameters is taken of those whose error exceeds the least one by no more than this share."""
+
+
+def best_family(families: Sequence[str], identify: Callable[[str], Fit]) -> Fit:
+    """Identify every family and take the plainest of those that do best on held-out rows.
+
+    Parameters
+    ----------
+    families
+        Names of the families.
+    identify
+        Fit of a family, whose report has `held_out_nrmse`.
+
+    Returns
+    -------
+    Fit
+        The chosen one; its report's `tried` has a row per family.
+
+    Raises
+    ------
+    InputError
+        The records suit none of the families: what the first of them says.
+    """
+    rows: list[TriedRow] = []
+    fits: dict[str, Fit] = {}
+    errors: list[InputError] = []
+    for family in families:
+        progress.step(f"try {family}")
+        begin = time.perf_counter()
+        try:
+            fits[family] = identify(family)
+        except InputError as error:
+            errors.append(error)
+            rows.append(_row(family, None, time.perf_counter() - begin, str(error)))
+        else:
+            rows.append(_row(family, fits[family], time.perf_counter() - begin, ""))
+    if not fits:
+        raise errors[0]
+    scores = {row["family"]: row["held_out_nrmse"] for row in rows if row["held_out_nrmse"] is not None}
+    limit = (1.0 + AS_GOOD) * min(scores.values())
+    counts = {row["family"]: row["parameters"] for row in rows}
+    chosen = min(
+        (family for family, score in scores.items() if score <= limit), key=lambda family: (counts[family], scores[family])
+    )
+    for row in rows:
+        row["chosen"] = row["family"] == chosen
+    fit = fits[chosen]
+    return replace(fit, report={**fit.report, "tried": rows})
+
+
+def _row(family: str, fit: Fit | None, seconds: float, refused: str) -> TriedRow:
+    return {
+        "family": family,
+        "structure": "; ".join(fit.report.get("structure", [])) if fit else "",
+        "parameters": len(fit.report["parameters"]) if fit else 0,
+        "held_out_nrmse": max(fit.report["held_out_nrmse"]) if fit else None,
+        "seconds": seconds,
+        "chosen": False,
+        "refused": refused,
+        "structures": fit.report.get("structures", []) if fit else [],
+    }
+
+
+def choice_lines(rows: Sequence[TriedRow]) -> list[str]:
+    """The table of what was tried, as text.
+
+    Parameters
+    ----------
+    rows
+        A row per family.
+
+    Returns
+    -------
+    list of str
+        Lines of equal columns; the chosen family is marked.
+    """
+    width = max(len(row["family"]) for row in rows)
+    lines = [f"  {'family':{width + 2}}  parameters  held-out NRMSE  seconds  structure"]
+    for row in rows:
+        mark = "*" if row["chosen"] else " "
+        error = "-" if row["held_out_nrmse"] is None else f"{row['held_out_nrmse']:.3f} %"
+        words = row["refused"] or row["structure"] or "no dynamics"
+        lines.append(f"  {mark} {row['family']:{width}}  {row['parameters']:10d}  {error:>14}  {row['seconds']:7.1f}  {words}")
+    return lines

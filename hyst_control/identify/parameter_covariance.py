@@ -1,0 +1,214 @@
+"""Uncertainty of an identified model: the covariance of a fit's parameters as `uncertainty`, `tolerance` and notes of the model.
+
+A fit works in parameters of its own (slopes of branches, logarithms of rates); the model file states frequencies, dampings, gains,
+delays, weights. The covariance is carried from one to the other to first order. A direction in which the data say less than what
+anybody knows of such a machine beforehand, a relative `PRIOR` of every number, gets that prior and is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from hyst_control.chain import Stage
+from hyst_control.chain.coordinates import chain_coordinates
+from hyst_control.chain.stage import Array
+
+PRIOR = 0.3
+"""Relative standard deviation of a number that the data cannot tell."""
+STEP = 1e-5
+"""Difference of neighboring parameters of a fit, which are all of order one unless their own size is given."""
+NAMED = 0.7
+MOST_NAMED = 6
+"""Directions that a note lists."""
+"""Parameters that make up an undetermined direction: those that take part with this share of the largest one."""
+DIGITS = 6
+"""Significant digits of the factor: what correlated numbers need to cancel."""
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Covariance of the numbers of a model.
+
+    Parameters
+    ----------
+    names
+        Names of the P numbers, as in `chain.coordinates`.
+    parameters
+        Parameter of the model file that each of them is written in.
+    values
+        Nominal values (P,).
+    factor
+        Factor (P, P) of the covariance, the symmetric root in units of the prior: column k is mostly number k.
+    relative
+        Relative standard deviation (P,), PRIOR at most.
+    undetermined
+        Of every direction that the data cannot tell, the names of the numbers that make it up.
+    """
+
+    names: tuple[str, ...]
+    parameters: tuple[str, ...]
+    values: Array
+    factor: Array
+    relative: Array
+    undetermined: tuple[tuple[str, ...], ...]
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """`uncertainty` of a model file; empty without numbers."""
+        if not self.names:
+            return {}
+        return {"parameters": list(self.names), "factor": [[float(f"{value:.{DIGITS}g}") for value in row] for row in self.factor]}
+
+    @property
+    def tolerance(self) -> dict[str, float]:
+        """`tolerance` of a model file, for readers that know no more: the median relative deviation of every parameter.
+
+        Polynomials have that of the gain and the zeros (`num`), and of the poles (`den`).
+        """
+        found: dict[str, list[float]] = {}
+        for parameter, relative in zip(self.parameters, self.relative.tolist(), strict=True):
+            found.setdefault(parameter, []).append(relative)
+        return {name: float(f"{np.median(values):.4g}") for name, values in found.items() if any(values)}
+
+    @property
+    def standard_deviations(self) -> dict[str, float]:
+        """Standard deviation by name, in the number's unit."""
+        return dict(zip(self.names, np.linalg.norm(self.factor, axis=1).tolist(), strict=True))
+
+    def notes(self, remedy: str) -> list[str]:
+        """Say which directions the data cannot tell.
+
+        Parameters
+        ----------
+        remedy
+            Excitation that would show more.
+
+        Returns
+        -------
+        list of str
+            At most one sentence.
+        """
+        if not self.undetermined:
+            return []
+        listed = "; ".join(" with ".join(names) for names in self.undetermined[:MOST_NAMED])
+        more = len(self.undetermined) - MOST_NAMED
+        return [
+            f"the data cannot tell {listed}{f' and {more} more' if more > 0 else ''}, which are assumed to be known to "
+            f"{100 * PRIOR:.0f} %: {remedy}"
+        ]
+
+
+def uncertainty_of(
+    stages_of: Callable[[Array], Sequence[Stage]], vector: Array, covariance: Array, axes: Sequence[str], sizes: Array | None = None
+) -> Uncertainty:
+    """Carry the covariance of a fit's parameters over to the numbers of its model.
+
+    Parameters
+    ----------
+    stages_of
+        Chain of a parameter vector.
+    vector
+        Parameters (Q,) of the fit.
+    covariance
+        Their covariance (Q, Q).
+    axes
+        Names of the axes.
+    sizes
+        Sizes (Q,) of the parameters, by which their differences are scaled; None: of order one.
+
+    Returns
+    -------
+    Uncertainty
+        Of all numbers that follow the parameters.
+    """
+    known = chain_coordinates(stages_of(vector), axes)
+    steps = STEP * (np.ones(len(vector)) if sizes is None else sizes)
+    jacobian = np.array([_slope(stages_of, vector, step * unit, known, axes) for step, unit in zip(steps, np.eye(len(vector)))]).T
+    moving = [i for i in range(len(known)) if np.any(jacobian[i])]
+    names = [list(known)[i] for i in moving]
+    values = np.array([known[name].value for name in names])
+    spread = (jacobian[moving] / steps) @ covariance @ (jacobian[moving] / steps).T
+    # A number that is 0 has no size of its own: what the data say is all there is.
+    sizes = np.array([known[name].size for name in names])
+    scale = np.where(sizes > 0.0, PRIOR * sizes, np.sqrt(np.maximum(np.diag(spread), 1e-300)))
+    factor, directions = limited_root(spread / scale[:, None] / scale)
+    factor = scale[:, None] * factor
+    relative = np.linalg.norm(factor, axis=1) / np.where(sizes > 0.0, sizes, np.inf)
+    undetermined = tuple(
+        tuple(names[i] for i in np.flatnonzero(np.abs(direction) >= NAMED * np.abs(direction).max())) for direction in directions
+    )
+    parameters = tuple(known[name].parameter for name in names)
+    return Uncertainty(tuple(names), parameters, values, factor, np.minimum(relative, PRIOR), tuple(dict.fromkeys(undetermined)))
+
+
+def independent_axes(
+    parts: Sequence[tuple[Array, Array]],
+    stages_of: Callable[[Sequence[Array]], Sequence[Stage]],
+    axes: Sequence[str],
+    sizes: Sequence[Array] | None = None,
+) -> Uncertainty:
+    """Uncertainty of a model whose axes are fitted one by one.
+
+    Parameters
+    ----------
+    parts
+        Parameters (Q,) and their covariance (Q, Q) of every axis.
+    stages_of
+        Chain of the parameters of all axes.
+    axes
+        Names of the axes.
+    sizes
+        Sizes (Q,) of the parameters of every axis; None: of order one.
+
+    Returns
+    -------
+    Uncertainty
+        Of all numbers that follow the parameters.
+    """
+    edges = np.cumsum([len(vector) for vector, _ in parts])[:-1]
+    return uncertainty_of(
+        lambda vector: stages_of(np.split(vector, edges)),
+        np.concatenate([vector for vector, _ in parts]),
+        block_diag(*(covariance for _, covariance in parts)),
+        axes,
+        None if sizes is None else np.concatenate(sizes),
+    )
+
+
+def limited_root(covariance: Array) -> tuple[Array, Array]:
+    """Symmetric root of a covariance none of whose directions exceeds variance 1.
+
+    Parameters
+    ----------
+    covariance
+        (P, P), in units of the prior.
+
+    Returns
+    -------
+    root : Array
+        (P, P).
+    directions : Array
+        Unit vectors (U, P) of the directions that had to be limited, from the least known one on.
+    """
+    spectrum, vectors = np.linalg.eigh(covariance)
+    limited = np.clip(spectrum, 0.0, 1.0)
+    directions = vectors.T[spectrum > 1.0][::-1]
+    root: Array = (vectors * np.sqrt(limited)) @ vectors.T
+    return root, directions
+
+
+def _slope(stages_of: Callable[[Array], Sequence[Stage]], vector: Array, step: Array, known: Any, axes: Sequence[str]) -> Array:
+    """Difference (P,) of the numbers over one step; central, or to one side where the chain on the other is of another form."""
+    found = []
+    for moved in (vector + step, vector - step):
+        there = chain_coordinates(stages_of(moved), axes)
+        found.append(None if there.keys() != known.keys() else np.array([there[name].value for name in known]))
+    nominal = np.array([coordinate.value for coordinate in known.values()])
+    changes = [sign * (values - nominal) for sign, values in zip((1.0, -1.0), found, strict=True) if values is not None]
+    slope: Array = np.mean(changes, axis=0) if changes else np.zeros(len(known))
+    return slope

@@ -1,0 +1,112 @@
+"""Step of the lattice that a signal's values lie on, and the weight of a rounded sample."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.chain.parameter import Array
+
+LEVELS = 4
+"""Fewest levels of a lattice."""
+CROWDING = 0.7
+"""Most levels of a lattice, per sample."""
+SPREAD = 1.5
+"""Distances of neighboring levels, in smallest ones, up to which they are one step."""
+OFF = 0.02
+"""Distance from the lattice, in steps, up to which a level lies on it."""
+SHARE = 0.99
+"""Share of the levels that must lie on the lattice."""
+
+REPEATED = 0.4
+"""Share of repeated commands that find the reading of the time before, from which such readings count once (half a loop is on the
+virgin curve the first time)."""
+
+
+def quantization_step(
+    values: Array,
+    *,
+    fewest: float = LEVELS,
+    crowding: float = CROWDING,
+    spread: float = SPREAD,
+    off: float = OFF,
+    share: float = SHARE,
+) -> float:
+    """Step of the lattice that all values lie on.
+
+    Parameters
+    ----------
+    values
+        Signal (N,) in any unit.
+    fewest
+        Levels that there must be at least.
+    crowding
+        Most levels, per sample.
+    spread
+        Distances of neighboring levels up to which they are one step, in smallest ones.
+    off
+        Distance from the lattice up to which a level lies on it, in steps.
+    share
+        Share of the levels that must lie on it.
+
+    Returns
+    -------
+    float
+        In the values' unit; 0 where there is no lattice.
+    """
+    levels = np.unique(values)
+    if len(levels) < fewest or len(levels) > crowding * len(values):
+        return 0.0
+    steps = np.diff(levels)
+    step = float(np.median(steps[steps <= spread * steps.min()]))
+    if step <= 0 or step < 1e-9 * np.ptp(levels):
+        return 0.0
+    step = float(np.ptp(levels) / np.rint(np.ptp(levels) / step))
+    distance = np.abs((levels - levels[0]) / step - np.rint((levels - levels[0]) / step))
+    return step if np.mean(distance < off) > share else 0.0
+
+
+def rounding_weights(command: Array, values: Array) -> Array | None:
+    """Weights of rounded samples by what they tell.
+
+    A run of equal readings says once that the signal was within half a step, not as often as it is long; and where a repeated command
+    finds the readings of the time before, without noise that would make them differ, they say nothing new. Where the noise is larger
+    than the step there are no long runs and few such repetitions, and every sample counts as it is.
+
+    Parameters
+    ----------
+    command
+        Command (N,).
+    values
+        Measurement (N,).
+
+    Returns
+    -------
+    Array | None
+        Weights (N,), 1 on average; None where the values lie on no lattice.
+    """
+    if not quantization_step(values):
+        return None
+    change = np.flatnonzero(np.diff(values)) + 1
+    lengths = np.diff(np.concatenate([[0], change, [len(values)]]))
+    weight = np.repeat(1.0 / lengths, lengths)
+    weight[_repeated(command, values)] = 0.0
+    balanced: Array = weight / weight.mean()
+    return balanced
+
+
+def _repeated(command: Array, values: Array) -> NDArray[np.bool_]:
+    """Samples (N,) at which the last three commands and the reading are those of an earlier sample; none where readings scatter."""
+    coarse = np.rint(command / max(1e-6 * np.ptp(command), 1e-300))
+    moves = np.stack([np.roll(coarse, 2), np.roll(coarse, 1), coarse], axis=1)
+    _, known = np.unique(moves, axis=0, return_inverse=True)
+    _, first = np.unique(np.stack([known.ravel(), values], axis=1), axis=0, return_index=True)
+    again = np.ones(len(values), dtype=bool)
+    again[first] = False
+    moving = (coarse != moves[:, 1]) & (np.arange(len(values)) > 1)
+    _, counts = np.unique(known.ravel()[moving], return_counts=True)
+    repetitions = len(known.ravel()[moving]) - len(counts)
+    if not repetitions or np.count_nonzero(again & moving) < REPEATED * repetitions:
+        again[:] = False
+    found: NDArray[np.bool_] = again & moving
+    return found
