@@ -473,7 +473,7 @@ class Problem:
         self.irreducible = sum(rest for _, rest in compressed)
         self.power = sum(spectra.power for spectra in data)
         self.direct, self.free_delay = direct, free_delay
-        slowest = min(SLOWEST[s.periodic] * float(np.diff(s.angle).min()) for s in self.data)
+        slowest = min(SLOWEST[s.periodic] * float((np.diff(s.angle) if len(s.angle) > 1 else s.angle).min()) for s in self.data)
         self.slowest = float(np.log(slowest))
         self.model = model = replace(model, poles=np.minimum(model.poles.real, -slowest) + 1j * model.poles.imag)
         self.records = sum(s.command.shape[2] for s in self.data if not s.periodic)

@@ -140,3 +140,11 @@ def test_unusable_records_are_refused_in_one_line(records, words):
     with pytest.raises(InputError, match=words) as caught:
         identify(records, "linear")
     assert "\n" not in str(caught.value)
+
+
+def test_one_line_tells_a_gain_and_no_more():
+    """Whole periods of one sine excite one frequency: the fit has that frequency's gain, and does not fail for want of a second one."""
+    command = np.sin(2 * np.pi * np.arange(2000) / 100.0)[:, None]
+    model = identify([Dataset("sine", command, 0.7 * command, 1e-4, ("x",), "um")], "linear").model
+    found = simulate(model, np.tile(command, (2, 1)))[2000:]
+    np.testing.assert_allclose(np.ptp(found), 2 * 0.7, rtol=0.02)
