@@ -11,6 +11,7 @@ from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.record_segmentation import REST_TIME, resting_stretches, stretches_between_rests
 from hyst_control.identify.reversal_points import turning_points
+from hyst_control.records.row_store import empty_rows
 
 SETTLE_TIME = 0.25
 """Time (s) after which a window's linear transient is over, the slow pair's included; its rows before that do not count."""
@@ -68,12 +69,13 @@ def balanced_weights(data: Dataset, axis: int) -> Array | None:
     motions = [stretch for stretch in stretches_between_rests(data, 0, axis) if stretch.kind == "motion"]
     if len(motions) < 2:
         return None
-    weight = np.ones(len(data.command))
+    weight = empty_rows(len(data.command))
+    weight[:] = 1.0
     mean = np.mean([stretch.end - stretch.begin for stretch in motions])
     for stretch in motions:
         weight[stretch.begin : stretch.end] = np.clip(mean / (stretch.end - stretch.begin), 0.2, 5.0)
-    balanced: Array = weight / weight.mean()
-    return balanced
+    weight /= weight.mean()
+    return weight
 
 
 def before(data: Dataset) -> tuple[Array | None, int]:
