@@ -17,6 +17,7 @@ from hyst_control.chain.parameter import Array, Kind, declared
 from hyst_control.chain.stage import HOLDS
 from hyst_control.errors import InputError
 from hyst_control.files import write_text
+from hyst_control.records.row_store import blocks, empty_rows
 from hyst_control.yaml_files import read_yaml
 
 FORMAT = "hyst_control/model"
@@ -143,9 +144,13 @@ def simulate(model: Model, commands: Array, sample_time: float | None = None, ho
     commands = np.ascontiguousarray(commands, dtype=float)
     hold = hold or model.hold
     running = model.filter(sample_time, hold)
-    first = running.settle(commands[0])
-    output = running.process(commands)
-    return output if hold == "foh" else np.concatenate([first[None], output[:-1]])
+    before = running.settle(commands[0])[None]
+    measurements = empty_rows(*commands.shape)
+    for part in blocks(len(commands)):
+        output = running.process(commands[part])
+        measurements[part] = output if hold == "foh" else np.concatenate([before, output[:-1]])
+        before = output[-1:]
+    return measurements
 
 
 def load_model(path: str | Path) -> Model:

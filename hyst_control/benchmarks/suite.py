@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from hyst_control import progress
-from hyst_control.benchmarks import coverage, kernels, loops, workflows
+from hyst_control.benchmarks import coverage, kernels, long_records, loops, workflows
 from hyst_control.errors import InputError
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.bag_writer import BagWriter
@@ -24,7 +25,9 @@ REPEATS = 5
 GROUPS = ("kernels", "bags", "loops", "workflows", "coverage")
 
 
-def run(only: str | None = None, seconds: float = loops.SECONDS, soak: float | None = None) -> Table:
+def run(
+    only: str | None = None, seconds: float = loops.SECONDS, soak: float | None = None, minutes: Sequence[float] | None = None
+) -> Table:
     """Run all groups of benchmarks, or one of `GROUPS`.
 
     Parameters
@@ -35,6 +38,8 @@ def run(only: str | None = None, seconds: float = loops.SECONDS, soak: float | N
         Length of every run of the loop, s.
     soak
         Length of the long run, which replaces the groups, min.
+    minutes
+        Lengths of the records on which commands are measured, which replaces the groups, min.
 
     Returns
     -------
@@ -47,11 +52,14 @@ def run(only: str | None = None, seconds: float = loops.SECONDS, soak: float | N
         A length is out of range, gcc is missing for the kernels, or a node fails.
     """
     table = Table("bench")
-    for name, value in (("seconds", seconds), ("soak", soak)):
+    for name, value in (("seconds", seconds), ("soak", soak), *(("minutes", length) for length in minutes or ())):
         if value is not None and not 0 < value < 1e6:
             raise InputError(f"{name}: must be > 0 and < 1e6, got {value!r}")
     if soak is not None:
         loops.soak(table, soak)
+        return table
+    if minutes is not None:
+        long_records.run(table, minutes)
         return table
     if only in (None, "kernels"):
         progress.step("kernels beside C")

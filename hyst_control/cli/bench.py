@@ -8,6 +8,7 @@ machine at this moment; the table names the machine.
 examples:
   hyst bench --only loops --json suite.json
   hyst bench --soak 60                      long runs, to check that memory does not grow
+  hyst bench --minutes 1 4 16               commands on long records, to check that time is linear and memory stays
 """
 
 from __future__ import annotations
@@ -35,10 +36,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MINUTES",
         help="instead, run the loop for this time in lockstep, then for a sixth of it on the wall clock, and measure its memory",
     )
+    parser.add_argument(
+        "--minutes",
+        type=float,
+        nargs="+",
+        metavar="MINUTES",
+        help="instead, measure time and memory of import, simulate, validate and identify on records of these lengths at 50 kHz",
+    )
 
 
 def run(arguments: argparse.Namespace) -> Table:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from hyst_control.benchmarks import suite
 
-    return suite.run(arguments.only, arguments.seconds, arguments.soak)
+    return suite.run(arguments.only, arguments.seconds, arguments.soak, arguments.minutes)

@@ -44,7 +44,8 @@ def run(arguments: argparse.Namespace) -> Artifacts:
     from hyst_control.records.excitation import build
     from hyst_control.records.excitation_files import read_description
     from hyst_control.records.importing import write_bag
-    from hyst_control.records.record import Record, Signal
+    from hyst_control.records.record import Record, Signal, regular_times
+    from hyst_control.records.row_store import blocks
     from hyst_control.reporting.artifacts import Artifacts
 
     if bool(arguments.bag) == bool(arguments.excitation):
@@ -75,14 +76,19 @@ def run(arguments: argparse.Namespace) -> Artifacts:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{arguments.model}: cannot run at {1.0 / sample_time:g} Hz ({error}): choose another rate") from None
-    if arguments.seed is not None:
-        sigma = np.broadcast_to(np.asarray(model.noise.get("sigma", 0.0), dtype=float), len(model.axes))
-        measurement = measurement + sigma * np.random.default_rng(arguments.seed).standard_normal(measurement.shape)
-    if not np.isfinite(measurement).all():
-        raise InputError(
-            f"{arguments.model}: the simulation diverges with this command: check that the model is stable and the command within its range"
-        )
-    time = np.arange(len(commands), dtype=np.float64) * sample_time
+    sigma = np.broadcast_to(np.asarray(model.noise.get("sigma", 0.0), dtype=float), len(model.axes))
+    noise = None if arguments.seed is None else np.random.default_rng(arguments.seed)
+    lowest, highest = np.inf, -np.inf
+    for part in blocks(len(measurement)):
+        if noise is not None:
+            measurement[part] += sigma * noise.standard_normal(measurement[part].shape)
+        if not np.isfinite(measurement[part]).all():
+            raise InputError(
+                f"{arguments.model}: the simulation diverges with this command: check that the model is stable and the command within "
+                "its range"
+            )
+        lowest, highest = min(lowest, float(measurement[part].min())), max(highest, float(measurement[part].max()))
+    time = regular_times(len(commands), sample_time)
     signals = {
         "command": Signal(time, commands, tuple(model.axes), "V"),
         "measurement": Signal(time, measurement, tuple(model.axes), model.units["measurement"]),
@@ -94,11 +100,11 @@ def run(arguments: argparse.Namespace) -> Artifacts:
         [arguments.output],
         lines=[
             *notes,
-            f"{len(commands)} samples at {rate:g} Hz, measurement {measurement.min():.6g} to {measurement.max():.6g} {unit}",
+            f"{len(commands)} samples at {rate:g} Hz, measurement {lowest:.6g} to {highest:.6g} {unit}",
         ],
     )
     made.add("", "samples", "", len(commands))
     made.add("", "rate", "Hz", rate)
-    made.add("measurement", "minimum", unit, measurement.min())
-    made.add("measurement", "maximum", unit, measurement.max())
+    made.add("measurement", "minimum", unit, lowest)
+    made.add("measurement", "maximum", unit, highest)
     return made

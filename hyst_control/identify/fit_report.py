@@ -11,6 +11,10 @@ from hyst_control.identify.dataset import Dataset, RecordRow
 from hyst_control.identify.fit_windows import before
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.quantization_step import quantization_step
+from hyst_control.records.row_store import blocks, largest_size, mean_square
+
+NOISE_ROWS, SPECTRUM_ROWS, PARTS = 2**22, 2**23, 16
+"""Rows from which noise and bandwidth are taken: those of longer records in so many parts spread over them."""
 
 
 def residual(model: Model, data: Dataset) -> Array:
@@ -33,7 +37,9 @@ def residual(model: Model, data: Dataset) -> Array:
     memory, begin = before(data)
     command = data.command if memory is None else np.concatenate([memory, data.command])
     simulated = simulate(model, command, data.sample_time, data.hold)[len(command) - len(data.command) :]
-    return data.measurement[begin:] - simulated[begin:]
+    error = simulated[begin:]
+    np.subtract(data.measurement[begin:], error, out=error)  # in place: a long record's error is on a file, as its simulation is
+    return error
 
 
 def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordRow], list[Array]]:
@@ -67,10 +73,10 @@ def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordR
                     "name": data.name,
                     "axis": name,
                     "samples": len(e),
-                    "rmse": float(np.sqrt(np.mean(e**2))),
-                    "nrmse": 100.0 * float(np.sqrt(np.mean(e**2))) / span,
-                    "nrmse_centered": 100.0 * float(np.std(e)) / span,
-                    "nme": 100.0 * float(np.max(np.abs(e))) / span,
+                    "rmse": float(np.sqrt(mean_square(e))),
+                    "nrmse": 100.0 * float(np.sqrt(mean_square(e))) / span,
+                    "nrmse_centered": 100.0 * float(np.sqrt(mean_square(e, float(np.mean(e))))) / span,
+                    "nme": 100.0 * largest_size(e) / span,
                     "unit": data.unit,
                     "whiteness": lag_one(e),
                 }
@@ -91,9 +97,13 @@ def lag_one(error: Array) -> float:
     float
         Correlation, -1 to 1.
     """
-    centered = error - np.mean(error)
-    power = float(centered @ centered)
-    return float(centered[1:] @ centered[:-1]) / power if power > 0 else 0.0
+    mean, power, product = np.mean(error), 0.0, 0.0
+    for part in blocks(len(error)):
+        centered = error[part.start : part.stop + 1] - mean  # one row of the next block, the last block's apart
+        own = centered[: part.stop - part.start]
+        power += float(own @ own)
+        product += float(centered[1:] @ centered[:-1])
+    return product / power if power > 0 else 0.0
 
 
 def noise_sigma(residuals: Sequence[Array], datasets: Sequence[Dataset] = ()) -> list[float]:
@@ -111,11 +121,21 @@ def noise_sigma(residuals: Sequence[Array], datasets: Sequence[Dataset] = ()) ->
     list[float]
         Noise (A), rms in the measurement unit.
     """
-    stacked = np.concatenate([np.diff(error, 3, axis=0) for error in residuals])
+    stacked = np.concatenate(
+        [np.diff(error[part], 3, axis=0) for error in residuals for part in spread_parts(len(error), NOISE_ROWS)]
+    )
     sigma = np.median(np.abs(stacked), axis=0) / 0.6745 / np.sqrt(20.0)
     for data in datasets:
-        sigma = np.maximum(sigma, [quantization_step(column) / np.sqrt(12.0) for column in data.measurement.T])
+        sigma = np.maximum(sigma, [quantization_step(column) / np.sqrt(12.0) for column in data.measurement[:NOISE_ROWS].T])
     return [float(value) for value in sigma]
+
+
+def spread_parts(count: int, most: int) -> list[slice]:
+    """All of `count` rows as one part, or of more than `most` so many in parts that are spread evenly over them."""
+    if count <= most:
+        return [slice(0, count)]
+    size = most // PARTS
+    return [slice(begin, begin + size) for begin in np.linspace(0, count - size, PARTS).astype(int).tolist()]
 
 
 def command_bandwidth(data: Dataset) -> float:
@@ -131,9 +151,12 @@ def command_bandwidth(data: Dataset) -> float:
     float
         Frequency, Hz.
     """
-    moving = data.command - data.command.mean(axis=0)
-    power = np.sum(np.abs(np.fft.rfft(moving, axis=0)) ** 2, axis=1)
+    mean, parts = data.command.mean(axis=0), spread_parts(len(data.command), SPECTRUM_ROWS)
+    length = parts[0].stop
+    power = np.zeros(length // 2 + 1)
+    for part in parts:
+        power += np.sum(np.abs(np.fft.rfft(data.command[part] - mean, axis=0)) ** 2, axis=1)
     if power.sum() == 0:
         return 0.0
     cumulative = np.cumsum(power) / power.sum()
-    return float(np.searchsorted(cumulative, 0.999) / (len(moving) * data.sample_time))
+    return float(np.searchsorted(cumulative, 0.999) / (length * data.sample_time))

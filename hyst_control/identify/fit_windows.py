@@ -12,6 +12,7 @@ from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.record_segmentation import REST_TIME, resting_stretches, stretches_between_rests
 from hyst_control.identify.reversal_points import turning_points
 from hyst_control.records.quantization_step import rounding_weights
+from hyst_control.records.row_store import empty_rows
 
 SETTLE_TIME = 0.25
 """Time (s) after which a window's linear transient is over, the slow pair's included; its rows before that do not count."""
@@ -72,12 +73,13 @@ def balanced_weights(data: Dataset, axis: int) -> Array | None:
     rounded = rounding_weights(data.command[:, axis], data.measurement[:, axis])
     if len(motions) < 2:
         return rounded
-    weight = np.ones(len(data.command)) if rounded is None else rounded
+    weight = empty_rows(len(data.command))
+    weight[:] = 1.0 if rounded is None else rounded
     mean = np.mean([stretch.end - stretch.begin for stretch in motions])
     for stretch in motions:
         weight[stretch.begin : stretch.end] *= np.clip(mean / (stretch.end - stretch.begin), 0.2, 5.0)
-    balanced: Array = weight / weight.mean()
-    return balanced
+    weight /= weight.mean()
+    return weight
 
 
 def before(data: Dataset) -> tuple[Array | None, int]:

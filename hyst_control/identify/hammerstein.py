@@ -22,6 +22,7 @@ from hyst_control.identify.shared_options import nuisance_option, structure_opti
 from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.identify.variable_projection import Problem, Solution, solve
 from hyst_control.parallel import forked
+from hyst_control.records.row_store import largest_size
 
 SELECTION_ROWS = 60_000
 LEAST_FOR_LOADING = 6
@@ -181,7 +182,7 @@ def default_operators(
     Operators
         The play operators.
     """
-    highest = max(float(np.max(np.abs(window.command))) for window in windows)
+    highest = max(largest_size(window.command) for window in windows)
     span = max(float(np.ptp(window.command)) for window in windows)
     if options.thresholds is not None:
         thresholds = np.array(options.thresholds, dtype=float)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hyst_control.chain.stage import Array
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.reversal_points import turning_points
+from hyst_control.records.row_store import blocks
 
 REST_TIME = 5e-3
 """A command that holds still for this long (s) rests."""
@@ -65,8 +66,7 @@ def stretches_between_rests(data: Dataset, record: int, axis: int) -> list[Stret
     span = float(np.ptp(command))
     if span == 0:
         return []
-    moving = np.abs(np.diff(command)) > 1e-6 * span
-    edges = _runs(moving, int(max(REST_TIME / data.sample_time, 2)))
+    edges = _runs(command, 1e-6 * span, int(max(REST_TIME / data.sample_time, 2)))
     found: list[Stretch] = []
     for index, (begin, stop) in enumerate(edges):
         end = edges[index + 1][0] if index + 1 < len(edges) else len(command)
@@ -81,15 +81,29 @@ def stretches_between_rests(data: Dataset, record: int, axis: int) -> list[Stret
     return found
 
 
-def _runs(moving: NDArray[np.bool_], rest: int) -> list[tuple[int, int]]:
-    """(first, last + 1) of the stretches of motion that are separated by at least `rest` still samples."""
-    indices = np.flatnonzero(moving)
-    if not len(indices):
-        return []
-    breaks = np.flatnonzero(np.diff(indices) > rest)
-    begins = np.concatenate([[indices[0]], indices[breaks + 1]])
-    ends = np.concatenate([indices[breaks], [indices[-1]]]) + 1
-    return list(zip(begins.tolist(), ends.tolist(), strict=True))
+def _runs(command: Array, least: float, rest: int) -> list[tuple[int, int]]:
+    """(first, last + 1) of the stretches of motion that are separated by at least `rest` samples that change by `least` or less."""
+    begins: list[int] = []
+    ends: list[int] = []
+    for indices in _moving(command, least):
+        if not begins:
+            begins.append(int(indices[0]))
+        breaks = np.flatnonzero(np.diff(indices) > rest)
+        ends += (indices[breaks] + 1).tolist()
+        begins += indices[breaks + 1].tolist()
+        last = int(indices[-1])
+    return list(zip(begins, [*ends, last + 1], strict=True)) if begins else []
+
+
+def _moving(command: Array, least: float) -> Iterator[NDArray[np.int64]]:
+    """Samples (n,) behind which a command changes by more than `least`, block by block; each block begins with the last one's last."""
+    last: list[NDArray[np.int64]] = []
+    for part in blocks(len(command)):
+        found = np.flatnonzero(np.abs(np.diff(command[part.start : part.stop + 1])) > least) + part.start
+        if len(found):
+            joined = np.concatenate([*last, found])
+            last = [joined[-1:]]
+            yield joined
 
 
 def resting_stretches(command: Array, least: int) -> list[tuple[int, int]]:
@@ -107,9 +121,15 @@ def resting_stretches(command: Array, least: int) -> list[tuple[int, int]]:
     list[tuple[int, int]]
         First row, and the row behind the last one, of every stretch.
     """
-    moving = np.flatnonzero(np.abs(np.diff(command)) > 1e-6 * np.ptp(command))
-    edges = np.concatenate([[-1], moving, [len(command) - 1]])
-    return [(int(begin) + 1, int(end) + 1) for begin, end in zip(edges, edges[1:], strict=False) if end - begin >= least]
+    found, last = [], -1
+    for indices in _moving(command, 1e-6 * float(np.ptp(command))):
+        edges = np.concatenate([[last], indices])
+        long = np.flatnonzero(np.diff(edges) >= least)
+        found += list(zip((edges[long] + 1).tolist(), (edges[long + 1] + 1).tolist(), strict=True))
+        last = int(indices[-1])
+    if len(command) - 1 - last >= least:
+        found.append((last + 1, len(command)))
+    return found
 
 
 def _motions(command: Array, sample_time: float) -> list[tuple[int, int, float, float]]:

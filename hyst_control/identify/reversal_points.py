@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hyst_control.chain.stage import Array
+from hyst_control.records.row_store import blocks
 
 
 def turning_points(command: Array) -> Array:
@@ -20,7 +21,14 @@ def turning_points(command: Array) -> Array:
     Array
         Indices of the samples, 0 first.
     """
-    slope = np.sign(np.diff(command))
-    moving = np.flatnonzero(slope)
-    turns = moving[1:][slope[moving[1:]] != slope[moving[:-1]]]
-    return np.concatenate([[0], turns]).astype(int)
+    turns, way = [np.zeros(1, dtype=int)], 0.0
+    for part in blocks(len(command)):
+        slope = np.sign(np.diff(command[part.start : part.stop + 1]))
+        moving = np.flatnonzero(slope)
+        if not len(moving):
+            continue
+        ways = slope[moving]
+        before = np.concatenate([[way or ways[0]], ways[:-1]])
+        turns.append(moving[ways != before] + part.start)
+        way = float(ways[-1])
+    return np.concatenate(turns)

@@ -15,6 +15,7 @@ from hyst_control.identify.record_segmentation import stretches_between_rests
 from hyst_control.identify.workflow import datasets_of
 from hyst_control.model_file import Model, load_model
 from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.row_store import blocks, largest_size, mean_square
 from hyst_control.reporting.tables import Table
 
 
@@ -106,11 +107,11 @@ def add_rows(table: Table, name: str, model: Model, data: Dataset) -> None:
         where = f"{data.name} {label}" if len(data.axes) > 1 else data.name
         span = float(data.range[axis]) or 1.0
         e = error[:, axis]
-        rmse = float(np.sqrt(np.mean(e**2)))
+        rmse = float(np.sqrt(mean_square(e)))
         for quantity, value, symbol in (
             ("nrmse", 100 * rmse / span, "%"),
-            ("nrmse_centered", 100 * float(np.std(e)) / span, "%"),
-            ("nme", 100 * float(np.max(np.abs(e))) / span, "%"),
+            ("nrmse_centered", 100 * float(np.sqrt(mean_square(e, float(np.mean(e))))) / span, "%"),
+            ("nme", 100 * largest_size(e) / span, "%"),
             ("rmse", rmse, data.unit),
         ):
             table.add("validation", where, name, quantity, symbol, value, n=len(e))
@@ -129,7 +130,7 @@ def add_rows(table: Table, name: str, model: Model, data: Dataset) -> None:
                 name,
                 "nrmse",
                 "%",
-                100 * float(np.sqrt(np.mean(e[rows] ** 2)) / np.ptp(part)),
+                100 * float(np.sqrt(mean_square(e[rows])) / np.ptp(part)),
                 n=rows.stop - rows.start,
             )
 
@@ -157,7 +158,10 @@ def fraction_outside(model: Model, data: Dataset, axis: int) -> float:
     lower, upper = np.array(valid, dtype=float).reshape(-1, 2)[axis if np.ndim(valid) == 2 else 0]
     slack = 1e-6 * (upper - lower)
     command = data.command[:, axis]
-    return float(np.mean((command < lower - slack) | (command > upper + slack)))
+    outside = sum(
+        int(np.count_nonzero((command[part] < lower - slack) | (command[part] > upper + slack))) for part in blocks(len(command))
+    )
+    return outside / len(command)
 
 
 def _name(path: str | Path, among: Sequence[str | Path]) -> str:

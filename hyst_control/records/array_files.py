@@ -13,6 +13,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 from hyst_control.foreign_readers import foreign_reader
 from hyst_control.records.decompression import Budget
+from hyst_control.records.row_store import IN_MEMORY, blocks, empty_rows
 
 KINDS = (".npy", ".npz", ".mat")
 PIECE = 2**20
@@ -53,13 +54,13 @@ def read_arrays(path: str | Path, kind: str) -> dict[str, Array]:
         with foreign_reader(path, f"a {kind} file", remedy):
             if kind == ".npy":
                 with open(path, "rb") as file:
-                    found: dict[str, Any] = {"": _npy(file, path.stat().st_size)}
+                    found: dict[str, Any] = {"": _npy(file, path.stat().st_size, path)}
             elif kind == ".npz":
                 found = _npz(path)
             else:
                 found = _mat(path)
             return {
-                name: np.asarray(value, dtype=np.float64)
+                name: _as_float64(value)
                 for name, value in found.items()
                 if isinstance(value, np.ndarray) and value.dtype.kind in "iuf"
             }
@@ -71,8 +72,18 @@ class _MatlabHdf(BaseException):
     """Not an `Exception`: the wrapper of foreign readers lets it pass."""
 
 
-def _npy(file: IO[bytes], size: int) -> Any:
-    """The array of a .npy stream of so many bytes; None where it holds no real numbers."""
+def _as_float64(value: Any) -> Array:
+    """An array of real numbers as float64; a large one that has to be converted is put on a file."""
+    if value.dtype == np.float64 or value.nbytes <= IN_MEMORY or value.ndim == 0:
+        return np.asarray(value, dtype=np.float64)
+    found = empty_rows(*value.shape)
+    for part in blocks(len(value)):
+        found[part] = value[part]
+    return found
+
+
+def _npy(file: IO[bytes], size: int, path: Path | None = None) -> Any:
+    """The array of a .npy stream of so many bytes; None where it holds no real numbers. A large one in a file is mapped, not read."""
     shape, dtype = _npy_header(file)
     if dtype.kind not in "biuf":
         return None  # texts, objects, complex numbers
@@ -81,6 +92,8 @@ def _npy(file: IO[bytes], size: int) -> Any:
         count *= length  # of Python's integers: they do not overflow
     if count * dtype.itemsize > size:
         raise ValueError(f"it announces {count * dtype.itemsize} bytes and has {size}")
+    if path is not None and count * dtype.itemsize > IN_MEMORY:
+        return np.lib.format.open_memmap(path, "r")
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False)
 

@@ -19,7 +19,8 @@ from hyst_control.errors import InputError
 from hyst_control.foreign_readers import first_line
 from hyst_control.records.decompression import Budget, Damage, Expanded, decompress
 from hyst_control.records.mcap_stream import MAGIC, PIECE, CutOff, McapStream
-from hyst_control.records.record import Record, Signal, axis_names, check_times
+from hyst_control.records.record import Record, Signal, axis_names, check_times, increasing
+from hyst_control.records.row_store import RowStore
 from hyst_control.records.signal_message import MESSAGE_TYPE, decode, parse_label
 from hyst_control.records.sqlite_bag import sqlite_messages
 from hyst_control.yaml_files import read_yaml
@@ -84,7 +85,7 @@ def read_bag(
     origin = min((min(each.times) for each in named.values() if each.times), default=0)
     signals: dict[str, Signal] = {}
     for name in list(named):
-        held = named.pop(name)  # its blocks are given back as soon as the signal has them
+        held = named.pop(name)  # its rows are given back as soon as the signal has them
         try:
             signals[name] = _signal(path, name, held, origin, unit, notes)
         except InputError as error:
@@ -270,27 +271,42 @@ def _has_footer(file: Path) -> bool:
         return stream.read() == MAGIC
 
 
+Form = tuple[str, int]
+"""Label and number of columns of messages."""
+
+
 @dataclass(frozen=True)
 class _Part:
-    """Rows (N, C) of successive messages of one form, and the first of these messages, counted from 0."""
+    """Successive messages of one form, the first of them counted from 0, and how many they are."""
 
-    label: str
-    rows: Array
+    form: Form
     first: int
     messages: int
 
-    @property
-    def form(self) -> tuple[str, int]:
-        """Label and number of columns."""
-        return self.label, self.rows.shape[1]
+
+class _Rows:
+    """Rows of one form: sample times apart from the values where there is a label, values alone where there is none."""
+
+    def __init__(self, form: Form) -> None:
+        label, width = form
+        self.time = RowStore() if label else None
+        self.values = RowStore(width - 1 if label else width)
+
+    def append(self, rows: Array) -> None:
+        if self.time is None:
+            self.values.append(rows)
+        else:
+            self.time.append(rows[:, 0])
+            self.values.append(rows[:, 1:])
 
 
 class _Topic:
-    """The messages of one topic, decoded as they come in: the raw bytes of a long bag are never held together."""
+    """The messages of one topic, decoded as they come in; neither the raw bytes nor the rows of a long bag are held in memory."""
 
     def __init__(self, wanted: bool) -> None:
         self.wanted = wanted
         self.parts: list[_Part] = []
+        self.rows: dict[Form, _Rows] = {}
         self.times = array("q")
         self.error: InputError | None = None
         self._pending: list[bytes] = []
@@ -304,8 +320,8 @@ class _Topic:
             if len(self._pending) == PENDING:
                 self._decode()
 
-    def taken(self, notes: list[str], where: str) -> tuple[str, list[Array], NDArray[np.int64]]:
-        """Label, blocks (N, C) in their order and the times of their messages, once.
+    def taken(self, notes: list[str], where: str) -> tuple[str, _Rows, NDArray[np.int64]]:
+        """Label, rows in their order and the times of their messages, once.
 
         A few messages of another label or width (of a second source that wrote the topic by mistake) are left out with a note. Raises
         the `InputError` of the first message that is no signal, or that there are two forms of about equal standing.
@@ -314,27 +330,27 @@ class _Topic:
             self._decode()
         if self.error is not None:
             raise self.error
-        parts, self.parts = self.parts, []
+        found, self.rows = self.rows, {}
         times = np.frombuffer(self.times, np.int64)
-        rows: dict[tuple[str, int], int] = {}
-        for part in parts:
-            rows[part.form] = rows.get(part.form, 0) + len(part.rows)
-        main = max(rows, key=lambda form: rows[form])
-        if len(rows) > 1:
-            foreign = sum(rows.values()) - rows[main]
-            other = next(form for form in rows if form != main)
-            if foreign > FOREIGN_SHARE * rows[main]:
+        counts = {form: rows.values.count for form, rows in found.items()}
+        main = max(counts, key=lambda form: counts[form])
+        if len(counts) > 1:
+            foreign = sum(counts.values()) - counts[main]
+            other = next(form for form in counts if form != main)
+            if foreign > FOREIGN_SHARE * counts[main]:
                 if other[0] == main[0]:
                     raise InputError(f"messages of {main[1]} and of {other[1]} values: record one plant per topic")
-                raise InputError(f"label changes from {next(iter(rows))[0]!r} to {list(rows)[1][0]!r}: record one plant per topic")
+                raise InputError(
+                    f"label changes from {next(iter(counts))[0]!r} to {list(counts)[1][0]!r}: record one plant per topic"
+                )
             notes.append(
                 f"{where}: {foreign} rows of another form ({other[0] or f'{other[1]} values'!r}) were left out: who sent them?"
             )
             kept = np.zeros(len(times), bool)
-            for part in parts:
+            for part in self.parts:
                 kept[part.first : part.first + part.messages] = part.form == main
-            parts, times = [part for part in parts if part.form == main], times[kept]
-        return main[0], [part.rows for part in parts], times
+            times = times[kept]
+        return main[0], found[main], times
 
     def _decode(self) -> None:
         raws, self._pending = self._pending, []
@@ -342,7 +358,7 @@ class _Topic:
             try:
                 self._append(raws)
             except InputError as error:
-                self.error, self.parts = error, []
+                self.error, self.parts, self.rows = error, [], {}
         self._decoded += len(raws)
 
     def _append(self, raws: list[bytes]) -> None:
@@ -359,7 +375,7 @@ class _Topic:
             # The padding inside a header is whatever the sender's memory held: only a wholly equal one is taken as read.
             if raws[begin][1] == 1 and (table[:, :head] == table[0, :head]).all():
                 rows = np.ascontiguousarray(table[:, head:]).view("<f8").reshape(-1, first.shape[1])
-                self.parts.append(_Part(label, rows, self._decoded + begin, end - begin))
+                self._keep(label, rows, self._decoded + begin, end - begin)
             else:
                 self._append_singly(raws[begin:end], self._decoded + begin)
             begin = end
@@ -374,36 +390,44 @@ class _Topic:
             while end < len(found) and found[end][0] == label and found[end][1].shape[1] == block.shape[1]:
                 end += 1
             rows = np.concatenate([rows for _, rows in found[begin:end]])
-            self.parts.append(_Part(label, rows, first + begin, end - begin))
+            self._keep(label, rows, first + begin, end - begin)
             begin = end
+
+    def _keep(self, label: str, rows: Array, first: int, messages: int) -> None:
+        """Keep the rows (N, C) of successive messages."""
+        form = label, rows.shape[1]
+        self.parts.append(_Part(form, first, messages))
+        if form not in self.rows:
+            self.rows[form] = _Rows(form)
+        self.rows[form].append(rows)
 
 
 def _signal(path: Path, name: str, topic: _Topic, origin: int, unit: str, notes: list[str]) -> Signal:
     """The signal of a topic; origin: ns, from which times of reception count."""
     try:
-        label, blocks, stamps = topic.taken(notes, f"{path}: {name}")
-        axes, units = parse_label(label) if label else (axis_names(blocks[0].shape[1]), ())
+        label, rows, stamps = topic.taken(notes, f"{path}: {name}")
+        axes, units = parse_label(label) if label else (axis_names(rows.values.width or 0), ())
     except InputError as error:
         raise InputError(f"{path}: {name}: {error}") from None
     if not axes:
         raise InputError(f"{path}: {name}: messages hold no values: record the plant's signals")
     if len(set(units)) > 1:
         raise InputError(f"{path}: {name}: label must have one unit for all axes, got {label!r}")
-    if units:
-        time = np.concatenate([block[:, 0] for block in blocks])
-        values = np.concatenate([block[:, 1:] for block in blocks])
-        blocks.clear()
-        return _ordered(path, name, Signal(time, values, axes, units[0]), notes)
-    order = np.argsort(stamps, kind="stable")
-    time = np.asarray((stamps[order] - origin) * 1e-9, dtype=np.float64)
-    return Signal(time, np.concatenate(blocks)[order], axes, "V" if name in COMMAND_SIDE else unit, "receive")
+    if rows.time is not None:
+        return _ordered(path, name, Signal(rows.time.array(), rows.values.array(), axes, units[0]), notes)
+    values = rows.values.array()
+    if not increasing(stamps, equal=True):
+        order = np.argsort(stamps, kind="stable")
+        stamps, values = stamps[order], values[order]
+    time = np.asarray((stamps - origin) * 1e-9, dtype=np.float64)
+    return Signal(time, values, axes, "V" if name in COMMAND_SIDE else unit, "receive")
 
 
 def _ordered(path: Path, name: str, signal: Signal, notes: list[str]) -> Signal:
     """The rows in order of their sample time; rows sent twice are kept once. What was mended is noted."""
     time = signal.time
     check_times(f"{path}: {name}", time)
-    if np.all(np.diff(time) > 0):
+    if increasing(time):
         return signal
     _, first = np.unique(time, return_index=True)
     repeated = np.setdiff1d(np.arange(len(time)), first)

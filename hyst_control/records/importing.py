@@ -9,6 +9,7 @@ import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import IO
 
@@ -20,7 +21,8 @@ from hyst_control.foreign_readers import foreign_reader
 from hyst_control.records.array_files import KINDS, read_arrays
 from hyst_control.records.bag_writer import BagWriter
 from hyst_control.records.decompression import Budget
-from hyst_control.records.record import Record, Signal, axis_names, check_times
+from hyst_control.records.record import Record, Signal, axis_names, check_times, commonest_step, increasing
+from hyst_control.records.row_store import RowStore, blocks, empty_rows
 from hyst_control.records.signal_message import Encoder, label_for
 
 UNITS: dict[str, tuple[str, float]] = {
@@ -156,29 +158,36 @@ def import_table(
 
     def picked(column: Column, factor: float) -> Array:
         wanted = [index for name in column.columns for index in _indices(path, name, names, table.shape[1], first)]
-        found = table[begin:end, wanted]
-        with np.errstate(over="ignore"):
-            scaled = found * factor
-        bad = ~np.isfinite(scaled).all(axis=1)
-        if bad.any():
-            row = begin + int(np.argmax(bad))
-            if np.isfinite(found).all():
-                raise InputError(
-                    f"{path}: {column.topic}: row {row} is too large for a number once it is in other units: check the unit"
-                )
+        scaled = empty_rows(end - begin, len(wanted))
+        bad, first_bad, finite = 0, 0, True
+        for part in blocks(end - begin):
+            found = table[begin + part.start : begin + part.stop][:, wanted]
+            with np.errstate(over="ignore"):
+                scaled[part] = found * factor
+            wrong = ~np.isfinite(scaled[part]).all(axis=1)
+            if wrong.any():
+                first_bad = first_bad if bad else begin + part.start + int(np.argmax(wrong))
+                bad, finite = bad + int(wrong.sum()), finite and bool(np.isfinite(found).all())
+        if bad and finite:
             raise InputError(
-                f"{path}: {column.topic}: row {row} and {int(bad.sum()) - 1} more hold no finite "
-                "number: choose rows without them or repair the file"
+                f"{path}: {column.topic}: row {first_bad} is too large for a number once it is in other units: check the unit"
             )
-        return np.ascontiguousarray(scaled)
+        if bad:
+            raise InputError(
+                f"{path}: {column.topic}: row {first_bad} and {bad - 1} more hold no finite number: choose rows without them or "
+                "repair the file"
+            )
+        return scaled
 
     time = _times(path, times[0], picked(times[0], TIME_UNITS[times[0].unit]), rate, begin) if times else None
+    stamps = empty_rows(end - begin) if time is None else time
+    if time is None and rate is not None:
+        for part in blocks(end - begin):
+            stamps[part] = np.arange(part.start, part.stop) / rate
     signals = {}
     for column in signal_columns:
         unit, factor = UNITS[column.unit]
         values = picked(column, factor)
-        stamps = np.arange(len(values)) / rate if time is None and rate is not None else time
-        assert stamps is not None
         check_times(f"{path}: {column.topic}", stamps)
         signals[column.topic] = Signal(stamps, values, axis_names(values.shape[1]), unit)
     return Record(signals, str(path), tuple(notes), hold)
@@ -188,15 +197,16 @@ def _times(path: Path, column: Column, found: Array, rate: float | None, begin: 
     """Sample times (N,) in s, counted from the first, of a column of times (N, 1)."""
     if found.shape[1] != 1:
         raise InputError(f"columns: time: {found.shape[1]} columns, one is due")
-    time = found[:, 0] - found[0, 0]
-    back = np.flatnonzero(np.diff(time) <= 0)
-    if len(back):
+    time = found[:, 0]
+    time -= float(time[0])
+    if not increasing(time):
+        back = np.flatnonzero(np.diff(time) <= 0)
         raise InputError(
             f"{path}: time: does not increase in row {begin + int(back[0]) + 1}: choose rows in which it does, or leave the time out and "
             "give the rate"
         )
     if rate is not None and len(time) > 1:
-        own = 1.0 / float(np.median(np.diff(time)))
+        own = 1.0 / commonest_step(time)
         if abs(own - rate) > RATE_TOLERANCE * rate:
             raise InputError(
                 f"{path}: time: has {own:.6g} samples/s, --rate says {rate:g}: leave one of them out, or check the unit"
@@ -260,45 +270,65 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
                 yield number, line
 
 
+TEXT_ROWS = 2**14
+"""Lines of a text that are held at a time."""
+
+
 def _read_text(path: Path) -> tuple[Array, list[str]]:
+    """Table and names of a text, which is read twice: for its form, and for its numbers."""
+    first: list[str] = []
+    count, commas = 0, False
     with foreign_reader(path, "text", "give a CSV or white-space table, .npy, .npz or .mat"):
-        lines = list(_lines(path))
-    if not lines:
+        for _, line in _lines(path):
+            count += 1
+            if len(first) < 2:
+                first.append(line)
+            if count > 1 and not commas:
+                commas = "," in line
+    if not count:
         raise InputError(f"{path}: holds no rows")
-    separator, comma = _form([line for _, line in lines])
-    head = [cell.strip().strip('"') for cell in lines[0][1].split(separator)]
+    separator, comma = _form(first, commas)
+    head = [cell.strip().strip('"') for cell in first[0].split(separator)]
     names: list[str] = []
     if any(not _numeric(cell.replace(",", ".") if comma else cell) for cell in head):
-        names, lines = [name if name not in head[:index] else "" for index, name in enumerate(head)], lines[1:]
-        if not lines:
+        names = [name if name not in head[:index] else "" for index, name in enumerate(head)]
+        if count == 1:
             raise InputError(f"{path}: holds no rows below its first line ({head[0][:40]!r}, … are taken as names): repair it")
     width = len(head)
-    table = np.empty((len(lines), width))
-    for row, (number, line) in enumerate(lines):
-        cells = (line.replace(",", ".") if comma else line).split(separator)
-        if len(cells) != width:
-            raise InputError(f"{path}: line {number} has {len(cells)} columns, the first has {width}: repair the line")
-        try:
-            table[row] = [float(cell) if cell.strip() else np.nan for cell in cells]
-        except ValueError:
-            wrong = next(index for index, cell in enumerate(cells) if not _numeric(cell))
-            raise InputError(
-                f"{path}: line {number}, column {wrong + 1}: {line.split(separator)[wrong].strip()!r} is no number: repair the line"
-            ) from None
-    return table, names
+    store, lines = RowStore(width), _lines(path)
+    if names:
+        next(lines)
+    while piece := list(islice(lines, TEXT_ROWS)):
+        table = np.empty((len(piece), width))
+        for row, (number, line) in enumerate(piece):
+            cells = (line.replace(",", ".") if comma else line).split(separator)
+            if len(cells) != width:
+                raise InputError(f"{path}: line {number} has {len(cells)} columns, the first has {width}: repair the line")
+            try:
+                table[row] = [float(cell) if cell.strip() else np.nan for cell in cells]
+            except ValueError:
+                wrong = next(index for index, cell in enumerate(cells) if not _numeric(cell))
+                raise InputError(
+                    f"{path}: line {number}, column {wrong + 1}: {line.split(separator)[wrong].strip()!r} is no number: repair the "
+                    "line"
+                ) from None
+        store.append(table)
+    return store.array(), names
 
 
-def _form(lines: Sequence[str]) -> tuple[str | None, bool]:
-    """What separates the columns (None: white space), and whether numbers have decimal commas."""
-    first = lines[:2]  # a header, and numbers
+def _form(first: Sequence[str], commas: bool) -> tuple[str | None, bool]:
+    """What separates the columns (None: white space), and whether numbers have decimal commas.
+
+    first: the first two lines, a header and numbers; commas: whether there is one behind the first line.
+    """
     for mark in (";", "\t"):
         if all(mark in line for line in first):
-            return mark, any("," in line for line in lines[1:] or lines)
+            return mark, commas if len(first) > 1 else "," in first[0]
     if _DECIMAL_COMMAS.fullmatch(first[-1]):
         return None, True
-    if not any(mark in lines[0] for mark in ",;\t"):
-        return None, any("," in line for line in lines[1:])
-    return ("," if "," in lines[0] else ";" if ";" in lines[0] else "\t" if "\t" in lines[0] else None), False
+    if not any(mark in first[0] for mark in ",;\t"):
+        return None, commas
+    return ("," if "," in first[0] else ";" if ";" in first[0] else "\t" if "\t" in first[0] else None), False
 
 
 def _columns_of_arrays(path: Path, kind: str, variable: str | None, columns: Sequence[Column]) -> tuple[Array, list[str]]:
@@ -325,7 +355,7 @@ def _columns_of_arrays(path: Path, kind: str, variable: str | None, columns: Seq
         variable = next(iter(numeric))
     if variable not in numeric:
         raise InputError(f"{path}: name one of its arrays as the variable: {', '.join(numeric) or 'it holds none of numbers'}")
-    return np.ascontiguousarray(_table(numeric[variable])), []
+    return _table(numeric[variable]), []
 
 
 def _array_of(name: str, arrays: dict[str, Array]) -> str | None:

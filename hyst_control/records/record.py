@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.errors import InputError
+from hyst_control.records.row_store import blocks, empty_rows
 
 Array = NDArray[np.float64]
 
@@ -53,11 +54,57 @@ def check_times(where: str, time: Array) -> None:
     InputError
         A time is not finite or lies beyond `LATEST_TIME`.
     """
-    if not np.isfinite(time).all():
+    if not all(np.isfinite(time[part]).all() for part in blocks(len(time))):
         raise InputError(f"{where}: the time column holds NaN or infinity: record again")
     if len(time) and (time.max() > LATEST_TIME or time.min() < -LATEST_TIME):
         worst = time[int(np.argmax(np.abs(time)))]
         raise InputError(f"{where}: the time column holds {worst:g} s, no clock goes beyond {LATEST_TIME:g} s: record again")
+
+
+STEPS_LOOKED_AT = 2**22
+"""Steps of a record's times from which the commonest is taken: all, or those of stretches spread evenly over it."""
+
+
+def increasing(values: NDArray[np.float64] | NDArray[np.int64], equal: bool = False) -> bool:
+    """Report whether values increase from each to the next, block by block.
+
+    Parameters
+    ----------
+    values
+        Numbers (N,).
+    equal
+        True to allow equal neighbors.
+
+    Returns
+    -------
+    bool
+        True where they do.
+    """
+    compare = np.greater_equal if equal else np.greater
+    return all(
+        bool(compare(values[part.start + 1 : part.stop + 1], values[part.start : part.stop][: len(values) - part.start - 1]).all())
+        for part in blocks(len(values))
+    )
+
+
+def commonest_step(time: Array) -> float:
+    """Median step of sample times; of very many, that of stretches spread evenly over them.
+
+    Parameters
+    ----------
+    time
+        Sample times (N,), s, at least two.
+
+    Returns
+    -------
+    float
+        Step, s.
+    """
+    if len(time) <= STEPS_LOOKED_AT + 1:
+        return float(np.median(np.diff(time)))
+    size = STEPS_LOOKED_AT // 64
+    begins = np.linspace(0, len(time) - size - 1, 64).astype(int)
+    return float(np.median(np.concatenate([np.diff(time[begin : begin + size + 1]) for begin in begins])))
 
 
 @dataclass(frozen=True)
@@ -73,6 +120,42 @@ class Signal:
     axes: tuple[str, ...]
     unit: str
     timing: str = "layout"
+
+    def consecutive_ticks(self, step: float) -> range | None:
+        """Ticks round(t / step) of the samples where each is one more than that before; None where they are not.
+
+        Of times of reception only the first counts: their jitter is not the sampling's. Block by block.
+        """
+        if not len(self.time) or max(abs(float(self.time[0])), abs(float(self.time[-1]))) / step > MOST_TICKS:
+            return None
+        first = int(np.rint(self.time[0] / step))
+        if self.timing != "receive":
+            for part in blocks(len(self.time)):
+                due = np.arange(first + part.start, first + part.stop)
+                if not np.array_equal(np.rint(self.time[part] / step), due):
+                    return None
+        return range(first, first + len(self.time))
+
+
+def regular_times(count: int, step: float) -> Array:
+    """Compute equally spaced sample times from 0.
+
+    Parameters
+    ----------
+    count
+        Number of samples.
+    step
+        Sample time, s.
+
+    Returns
+    -------
+    ndarray
+        Times (count,), s; on a file where they are many.
+    """
+    time = empty_rows(count)
+    for part in blocks(count):
+        time[part] = np.arange(part.start, part.stop) * step
+    return time
 
 
 @dataclass(frozen=True)
@@ -136,6 +219,8 @@ class Record:
         """Raise `InputError` when a value of these topics is not finite, naming its time and how many there are."""
         for topic in topics:
             signal = self.signal(topic)
+            if all(np.isfinite(signal.values[part]).all() for part in blocks(len(signal.values))):
+                continue
             bad = np.asarray(~np.isfinite(signal.values).all(axis=1))
             if bad.any():
                 first = signal.time[np.argmax(bad)]
@@ -155,7 +240,7 @@ class Record:
             check_times(f"{self.source}: {topic}", time)
             if len(time) < 2:
                 raise InputError(f"{self.source}: {topic}: {len(time)} sample{'s' * (len(time) != 1)}, at least two are needed")
-            step = float(np.median(np.diff(time)))
+            step = commonest_step(time)
             if step > 0 and self.signal(topic).timing == "layout":
                 step = (time[-1] - time[0]) / max(np.rint((time[-1] - time[0]) / step), 1.0)
             steps[topic] = float(f"{step:.12g}")
@@ -191,6 +276,17 @@ class Record:
         """
         self.check(topics)
         step = self.sample_time(topics)
+        units = {topic: self.signal(topic).unit for topic in topics}
+        axes = self.signal(topics[-1]).axes
+        ranges = [self.signal(topic).consecutive_ticks(step) for topic in topics]
+        known = [found for found in ranges if found is not None]
+        begin, end = max((found.start for found in known), default=0), min((found.stop for found in known), default=0)
+        if len(known) == len(topics) and begin < end:
+            values = {
+                topic: self.signal(topic).values[begin - found.start : end - found.start]
+                for topic, found in zip(topics, known, strict=True)
+            }
+            return [Aligned(regular_times(end - begin, step), values, step, axes, units)]
         ticks = {}
         for topic in topics:
             signal = self.signal(topic)
@@ -221,8 +317,6 @@ class Record:
                 "again, or allow gaps to use the stretches between them"
             )
         edges = np.concatenate([[0], breaks + 1, [len(common)]])
-        units = {topic: self.signal(topic).unit for topic in topics}
-        axes = self.signal(topics[-1]).axes
         stretches = []
         for begin, end in zip(edges[:-1], edges[1:], strict=True):
             wanted = common[begin:end]

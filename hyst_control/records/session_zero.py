@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.records.row_store import blocks, empty_rows
+
 Array = NDArray[np.float64]
 
 SHAPES = ("zero", "drift", "curvature")
@@ -30,6 +32,19 @@ def without_zero(rows: Array) -> tuple[Array, Array]:
     coefficients : ndarray, shape (A, 3)
         Of the Legendre polynomials, measurement unit.
     """
-    basis = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(rows)), len(SHAPES) - 1)
-    coefficients = np.linalg.lstsq(basis, rows, rcond=None)[0]
-    return np.asarray(rows - basis @ coefficients, dtype=np.float64), np.asarray(coefficients.T, dtype=np.float64)
+    gram, product = np.zeros((len(SHAPES), len(SHAPES))), np.zeros((len(SHAPES), rows.shape[1]))
+    for part in blocks(len(rows)):
+        basis = _basis(part, len(rows))
+        gram += basis.T @ basis
+        product += basis.T @ rows[part]
+    coefficients = np.linalg.lstsq(gram, product, rcond=None)[0]
+    rest = empty_rows(*rows.shape)
+    for part in blocks(len(rows)):
+        rest[part] = rows[part] - _basis(part, len(rows)) @ coefficients
+    return rest, np.asarray(coefficients.T, dtype=np.float64)
+
+
+def _basis(part: slice, count: int) -> Array:
+    """Legendre polynomials (n, 3) at some of `count` rows, which span -1 to 1."""
+    place = -1.0 + 2.0 * np.arange(part.start, part.stop) / max(count - 1, 1)
+    return np.asarray(np.polynomial.legendre.legvander(place, len(SHAPES) - 1), dtype=np.float64)

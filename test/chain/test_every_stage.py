@@ -78,6 +78,22 @@ EXAMPLES = {
         "amplitude": 50.0,
         "memory": 0.02,
     },
+    "bouc_wen": lambda n: {
+        "mass": spread(n, 5e-7, 1e-6),
+        "damping": spread(n, 3e-3, 6e-3),
+        "stiffness": spread(n, 1.0, 2.0),
+        "alpha": spread(n, 1.0, 0.5),
+        "beta": spread(n, 0.02, 0.05),
+        "gamma": spread(n, 0.01, -0.02),
+    },
+    "duhem_oscillator": lambda n: {
+        "mass": spread(n, 5e-7, 1e-6),
+        "damping": spread(n, 3e-3, 6e-3),
+        "stiffness": spread(n, 1.0, 2.0),
+        "knots": spread(n, [-30.0, 5.0, 40.0], [-20.0, 20.0]),
+        "rising": spread(n, [1.5, 1.0, 0.4], [0.8, 0.2]),
+        "falling": spread(n, [0.3, 0.9, 1.6], [0.1, 0.9]),
+    },
     "creep": lambda n: {"gamma": spread(n, 0.03, -0.02)},
     "hysteresis_width": lambda n: {"width": spread(n, 0.3, -0.2)},
     "hysteresis_shape": lambda n: {"amount": spread(n, 0.05, -0.02), "lower": 0.0, "upper": spread(n, 100.0, 80.0)},
@@ -165,6 +181,10 @@ VARIANTS = {
             "den": [1.0, 900.0, 4e7],
             "num": [[[1e4 if i == j else 2e3, 3e7 + 1e7 * (i - j)] for j in range(n)] for i in range(n)],
         },
+    ),
+    "bouc_wen, exponent": (
+        "bouc_wen",
+        lambda n: {"mass": 5e-7, "damping": 3e-3, "stiffness": 1.0, "alpha": 1.0, "beta": 1e-3, "exponent": spread(n, 1.7, 2.0)},
     ),
     "madelung, inverse": (
         "madelung",

@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 from hyst_control.chain import Chain, Parallel, Stage
+from hyst_control.chain.bouc_wen import BoucWen
 from hyst_control.chain.coordinates import chain_coordinates
+from hyst_control.chain.duhem_oscillator import DuhemOscillator
 from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.memoryless import Offset
@@ -118,6 +120,22 @@ EXAMPLES = {
         {"output_scale": 2.0, "k1": -2e-5, "k2": 1e-3, "tau": 1.3e-4, **MECHANICS},
         {"degree": 3, "structure": "modes=1,delay", "nuisance": "offset"},
         scatter=("output_scale", "k1", "k2", "tau", "den[1]"),
+    ),
+    "bouc_wen": Example(
+        (BoucWen(10.0 / W**2, 6.0 / W, 6.0, 4.0, 0.5, -0.2),),
+        FAST,
+        1e-4,
+        {"mass": 10.0 / W**2, "damping": 6.0 / W, "stiffness": 6.0, "alpha": 4.0, "beta": 0.5, "gamma": -0.2},
+        {"exponent": 1.0},
+        scatter=("mass", "damping", "stiffness", "alpha", "beta", "gamma"),
+    ),
+    "duhem_oscillator": Example(
+        (DuhemOscillator(10.0 / W**2, 6.0 / W, 6.0, [-3.0, 0.0, 3.0], [4.5, 4.0, 2.5], [2.5, 4.0, 4.5]),),
+        FAST,
+        1e-4,
+        {"mass": 10.0 / W**2, "damping": 6.0 / W, "stiffness": 6.0, "rising[1]": 4.0, "falling[1]": 4.0},
+        {"table_size": 3},
+        scatter=("mass", "damping", "stiffness", "rising[1]"),
     ),
     "linear": Example(
         (Delay(2e-4), TransferFunction([0.05 * W * W], [1.0, 0.1 * W, W * W])),
