@@ -549,7 +549,7 @@ class LinearFilter(Filter):
         count, _, n, m = self.b.shape
         reach = self.reach if n > CLOSE else np.broadcast_to([0, n], (count, n, 2))
         slowest = max((float(np.abs(np.linalg.eigvals(a)).max()) for a in self.a if n), default=0.0)
-        wide = np.finfo(np.float32).eps > FLOAT_LOSS * (1.0 - slowest)
+        wide = bool(np.finfo(np.float32).eps > FLOAT_LOSS * (1.0 - slowest))
         columns = (int(self.whole.max()) + 3, count * m)
         return CCode(
             "linear",
