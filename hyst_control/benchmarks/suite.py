@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hyst_control import progress
-from hyst_control.benchmarks import kernels, loops, workflows
+from hyst_control.benchmarks import exported, kernels, loops, workflows
 from hyst_control.errors import InputError
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.bag_writer import BagWriter
@@ -21,7 +21,7 @@ MESSAGES, ROWS = 24_000, 50
 REPEATS = 5
 
 
-GROUPS = ("kernels", "bags", "loops", "workflows")
+GROUPS = ("kernels", "exported", "bags", "loops", "workflows")
 
 
 def run(only: str | None = None, seconds: float = loops.SECONDS, soak: float | None = None) -> Table:
@@ -57,6 +57,8 @@ def run(only: str | None = None, seconds: float = loops.SECONDS, soak: float | N
         progress.step("kernels beside C")
         for row in kernels.run():
             table.add("kernels", row.case, row.subject, "kernel_rate", "samples/s", row.rate, n=kernels.REPEATS)
+    if only in (None, "exported"):
+        exported.run(table)
     if only in (None, "bags"):
         progress.step("write and read bags")
         bags(table)

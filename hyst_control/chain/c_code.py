@@ -4,6 +4,8 @@ The texts are bodies of C99 functions. They are given `p`, the constants, `s`, t
 axis; `sizes` are known in them as integer constants. `real` is double or float, `R(0.5)` is a literal of it and `M(fabs)` the function
 of math.h for it. `number` is `real`, or double where `wide` says that float would lose too much. Every expression stands in the
 order of the kernel, so that both give the same bits in double.
+
+TINY, LAST_DIGIT and RESOLUTION are limits of searches and states, as the kernels have them in double and wider in float.
 """
 
 from __future__ import annotations

@@ -18,6 +18,15 @@ from hyst_control.errors import InputError
 
 REALS = ("double", "float")
 
+DEVIATIONS = (
+    "Rules of MISRA C:2012 that are not kept, all of them advisory but 10.6:",
+    "2.4, 2.5    enumerations without a tag name sizes; a macro may be there for a filter that is not",
+    "8.7, 8.9    the interface is for other files; constants stand together",
+    "10.6        cppcheck takes (a < b) ? 1 : 0 for a composite expression",
+    "12.1, 15.4  conditional expressions without further parentheses; a search ends where it has found",
+    "20.10       M(fabs) names the function of the chosen type",
+)
+
 MATH = re.compile(r"\bM\((\w+)\)")
 EXACT_MATH = ("fabs", "rint", "sqrt", "floor")
 """Functions of math.h that give the same bits on every machine."""
@@ -127,6 +136,8 @@ def header(program: Program) -> str:
         f" * {name}_block(state, in, out, rows)    as many ticks, row after row",
         " *",
         " * Compile with -ffp-contract=off. The state is plain memory without pointers: a copy of it is a saved state.",
+        " *",
+        *(f" * {line}" for line in DEVIATIONS),
         " */",
         f"#ifndef {upper}_H",
         f"#define {upper}_H",
