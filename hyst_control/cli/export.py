@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 NAME = "export"
 HELP = "write a model, a feedforward or a controller as C"
 JSON = "list of written files"
-READS = ("source",)
+READS = ("source", "plant")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,6 +47,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --kind: rating of the drive in V (default: the model's)",
     )
     parser.add_argument("--causal", action="store_true", help="with --kind: do not look ahead; the command is late")
+    parser.add_argument(
+        "--plant", metavar="MODEL.yaml", help="of a controller: also a program that closes the loop against this model's simulator"
+    )
     parser.add_argument(
         "--reference-ahead", action="store_true", help="the reference is known as far ahead as the feedforward looks"
     )
@@ -91,7 +94,11 @@ def run(arguments: argparse.Namespace) -> Artifacts:
                 exported = (programs.twin if given.twin else programs.simulator)(model, time, given.real, given.name)
         except InputError as error:
             raise InputError(f"{given.source}: {error}") from None
-    written = write_folder(exported, given.output, files)
+    plant = None
+    if given.plant:
+        plant = programs.simulator(load_model(given.plant), exported.program.sample_time, given.real)
+        files.append(given.plant)
+    written = write_folder(exported, given.output, files, plant)
     program, size = exported.program, sizes(exported.program)
     flash = "unknown without a compiler" if size.flash is None else f"{size.flash} bytes (this machine, -Os)"
     made = Artifacts(

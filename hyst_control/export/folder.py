@@ -6,7 +6,7 @@ import hashlib
 import re
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from hyst_control.chain.parameter import Array
 from hyst_control.errors import InputError
 from hyst_control.export.c_source import Program, header, source
 from hyst_control.export.compiled import c_compiler
+from hyst_control.export.controller import Controller
 from hyst_control.export.programs import Exported
 from hyst_control.files import write_text
 from hyst_control.reporting.templates import render
@@ -42,7 +43,9 @@ class Size:
     flash: int | None
 
 
-def write_folder(exported: Exported, folder: str | Path, sources: Sequence[str | Path] = ()) -> list[Path]:
+def write_folder(
+    exported: Exported, folder: str | Path, sources: Sequence[str | Path] = (), plant: Exported | None = None
+) -> list[Path]:
     """Write everything; the same program gives the same bytes.
 
     Parameters
@@ -53,6 +56,8 @@ def write_folder(exported: Exported, folder: str | Path, sources: Sequence[str |
         Created where it is missing.
     sources
         Files it was made from, whose hashes stand in the header.
+    plant
+        Simulator against which a program closes the loop of a controller on the wall clock; None: no such program.
 
     Returns
     -------
@@ -67,7 +72,8 @@ def write_folder(exported: Exported, folder: str | Path, sources: Sequence[str |
     hashes = [f"{Path(path).name}: SHA-256 {hashlib.sha256(Path(path).read_bytes()).hexdigest()}" for path in sources]
     program = replace(exported.program, facts=(*exported.program.facts, *hashes))
     folder = Path(folder)
-    values = {"name": program.name, "upper": program.name.upper(), "exact": int(program.exact)}
+    values: dict[str, object] = {"name": program.name, "upper": program.name.upper(), "exact": int(program.exact)}
+    values["plant"] = plant.program.name if plant else ""
     texts = {
         f"{program.name}.h": header(program),
         f"{program.name}.c": source(program),
@@ -75,6 +81,8 @@ def write_folder(exported: Exported, folder: str | Path, sources: Sequence[str |
         f"{program.name}_test.c": render("export/templates/test.c", **values),
         "Makefile": render("export/templates/Makefile", **values),
     }
+    if plant is not None:
+        texts.update(_loop(exported, plant, values))
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -82,6 +90,28 @@ def write_folder(exported: Exported, folder: str | Path, sources: Sequence[str |
     for name, text in texts.items():
         write_text(folder / name, text)
     return [folder / name for name in texts]
+
+
+def _loop(exported: Exported, plant: Exported, values: Mapping[str, object]) -> dict[str, str]:
+    """A program that closes the loop, and the plant that it closes it against."""
+    program, simulated, running = exported.program, plant.program, exported.python
+    if not isinstance(running, Controller):
+        raise InputError("plant: closes the loop of a controller: give a file of nodes' parameters, not a model")
+    if (simulated.axes, simulated.sample_time) != (program.axes, program.sample_time) or simulated.name == program.name:
+        raise InputError(
+            f"plant: {simulated.name} has {simulated.axes} axes, the controller {program.name} {program.axes}: "
+            "take the model of its plant, and different names"
+        )
+    low, high = exported.spans[: program.axes].T
+    loop = render(
+        "export/templates/loop.c",
+        **values,
+        plant_upper=simulated.name.upper(),
+        ahead=running.ahead,
+        middle=", ".join(float(value).hex() for value in 0.5 * (low + high)),
+        amplitude=", ".join(float(value).hex() for value in 0.25 * (high - low)),
+    )
+    return {f"{program.name}_main.c": loop, f"{simulated.name}.h": header(simulated), f"{simulated.name}.c": source(simulated)}
 
 
 def golden(exported: Exported) -> str:

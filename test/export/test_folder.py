@@ -73,6 +73,12 @@ def test_a_controller_a_twin_and_float_too(tmp_path):
     assert main(["export", str(tmp_path / "tracking.yaml"), "--reference-ahead", "--output", str(tmp_path / "controller")]) == 0
     compared(tmp_path / "controller")
     assert "SHA-256" in (tmp_path / "controller" / "tracking.h").read_text()
+    loop = ["export", str(tmp_path / "tracking.yaml"), "--plant", str(config_path("models/pea_hampi.yaml"))]
+    assert main([*loop, "--reference-ahead", "--output", str(tmp_path / "loop")]) == 0
+    told = make(tmp_path / "loop", "run", "SECONDS=0.2")
+    assert "4000 ticks at 20000 Hz" in told and "0 ticks with a fault" in told
+    error = re.search(r"error ([\d.]+) % of the range", told)
+    assert error and float(error[1]) < 10.0, told  # the rows learned in this test are no good ones
     export("fsm_mhl.yaml", "--twin", "--real", "float", output=tmp_path / "twin")
     compared(tmp_path / "twin")
 
