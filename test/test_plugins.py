@@ -51,7 +51,11 @@ class Ripple(Stage):
         code = each_axis(
             "u + (p->amplitude[i] * M(sin)((p->full_turn[i] * u) / p->pitch[i]))",
             "ripple",
-            {"amplitude": (amplitude, "measurement unit"), "pitch": (pitch, "measurement unit"), "full_turn": (2.0 * np.pi + 0.0 * pitch, "")},
+            {
+                "amplitude": (amplitude, "measurement unit"),
+                "pitch": (pitch, "measurement unit"),
+                "full_turn": (np.full(sampling.axes, 2.0 * np.pi), "rad"),
+            },
         )
         return StaticFilter(lambda u: u + amplitude * np.sin(2.0 * np.pi * u / pitch), sampling.hold, code)
 

@@ -87,8 +87,14 @@ class CompiledPI(RunningPI):
             (A,) or (N, A), V.
         """
         shape, axes = feedforward.shape, self.axes
-        given = np.concatenate([part.reshape(-1, axes) for part in (reference, measurement, feedforward)], axis=1)
-        found = self._running.process(given)
+        if feedforward.size == axes:
+            row = self._running.row_in[0]
+            row[:axes], row[axes : 2 * axes], row[2 * axes :] = reference.ravel(), measurement.ravel(), feedforward.ravel()
+            self._running.step()
+            found = self._running.row_out.copy()
+        else:
+            given = np.concatenate([part.reshape(-1, axes) for part in (reference, measurement, feedforward)], axis=1)
+            found = self._running.process(given)
         self.saturated += int(self._counted[0])
         self._counted[0] = 0
         return found[:, :axes].reshape(shape), found[:, axes:].reshape(shape)

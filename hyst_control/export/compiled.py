@@ -61,6 +61,10 @@ class CompiledProgram:
         self._state = ffi.cast(f"{program.name}_state *", ffi.from_buffer(self.state))
         self._kind = f"{program.real}[]"
         self.widths = len(program.inputs), len(program.outputs)
+        # A single tick has its memory, and the pointers to it, once and for all.
+        self.row_in = np.zeros((1, self.widths[0]), dtype=self.type)
+        self.row_out = np.zeros((1, self.widths[1]), dtype=self.type)
+        self._row = self._state, self._pointer(self.row_in), self._pointer(self.row_out), 1
 
     def settle(self, value: Array) -> Array:
         """Come to rest at a constant input; the output.
@@ -75,8 +79,16 @@ class CompiledProgram:
         self._settle(self._state, self._pointer(given), self._pointer(output))
         return output.astype(np.float64, copy=False)
 
+    def step(self) -> None:
+        """One step from `row_in` (1, inputs) to `row_out` (1, outputs)."""
+        self._block(*self._row)
+
     def process(self, block: Array) -> Array:
         """Outputs (N, outputs) of N steps for a `block` of inputs (N, inputs)."""
+        if len(block) == 1:
+            self.row_in[:] = block
+            self.step()
+            return self.row_out.astype(np.float64)
         given = np.ascontiguousarray(block, dtype=self.type).reshape(-1, self.widths[0])
         output = np.empty((len(given), self.widths[1]), dtype=self.type)
         self._block(self._state, self._pointer(given), self._pointer(output), len(given))
