@@ -22,7 +22,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hyst_control.chain.bounded_cache import remembered
-from hyst_control.chain.c_code import CCode, integers, reals
+from hyst_control.chain.c_code import MAXIMUM, MINIMUM, CCode, integers, reals
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.curves import EVALUATE, SOLVE, Curve, evaluate_curve, knot_curve, polynomial_curve, solve_curve
 from hyst_control.chain.memoryless import Gain, Memoryless
@@ -230,6 +230,18 @@ const real way = (x - from[1]) / from[2];
 u = (onward > R(0.0)) ? (from[0] + curve_argument(rising, way)) : (from[0] - curve_argument(falling, way));
 y = x;
 """
+
+MEAN = """
+for (int axis = 0; axis < AXES; axis++) {
+    const curve up = {p->up_breaks[axis], p->up[axis][0], p->up_size[axis][0], p->up_size[axis][1]};
+    const curve down = {p->down_breaks[axis], p->down[axis][0], p->down_size[axis][0], p->down_size[axis][1]};
+    const real x = in[axis] / p->span[axis];
+    const real inside = minimum_of(maximum_of(x, R(0.0)), R(1.0));
+    const real beyond = ((x > R(1.0)) ? p->end_slope[axis][1] : p->end_slope[axis][0]) * (x - inside);
+    out[axis] = p->scale[axis] * ((R(0.5) * (curve_value(up, inside) + curve_value(down, inside))) + beyond);
+}
+"""
+"""`Madelung.mean_curve` in C."""
 
 SETTLE = """
 for (int axis = 0; axis < AXES; axis++) {
@@ -448,7 +460,7 @@ class Madelung(Stage):
         """The mean of the major branches takes the mean curve off."""
         if self.inverse:
             return None
-        mean = Memoryless(self.mean_curve(len(width)))
+        mean = Memoryless(self.mean_curve(len(width)), self._mean_curve_in_c(len(width)))
         return Parallel(((self, Gain(frozen(1.0 + width))), (mean, Gain(frozen(-width)))))
 
     def mean_curve(self, axes: int) -> Callable[[Array], Array]:
@@ -466,6 +478,25 @@ class Madelung(Stage):
             return output
 
         return mean
+
+    def _mean_curve_in_c(self, axes: int) -> CCode:
+        curves = self.curves(axes)
+        span, scale = per_axis_scalars(self, axes, "input_scale", "output_scale")
+        up, up_breaks, up_size = _padded([(up.breaks, up.coefficients) for up, _ in curves])
+        down, down_breaks, down_size = _padded([(down.breaks, down.coefficients) for _, down in curves])
+        slopes = np.array([[end_slope(falling, 0.0), end_slope(rising, 1.0)] for rising, falling in curves])
+        constants = {
+            "up": reals(up, "[axis][1][piece, power], ascending curve"),
+            "up_breaks": reals(up_breaks, "normalized input"),
+            "up_size": integers(up_size, "pieces, order"),
+            "down": reals(down, "[axis][1][piece, power], descending curve"),
+            "down_breaks": reals(down_breaks, "normalized input"),
+            "down_size": integers(down_size, "pieces, order"),
+            "end_slope": reals(slopes, "below 0 and above the end of the input"),
+            "span": reals(span, "V"),
+            "scale": reals(scale, "output unit"),
+        }
+        return CCode("mean curve", MEAN, constants=constants, functions=(MAXIMUM, MINIMUM, EVALUATE))
 
     def filter(self, sampling: Sampling) -> MadelungFilter:
         axes = sampling.axes
