@@ -6,7 +6,7 @@ parameters is exported as the controller of its pi_feedback and its feedforward 
 examples:
   hyst export config/models/pea_hampi.yaml --output plant
   hyst export config/models/pea_hampi.yaml --kind hampi --causal --output feedforward
-  hyst export tracking.yaml --reference-ahead --output controller && make -C controller test
+  hyst export tracking.yaml --reference-ahead --output controller
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", metavar="FOLDER", required=True, help="folder to write into; created where it is missing")
     parser.add_argument("--name", default="", help="prefix of everything in C (default: the model's name, or the file's)")
     parser.add_argument("--real", choices=("double", "float"), default="double", help="type of the signals (default double)")
-    parser.add_argument("--rate", type=float, metavar="HZ", help="sample rate of a model (default: the model's)")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="sample rate of a model in Hz (default: the model's)")
     parser.add_argument("--kind", help="of a model: the feedforward of this kind, such as hapi, hampi, mhl, mhl_inverse")
     parser.add_argument("--twin", action="store_true", help="of a model: measurement minus prediction beside the running system")
     parser.add_argument("--inverse", default="zpetc", help="with --kind: inverse of the dynamics (default zpetc)")
