@@ -17,7 +17,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONPATH
 
-.PHONY: demo test fuzz lint docs figures check-wheel check-colcon check-readme bench env clean
+.PHONY: demo test fuzz lint docs figures check-compilers check-export check-wheel check-colcon check-readme bench env clean
 demo: env
 	$(VENV)/bin/hyst demo $(ARGS)
 
@@ -32,6 +32,12 @@ docs: $(CHECKS_READY)
 
 figures: env
 	$(VENV)/bin/python docs/make_figures.py $(FOLDER)
+
+check-compilers:
+	.ci/compilers.sh
+
+check-export: env
+	$(VENV)/bin/python .ci/export.py
 
 check-wheel: $(CHECKS_READY)
 	$(VENV)/bin/python .ci/wheel.py

@@ -25,6 +25,7 @@ REQUIRED = [
     "lz4",
     "zstandard",
     "argcomplete",
+    "cffi",
 ]
 
 setup(

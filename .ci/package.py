@@ -18,6 +18,7 @@ from sources import ROOT
 KEYS = {
     "PIL": "python3-pil",
     "argcomplete": "python3-argcomplete",
+    "cffi": "python3-cffi",
     "jinja2": "python3-jinja2",
     "markupsafe": "python3-jinja2",  # which brings it
     "matplotlib": "python3-matplotlib",

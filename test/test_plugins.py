@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -23,6 +24,7 @@ from typing import ClassVar
 import numpy as np
 
 from hyst_control.chain import Chain
+from hyst_control.chain.c_code import each_axis
 from hyst_control.chain.memoryless import Gain, StaticFilter
 from hyst_control.chain.parameter import ScalarPerAxis, scalar
 from hyst_control.chain.stage import Stage, per_axis_scalars, register
@@ -46,7 +48,16 @@ class Ripple(Stage):
 
     def filter(self, sampling):
         amplitude, pitch = per_axis_scalars(self, sampling.axes, "amplitude", "pitch")
-        return StaticFilter(lambda u: u + amplitude * np.sin(2.0 * np.pi * u / pitch), sampling.hold)
+        code = each_axis(
+            "u + (p->amplitude[i] * M(sin)((p->full_turn[i] * u) / p->pitch[i]))",
+            "ripple",
+            {
+                "amplitude": (amplitude, "measurement unit"),
+                "pitch": (pitch, "measurement unit"),
+                "full_turn": (np.full(sampling.axes, 2.0 * np.pi), "rad"),
+            },
+        )
+        return StaticFilter(lambda u: u + amplitude * np.sin(2.0 * np.pi * u / pitch), sampling.hold, code)
 
     def linearized(self, axes):
         return ()
@@ -230,6 +241,13 @@ print("halved" in KINDS, build_compensator(load_model("model.yaml"), "halved").p
 """
     done = run(place, program)
     assert done.stdout == "True [2.0, 10.0]\n", done.stderr  # held within the model's valid range
+
+
+@pytest.mark.skipif(not shutil.which("gcc"), reason="gcc is not installed")
+def test_a_model_with_the_stage_of_a_plugin_is_exported_with_its_c(place):
+    hyst(place, "export", "encoder.yaml", "--output", "encoder_c")
+    done = subprocess.run(["make", "-s", "-C", str(place / "encoder_c"), "test", "COMPILERS=gcc"], capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout.count(" 0 wrong") == 2, done.stdout + done.stderr
 
 
 def test_a_plugin_may_be_imported_before_this_package(place):

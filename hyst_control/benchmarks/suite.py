@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hyst_control import progress
-from hyst_control.benchmarks import coverage, kernels, long_records, loops, workflows
+from hyst_control.benchmarks import coverage, exported, kernels, long_records, loops, workflows
 from hyst_control.errors import InputError
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.bag_writer import BagWriter
@@ -22,7 +22,7 @@ MESSAGES, ROWS = 24_000, 50
 REPEATS = 5
 
 
-GROUPS = ("kernels", "bags", "loops", "workflows", "coverage")
+GROUPS = ("kernels", "exported", "bags", "loops", "workflows", "coverage")
 
 
 def run(
@@ -65,6 +65,8 @@ def run(
         progress.step("kernels beside C")
         for row in kernels.run():
             table.add("kernels", row.case, row.subject, "kernel_rate", "samples/s", row.rate, n=kernels.REPEATS)
+    if only in (None, "exported"):
+        exported.run(table)
     if only in (None, "bags"):
         progress.step("write and read bags")
         bags(table)

@@ -23,6 +23,7 @@ from typing import ClassVar, cast
 
 import numpy as np
 
+from hyst_control.chain.c_code import CCode, parallel, series
 from hyst_control.chain.linear import Delay, linear_filter
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.parameter import Array, chains
@@ -84,6 +85,9 @@ class SeriesFilter(Filter):
             block = running.process(block)
         return block
 
+    def c_code(self) -> CCode:
+        return series([running.c_code() for running in self.filters])
+
 
 class Averaged(ABC):
     """A stage that bends the held command within a sample: what follows gets the samples it ends at, or the mean over each."""
@@ -105,13 +109,19 @@ class ParallelFilter(Filter):
         self.hold = "zoh" if all(running.hold == "zoh" for running in filters) else "foh"
 
     def settle(self, value: Array) -> Array:
-        return cast(Array, np.sum([running.settle(value) for running in self.filters], axis=0))
+        total = self.filters[0].settle(value)
+        for running in self.filters[1:]:
+            total = total + running.settle(value)
+        return total
 
     def process(self, block: Array) -> Array:
         total = self.filters[0].process(block)
         for running in self.filters[1:]:
             total = total + running.process(block)
         return total
+
+    def c_code(self) -> CCode:
+        return parallel([running.c_code() for running in self.filters])
 
 
 @register

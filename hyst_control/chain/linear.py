@@ -18,7 +18,8 @@ from scipy.linalg import block_diag, expm, matrix_balance
 
 from hyst_control.chain import rational_factors
 from hyst_control.chain.bounded_cache import remembered
-from hyst_control.chain.linear_kernels import advance_linear, advance_single
+from hyst_control.chain.c_code import CCode, integers, reals
+from hyst_control.chain.linear_kernels import CLOSE, SETTLE, STEP, advance_linear, advance_single
 from hyst_control.chain.parameter import (
     AllAxes,
     Array,
@@ -38,6 +39,8 @@ from hyst_control.errors import InputError
 
 MOST_SKEW = 1e8
 """Condition number of the eigenvectors up to which a state space has modes to speak of."""
+FLOAT_LOSS = 1e-6
+"""Share of a signal that a system run in single precision may lose to rounding; a slower one is run in double."""
 LONGEST_DELAY = 1e6
 """Longest delay in samples: what is held in memory."""
 
@@ -670,11 +673,10 @@ class LinearFilter(Filter):
 
     def settle(self, value: Array) -> Array:
         value = np.asarray(value, dtype=float)
-        u = value.reshape(len(self.a), -1, 1)
         self.history[:] = value
         self.position = 0
-        self.state[:] = (self.rest @ u)[:, :, 0]
-        settled: Array = (self.static_gain @ u).reshape(-1) + self.bias
+        self.state[:] = _times(self.rest, value)
+        settled: Array = _times(self.static_gain, value).reshape(-1) + self.bias
         return settled
 
     def process(self, block: Array) -> Array:
@@ -697,6 +699,46 @@ class LinearFilter(Filter):
         else:
             self.position = advance_linear(*system, self.taps, self.history, self.position, output)  # type: ignore[call-arg]
         return output
+
+    def c_code(self) -> CCode:
+        count, _, n, m = self.b.shape
+        reach = self.reach if n > CLOSE else np.broadcast_to([0, n], (count, n, 2))
+        slowest = max((float(np.abs(np.linalg.eigvals(a)).max()) for a in self.a if n), default=0.0)
+        wide = bool(np.finfo(np.float32).eps > FLOAT_LOSS * (1.0 - slowest))
+        columns = (int(self.whole.max()) + 3, count * m)
+        return CCode(
+            "linear",
+            STEP,
+            SETTLE,
+            {"SYSTEMS": count, "ORDER": n, "STATES": max(n, 1), "INPUTS": m, "LENGTH": columns[0]},
+            {
+                "a": reals(self.a, "[system][state][state]", wide),
+                "b": reals(self.b, "[system][newest, middle, oldest input][state][input]", wide),
+                "c": reals(self.c, "[system][output][state]", wide),
+                "d": reals(self.d, "[system][newest, middle input][output][input]", wide),
+                "bias": reals(self.bias, "output unit", wide),
+                "rest": reals(self.rest, "state at rest for a unit input", wide),
+                "gain": reals(self.static_gain, "output at rest for a unit input", wide),
+                "reach": integers(reach, "first and past-the-last column of a that acts"),
+                "late": integers(self.late, "whether any but the newest input acts"),
+                "whole": integers(self.whole, "samples of delay"),
+            },
+            {
+                "x": reals(self.state, "state of every system", wide),
+                "history": reals(np.zeros(columns), "ring of past inputs", wide),
+                "position": integers(0, "of the newest in the ring"),
+            },
+            wide=wide,
+        )
+
+
+def _times(matrices: Array, value: Array) -> Array:
+    """Products (S, p) of matrices (S, p, m) with the parts of a vector (S m,), summed one input after the other."""
+    parts = value.reshape(len(matrices), 1, -1)
+    total: Array = matrices[:, :, 0] * parts[:, :, 0]
+    for j in range(1, matrices.shape[2]):
+        total = total + matrices[:, :, j] * parts[:, :, j]
+    return total
 
 
 def _reach(a: Array) -> NDArray[np.int64]:

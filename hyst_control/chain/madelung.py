@@ -22,8 +22,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hyst_control.chain.bounded_cache import remembered
+from hyst_control.chain.c_code import MAXIMUM, MINIMUM, CCode, integers, reals
 from hyst_control.chain.chain import Parallel
-from hyst_control.chain.curves import Curve, evaluate_curve, knot_curve, polynomial_curve, solve_curve
+from hyst_control.chain.curves import EVALUATE, SOLVE, Curve, evaluate_curve, knot_curve, polynomial_curve, solve_curve
 from hyst_control.chain.memoryless import Gain, Memoryless
 from hyst_control.chain.parameter import AllAxes, Array, ScalarPerAxis, Scattering, VectorPerAxis, all_axes, flag, scalar, vector
 from hyst_control.chain.stage import (
@@ -125,6 +126,141 @@ def madelung_branches(
     return source.size
 
 
+CAPACITY = 48
+"""Turning points that the C of an axis keeps. Where more are nested, it forgets the loop whose end comes closest to its begin, and
+counts that in `forgotten`; the Python filter keeps all."""
+
+FORGET = """
+/* Forget the loop whose end comes closest to its begin; the number of turning points that are left. */
+static int without_flattest_loop(real stack[][2], int depth)
+{
+    int flattest = 1;
+    real least = R(2.0);
+    for (int i = 1; i < (depth - 2); i++) {
+        const real gap = M(fabs)(stack[i][0] - stack[i + 2][0]);
+        if (gap < least) {
+            least = gap;
+            flattest = i;
+        }
+    }
+    for (int i = flattest + 1; i < (depth - 2); i++) {
+        stack[i][0] = stack[i + 2][0];
+        stack[i][1] = stack[i + 2][1];
+    }
+    return depth - 2;
+}
+"""
+
+STEP = """
+for (int axis = 0; axis < AXES; axis++) {
+    const curve rising = {p->rising_breaks[axis], p->rising[axis][0], p->rising_size[axis][0], p->rising_size[axis][1]};
+    const curve falling = {p->falling_breaks[axis], p->falling[axis][0], p->falling_size[axis][0], p->falling_size[axis][1]};
+    const real full = p->full[axis];
+    const real top = (INVERSE != 0) ? full : R(1.0);
+    const real raw = in[axis] * p->to_inside[axis];
+    const real x = (raw < R(0.0)) ? R(0.0) : ((raw > top) ? top : raw);
+    real u = s->last[axis][0];
+    real y = s->last[axis][1];
+    const real before = (INVERSE != 0) ? y : u;
+    if (x != before) {
+        const real onward = (x > before) ? R(1.0) : R(-1.0);
+        int depth = s->depth[axis];
+        if (onward != s->last[axis][2]) {
+            if (s->stack[axis][depth - 1][KEY] != before) {
+                if (depth == CAPACITY) {
+                    depth = without_flattest_loop(s->stack[axis], depth);
+                    s->forgotten[axis] = (s->forgotten[axis] < 1000000000) ? (s->forgotten[axis] + 1) : s->forgotten[axis];
+                }
+                s->stack[axis][depth][0] = u;
+                s->stack[axis][depth][1] = y;
+                depth++;
+            }
+            s->last[axis][2] = onward;
+            s->moved[axis] = 1;
+        }
+        if ((x >= top) || (x <= R(0.0))) {
+            u = (x > R(0.0)) ? R(1.0) : R(0.0);
+            y = (x > R(0.0)) ? full : R(0.0);
+            s->stack[axis][0][0] = R(1.0) - u;
+            s->stack[axis][0][1] = full - y;
+            s->stack[axis][1][0] = u;
+            s->stack[axis][1][1] = y;
+            depth = 2;
+            s->moved[axis] = 1;
+        } else {
+            while ((depth > 2) && ((onward * (x - s->stack[axis][depth - 2][KEY])) >= R(0.0))) {
+                depth -= 2;
+                s->moved[axis] = 1;
+            }
+            if (s->moved[axis] != 0) {
+                const real u_from = s->stack[axis][depth - 1][0];
+                const real y_from = s->stack[axis][depth - 1][1];
+                const real u_to = s->stack[axis][depth - 2][0];
+                const real y_to = s->stack[axis][depth - 2][1];
+                const real whole = (onward > R(0.0)) ? curve_value(rising, u_to - u_from) : curve_value(falling, u_from - u_to);
+                s->branch[axis][0] = u_from;
+                s->branch[axis][1] = y_from;
+                s->branch[axis][2] = (y_to - y_from) / whole;
+                s->moved[axis] = 0;
+            }
+            const real *from = s->branch[axis];
+            FOLLOW
+        }
+        s->depth[axis] = depth;
+    }
+    real value = (INVERSE != 0) ? u : y;
+    if (raw != x) {
+        const real slope = (raw > x) ? p->end_slope[axis][1] : p->end_slope[axis][0];
+        value += (INVERSE != 0) ? ((raw - x) / slope) : ((raw - x) * slope);
+    }
+    s->last[axis][0] = u;
+    s->last[axis][1] = y;
+    out[axis] = value * p->to_outside[axis];
+}
+"""
+"""`madelung_branches` in C."""
+
+FORWARD = """
+y = from[1] + (from[2] * ((onward > R(0.0)) ? curve_value(rising, x - from[0]) : curve_value(falling, from[0] - x)));
+u = x;
+"""
+
+BACKWARD = """
+const real way = (x - from[1]) / from[2];
+u = (onward > R(0.0)) ? (from[0] + curve_argument(rising, way)) : (from[0] - curve_argument(falling, way));
+y = x;
+"""
+
+MEAN = """
+for (int axis = 0; axis < AXES; axis++) {
+    const curve up = {p->up_breaks[axis], p->up[axis][0], p->up_size[axis][0], p->up_size[axis][1]};
+    const curve down = {p->down_breaks[axis], p->down[axis][0], p->down_size[axis][0], p->down_size[axis][1]};
+    const real x = in[axis] / p->span[axis];
+    const real inside = minimum_of(maximum_of(x, R(0.0)), R(1.0));
+    const real beyond = ((x > R(1.0)) ? p->end_slope[axis][1] : p->end_slope[axis][0]) * (x - inside);
+    out[axis] = p->scale[axis] * ((R(0.5) * (curve_value(up, inside) + curve_value(down, inside))) + beyond);
+}
+"""
+"""`Madelung.mean_curve` in C."""
+
+SETTLE = """
+for (int axis = 0; axis < AXES; axis++) {
+    s->stack[axis][0][0] = R(1.0);
+    s->stack[axis][0][1] = p->full[axis];
+    s->stack[axis][1][0] = R(0.0);
+    s->stack[axis][1][1] = R(0.0);
+    s->depth[axis] = 2;
+    s->last[axis][0] = R(0.0);
+    s->last[axis][1] = R(0.0);
+    s->last[axis][2] = R(1.0);
+    s->moved[axis] = 1;
+    s->forgotten[axis] = 0;
+}
+SELF_step(s, in, out);
+"""
+"""`MadelungFilter.settle` in C."""
+
+
 class MadelungFilter(Filter):
     """Streaming Madelung hysteresis, or its inverse, one stack per axis."""
 
@@ -178,6 +314,49 @@ class MadelungFilter(Filter):
                 self.stack[axis] = np.concatenate([self.stack[axis], np.zeros_like(self.stack[axis])])
             output[:, axis] = result
         return output * self.to_outside
+
+    def c_code(self) -> CCode:
+        axes = len(self.full)
+        rising, rising_breaks, rising_size = _padded(self.rising)
+        falling, falling_breaks, falling_size = _padded(self.falling)
+        return CCode(
+            "madelung",
+            STEP.replace("FOLLOW", BACKWARD if self.inverse else FORWARD),
+            SETTLE,
+            {"CAPACITY": CAPACITY, "INVERSE": int(self.inverse), "KEY": int(self.inverse)},
+            {
+                "rising_breaks": reals(rising_breaks, "normalized input"),
+                "rising": reals(rising, "[axis][1][piece, power], normalized"),
+                "rising_size": integers(rising_size, "pieces, order"),
+                "falling_breaks": reals(falling_breaks, "normalized input"),
+                "falling": reals(falling, "[axis][1][piece, power], normalized"),
+                "falling_size": integers(falling_size, "pieces, order"),
+                "full": reals(self.full, "normalized output at the end of the input"),
+                "end_slope": reals(self.end_slope, "below 0 and above the end of the input"),
+                "to_inside": reals(self.to_inside, "1 / input unit"),
+                "to_outside": reals(self.to_outside, "output unit"),
+            },
+            {
+                "stack": reals(np.zeros((axes, CAPACITY, 2)), "turning points, normalized input and output"),
+                "last": reals(np.zeros((axes, 3)), "normalized input, output, and direction"),
+                "branch": reals(np.zeros((axes, 3)), "where it began, and its stretch"),
+                "depth": integers(np.zeros(axes), "turning points in the stack"),
+                "moved": integers(np.zeros(axes), "1 where another branch is entered"),
+                "forgotten": integers(np.zeros(axes), "loops that found no room"),
+            },
+            (FORGET, EVALUATE, SOLVE) if self.inverse else (FORGET, EVALUATE),
+        )
+
+
+def _padded(curves: list[tuple[Array, Array]]) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Coefficients (A, 1, K), breaks (A, B) and sizes (A, 2) of curves, one (breaks, coefficients) per axis."""
+    sizes = np.array([coefficients.shape for _, coefficients in curves])
+    flat = np.zeros((len(curves), 1, max(coefficients.size for _, coefficients in curves)))
+    breaks = np.ones((len(curves), sizes[:, 0].max() + 1))
+    for axis, (edges, coefficients) in enumerate(curves):
+        flat[axis, 0, : coefficients.size] = coefficients.ravel()
+        breaks[axis, : len(edges)] = edges
+    return flat, breaks, sizes
 
 
 @remembered
@@ -281,7 +460,7 @@ class Madelung(Stage):
         """The mean of the major branches takes the mean curve off."""
         if self.inverse:
             return None
-        mean = Memoryless(self.mean_curve(len(width)))
+        mean = Memoryless(self.mean_curve(len(width)), self._mean_curve_in_c(len(width)))
         return Parallel(((self, Gain(frozen(1.0 + width))), (mean, Gain(frozen(-width)))))
 
     def mean_curve(self, axes: int) -> Callable[[Array], Array]:
@@ -299,6 +478,25 @@ class Madelung(Stage):
             return output
 
         return mean
+
+    def _mean_curve_in_c(self, axes: int) -> CCode:
+        curves = self.curves(axes)
+        span, scale = per_axis_scalars(self, axes, "input_scale", "output_scale")
+        up, up_breaks, up_size = _padded([(up.breaks, up.coefficients) for up, _ in curves])
+        down, down_breaks, down_size = _padded([(down.breaks, down.coefficients) for _, down in curves])
+        slopes = np.array([[end_slope(falling, 0.0), end_slope(rising, 1.0)] for rising, falling in curves])
+        constants = {
+            "up": reals(up, "[axis][1][piece, power], ascending curve"),
+            "up_breaks": reals(up_breaks, "normalized input"),
+            "up_size": integers(up_size, "pieces, order"),
+            "down": reals(down, "[axis][1][piece, power], descending curve"),
+            "down_breaks": reals(down_breaks, "normalized input"),
+            "down_size": integers(down_size, "pieces, order"),
+            "end_slope": reals(slopes, "below 0 and above the end of the input"),
+            "span": reals(span, "V"),
+            "scale": reals(scale, "output unit"),
+        }
+        return CCode("mean curve", MEAN, constants=constants, functions=(MAXIMUM, MINIMUM, EVALUATE))
 
     def filter(self, sampling: Sampling) -> MadelungFilter:
         axes = sampling.axes

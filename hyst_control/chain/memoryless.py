@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.chain.c_code import MAXIMUM, MINIMUM, CCode, each_axis
 from hyst_control.chain.linear import TransferFunction
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar, register
@@ -15,11 +16,12 @@ from hyst_control.errors import InputError
 
 
 class StaticFilter(Filter):
-    """A memoryless function applied sample by sample; the hold of the signal passes through."""
+    """A memoryless function applied sample by sample; the hold of the signal passes through. `code` is the same in C."""
 
-    def __init__(self, function: Callable[[Array], Array], hold: str) -> None:
+    def __init__(self, function: Callable[[Array], Array], hold: str, code: CCode | None = None) -> None:
         self.function = function
         self.hold = hold
+        self.code = code
 
     def settle(self, value: Array) -> Array:
         return self.function(np.asarray(value, dtype=float))
@@ -27,15 +29,19 @@ class StaticFilter(Filter):
     def process(self, block: Array) -> Array:
         return self.function(block)
 
+    def c_code(self) -> CCode:
+        return super().c_code() if self.code is None else self.code
+
 
 @dataclass(frozen=True)
 class Memoryless(Stage):
     """A function of the input (N, A) or (A,), all axes at once; part of a started chain only, never of a model file."""
 
     function: Callable[[Array], Array]
+    code: CCode | None = field(default=None, compare=False)
 
     def filter(self, sampling: Sampling) -> Filter:
-        return StaticFilter(self.function, sampling.hold)
+        return StaticFilter(self.function, sampling.hold, self.code)
 
 
 @register
@@ -51,7 +57,8 @@ class Gain(Stage):
 
     def filter(self, sampling: Sampling) -> Filter:
         gain = per_axis_scalar(self.gain, sampling.axes, "gain")
-        return StaticFilter(lambda u: u * gain, sampling.hold)
+        code = each_axis("u * p->gain[i]", "gain", {"gain": (gain, "output unit / input unit")})
+        return StaticFilter(lambda u: u * gain, sampling.hold, code)
 
 
 @register
@@ -67,7 +74,8 @@ class Offset(Stage):
 
     def filter(self, sampling: Sampling) -> Filter:
         offset = per_axis_scalar(self.offset, sampling.axes, "offset")
-        return StaticFilter(lambda u: u + offset, sampling.hold)
+        code = each_axis("u + p->added[i]", "offset", {"added": (offset, "signal unit")})
+        return StaticFilter(lambda u: u + offset, sampling.hold, code)
 
 
 @register
@@ -89,7 +97,13 @@ class Saturation(Stage):
     def filter(self, sampling: Sampling) -> Filter:
         lower = per_axis_scalar(self.lower, sampling.axes, "lower")
         upper = per_axis_scalar(self.upper, sampling.axes, "upper")
-        return StaticFilter(lambda u: np.minimum(np.maximum(u, lower), upper), sampling.hold)
+        code = each_axis(
+            "minimum_of(maximum_of(u, p->lower[i]), p->upper[i])",
+            "limits",
+            {"lower": (lower, "signal unit, least output"), "upper": (upper, "signal unit, greatest output")},
+            (MAXIMUM, MINIMUM),
+        )
+        return StaticFilter(lambda u: np.minimum(np.maximum(u, lower), upper), sampling.hold, code)
 
 
 @register
@@ -104,7 +118,9 @@ class Quantization(Stage):
 
     def filter(self, sampling: Sampling) -> Filter:
         step = per_axis_scalar(self.step, sampling.axes, "step")
+        rounded = "(p->step[i] > R(0.0)) ? (p->step[i] * M(rint)(u / p->step[i])) : u"
+        code = each_axis(rounded, "lattice", {"step": (step, "signal unit, distance of two values; 0: none")})
         if np.all(step > 0):
-            return StaticFilter(lambda u: step * np.rint(u / step), sampling.hold)
+            return StaticFilter(lambda u: step * np.rint(u / step), sampling.hold, code)
         divisor = np.where(step > 0, step, 1.0)
-        return StaticFilter(lambda u: np.where(step > 0, step * np.rint(u / divisor), u), sampling.hold)
+        return StaticFilter(lambda u: np.where(step > 0, step * np.rint(u / divisor), u), sampling.hold, code)

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import numpy as np
 from numba import njit
 
+from hyst_control.chain.c_code import CCode, reals
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.parameter import Array, ScalarPerAxis, VectorPerAxis, flag, scalar, vector
 from hyst_control.chain.stage import (
@@ -76,6 +77,41 @@ def dynamic_prandtl_ishlinskii(
             output[row, axis] = w0[axis] * u + weighted + (rotation + k[axis] * u + b[axis]) * total
 
 
+STEP = """
+for (int axis = 0; axis < AXES; axis++) {
+    const real u = in[axis];
+    real total = R(0.0);
+    real weighted = R(0.0);
+    for (int i = 0; i < COUNT; i++) {
+        const real low = u - p->thresholds[axis][i];
+        const real high = u + p->release[axis][i];
+        real h = s->operators[axis][i];
+        h = (h > high) ? high : h;
+        h = (h < low) ? low : h;
+        s->operators[axis][i] = h;
+        total += h;
+        weighted += p->weights[axis][i] * h;
+    }
+    const real rate = (u - s->previous[axis]) * p->rate_factor;
+    s->previous[axis] = u;
+    const real rotation = (rate >= R(0.0)) ? (-p->m1[axis] * rate) : (p->m2[axis] * rate);
+    out[axis] = ((p->w0[axis] * u) + weighted) + (((rotation + (p->k[axis] * u)) + p->b[axis]) * total);
+}
+"""
+"""`dynamic_prandtl_ishlinskii` in C."""
+
+SETTLE = """
+for (int axis = 0; axis < AXES; axis++) {
+    for (int i = 0; i < COUNT; i++) {
+        s->operators[axis][i] = R(0.0);
+    }
+    s->previous[axis] = in[axis];
+}
+SELF_step(s, in, out);
+"""
+"""Play operators come to rest from their virgin state, in C."""
+
+
 class PlayFilter(Filter):
     """Streaming Prandtl-Ishlinskii model, classical or with dynamic weights."""
 
@@ -122,6 +158,27 @@ class PlayFilter(Filter):
             output,
         )
         return output
+
+    def c_code(self) -> CCode:
+        w0, m1, m2, k, b = self.coefficients
+        return CCode(
+            "play operators",
+            STEP,
+            SETTLE,
+            {"COUNT": self.thresholds.shape[1]},
+            {
+                "thresholds": reals(self.thresholds, "input unit"),
+                "release": reals(self.release, "input unit: as the thresholds, or 0 of one-sided operators"),
+                "weights": reals(self.weights, "output unit / input unit"),
+                "w0": reals(w0, "output unit / input unit, weight of the input itself"),
+                "m1": reals(m1, "output unit s / V^2, rotation while the input rises"),
+                "m2": reals(m2, "output unit s / V^2, rotation while the input falls"),
+                "k": reals(k, "output unit / V^2, change of every weight with the input"),
+                "b": reals(b, "output unit / V, part common to all weights"),
+                "rate_factor": reals(self.rate_factor, "1/s, of two samples' difference"),
+            },
+            {"operators": reals(self.state, "input unit"), "previous": reals(self.previous, "input unit, input before")},
+        )
 
 
 def check_operators(thresholds: VectorPerAxis, weights: VectorPerAxis) -> None:

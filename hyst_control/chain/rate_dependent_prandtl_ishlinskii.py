@@ -15,8 +15,9 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
+from hyst_control.chain.c_code import CCode, reals
 from hyst_control.chain.parameter import Array, ScalarPerAxis, VectorPerAxis, scalar, vector
-from hyst_control.chain.prandtl_ishlinskii import OperatorModel, wider_operators
+from hyst_control.chain.prandtl_ishlinskii import SETTLE, OperatorModel, wider_operators
 from hyst_control.chain.stage import Filter, Sampling, per_axis, per_axis_scalar, register, scaled
 
 
@@ -66,6 +67,27 @@ def rate_dependent_prandtl_ishlinskii(
             output[row, axis] = value
 
 
+STEP = """
+for (int axis = 0; axis < AXES; axis++) {
+    const real u = in[axis];
+    const real widening = (p->beta[axis] * M(fabs)(u - s->previous[axis])) * p->rate_factor;
+    real value = p->w0[axis] * u;
+    s->previous[axis] = u;
+    for (int i = 0; i < COUNT; i++) {
+        const real low = (u - p->thresholds[axis][i]) - widening;
+        const real high = (u + p->thresholds[axis][i]) + widening;
+        real h = s->operators[axis][i];
+        h = (h > high) ? high : h;
+        h = (h < low) ? low : h;
+        s->operators[axis][i] = h;
+        value += p->weights[axis][i] * h;
+    }
+    out[axis] = value;
+}
+"""
+"""`rate_dependent_prandtl_ishlinskii` in C."""
+
+
 class RateDependentFilter(Filter):
     """Streaming rate-dependent Prandtl-Ishlinskii model."""
 
@@ -91,6 +113,22 @@ class RateDependentFilter(Filter):
             block, self.previous, self.rate_factor, self.thresholds, self.weights, self.w0, self.beta, self.state, output
         )
         return output
+
+    def c_code(self) -> CCode:
+        return CCode(
+            "rate dependent play operators",
+            STEP,
+            SETTLE,
+            {"COUNT": self.thresholds.shape[1]},
+            {
+                "thresholds": reals(self.thresholds, "V, at rest"),
+                "weights": reals(self.weights, "output unit / V"),
+                "w0": reals(self.w0, "output unit / V, weight of the command itself"),
+                "beta": reals(self.beta, "s, widening of every threshold, V per V/s"),
+                "rate_factor": reals(self.rate_factor, "1/s, of two samples' difference"),
+            },
+            {"operators": reals(self.state, "V"), "previous": reals(self.previous, "V, input before")},
+        )
 
 
 @register

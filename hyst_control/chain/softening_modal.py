@@ -10,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hyst_control.chain.c_code import COMPLEX, CCode, reals
 from hyst_control.chain.linear import StateSpace
 from hyst_control.chain.parameter import AllAxes, Array, Scattering, all_axes
 from hyst_control.chain.stage import Filter, Sampling, Stage, register
@@ -220,6 +221,239 @@ def advance_softening_modal(
                 force[at] = q * (abs(q) ** exponent[e] - force_mean[at] * a ** exponent[e])
 
 
+@njit(cache=True)
+def settle_softening_modal(
+    value: Array,
+    exponent: Array,
+    amplitude: float,
+    state: NDArray[np.complex128],
+    mean_square: Array,
+    decay: Array,
+    frequency: Array,
+    decay_change: Array,
+    frequency_change: Array,
+    c: NDArray[np.complex128],
+    b: NDArray[np.complex128],
+    b_change: NDArray[np.complex128],
+    d: Array,
+    k: Array,
+    h: NDArray[np.complex128],
+    h_d: Array,
+    force_mean: Array,
+    force: Array,
+    output: Array,
+) -> None:
+    """Bring `SofteningModal` to rest at a constant command.
+
+    Parameters
+    ----------
+    value, output
+        (A,): command, and the output that is filled in.
+    exponent, amplitude, decay, frequency, decay_change, frequency_change, c, b, b_change, d, k, h, h_d, force_mean
+        As for `advance_softening_modal`.
+    state, mean_square, force
+        As there; filled in.
+    """
+    modes, axes = c.shape
+    power = 0.0
+    for j in range(axes):
+        power += value[j] ** 2
+    mean_square[0] = power / axes
+    a = np.sqrt(mean_square[0])
+    g = (np.sqrt(a / amplitude) - 1.0) / (1.0 - np.sqrt(0.5))
+    linear = np.empty(axes)
+    for o in range(axes):
+        linear[o] = 0.0
+        for j in range(axes):
+            linear[o] += d[o, j] * value[j]
+    for i in range(modes):
+        pole = complex(-np.exp(decay[i] + decay_change[i] * g), frequency[i] + frequency_change[i] * g)
+        if frequency[i] == 0.0:
+            pole = complex(pole.real, 0.0)
+        entering = 0j
+        for j in range(axes):
+            entering += (b[i, j] + b_change[i, j] * g) * value[j]
+        state[0, i] = -entering / pole
+        twice = 1.0 if frequency[i] == 0.0 else 2.0
+        for o in range(axes):
+            linear[o] += twice * (c[i, o] * state[0, i]).real
+    for j in range(axes):
+        q = 0.0
+        for o in range(axes):
+            q += k[j, o] * linear[o]
+        for e in range(exponent.size):
+            at = e * axes + j
+            force[at] = q * (abs(q) ** exponent[e] - force_mean[at] * a ** exponent[e])
+    for o in range(axes):
+        output[o] = linear[o]
+        for j in range(force.size):
+            output[o] += h_d[o, j] * force[j]
+    for i in range(modes):
+        pole = complex(-np.exp(decay[i] + decay_change[i] * g), frequency[i] + frequency_change[i] * g)
+        if frequency[i] == 0.0:
+            pole = complex(pole.real, 0.0)
+        entering = 0j
+        for j in range(force.size):
+            entering += h[i, j] * force[j]
+        state[1, i] = -entering / pole
+        twice = 1.0 if frequency[i] == 0.0 else 2.0
+        for o in range(axes):
+            output[o] += twice * (c[i, o] * state[1, i]).real
+
+
+MODES = """
+/* A complex number of a pair. */
+static complex_number complex_at(const real pair[])
+{
+    return complex_of(pair[0], pair[1]);
+}
+
+/* What all modes' poles depend on. */
+static real modes_amplitude(real a, real amplitude, real span)
+{
+    return (M(sqrt)(a / amplitude) - R(1.0)) / span;
+}
+"""
+
+POLE = """
+        const int oscillates = (p->frequency[i] != R(0.0)) ? 1 : 0;
+        const complex_number pole = complex_of(
+            -M(exp)(p->decay[i] + (p->decay_change[i] * g)),
+            (oscillates != 0) ? (p->frequency[i] + (p->frequency_change[i] * g)) : R(0.0));
+        const real twice = (oscillates != 0) ? R(2.0) : R(1.0);
+"""
+
+FORCE = """
+for (int j = 0; j < AXES; j++) {
+    real q = R(0.0);
+    for (int o = 0; o < AXES; o++) {
+        q += p->k[j][o] * linear[o];
+    }
+    for (int e = 0; e < EXPONENTS; e++) {
+        const int at = (e * AXES) + j;
+        s->force[at] = q * (M(pow)(M(fabs)(q), p->exponent[e]) - (p->force_mean[at] * M(pow)(a, p->exponent[e])));
+    }
+}
+"""
+
+ADVANCE = (
+    """
+real drive[AXES];
+real linear[AXES];
+real power = R(0.0);
+for (int j = 0; j < AXES; j++) {
+    drive[j] = (HELD != 0) ? in[j] : (R(0.5) * (in[j] + s->last[j]));
+    power += drive[j] * drive[j];
+    s->last[j] = in[j];
+}
+s->mean_square += p->smooth * ((power / (real)AXES) - s->mean_square);
+const real a = M(sqrt)(s->mean_square);
+const real g = modes_amplitude(a, p->amplitude, p->span);
+for (int o = 0; o < AXES; o++) {
+    linear[o] = R(0.0);
+    out[o] = R(0.0);
+    for (int j = 0; j < AXES; j++) {
+        linear[o] += p->d[o][j] * drive[j];
+    }
+    for (int j = 0; j < FORCES; j++) {
+        out[o] += p->h_d[o][j] * s->force[j];
+    }
+}
+for (int i = 0; i < MODES; i++) {"""
+    + POLE
+    + """
+    const complex_number carry = complex_exp(complex_times(pole, complex_of(p->time, R(0.0))));
+    const complex_number gain = complex_over(complex_minus(carry, complex_of(R(1.0), R(0.0))), pole);
+    complex_number by_command = complex_of(R(0.0), R(0.0));
+    complex_number by_force = complex_of(R(0.0), R(0.0));
+    for (int j = 0; j < AXES; j++) {
+        const complex_number moved = complex_times(complex_at(p->b_change[i][j]), complex_of(g, R(0.0)));
+        const complex_number entering = complex_plus(complex_at(p->b[i][j]), moved);
+        by_command = complex_plus(by_command, complex_times(entering, complex_of(drive[j], R(0.0))));
+    }
+    for (int j = 0; j < FORCES; j++) {
+        by_force = complex_plus(by_force, complex_times(complex_at(p->h[i][j]), complex_of(s->force[j], R(0.0))));
+    }
+    const complex_number x = complex_plus(complex_times(carry, complex_at(s->x[0][i])), complex_times(gain, by_command));
+    const complex_number w = complex_plus(complex_times(carry, complex_at(s->x[1][i])), complex_times(gain, by_force));
+    s->x[0][i][0] = x.re;
+    s->x[0][i][1] = x.im;
+    s->x[1][i][0] = w.re;
+    s->x[1][i][1] = w.im;
+    for (int o = 0; o < AXES; o++) {
+        linear[o] += twice * complex_times(complex_at(p->c[i][o]), x).re;
+        out[o] += twice * complex_times(complex_at(p->c[i][o]), w).re;
+    }
+}
+for (int o = 0; o < AXES; o++) {
+    out[o] += linear[o];
+}
+"""
+    + FORCE
+)
+"""`advance_softening_modal` in C."""
+
+COME_TO_REST = (
+    """
+real linear[AXES];
+real power = R(0.0);
+for (int j = 0; j < AXES; j++) {
+    power += in[j] * in[j];
+    s->last[j] = in[j];
+}
+s->mean_square = power / (real)AXES;
+const real a = M(sqrt)(s->mean_square);
+const real g = modes_amplitude(a, p->amplitude, p->span);
+for (int o = 0; o < AXES; o++) {
+    linear[o] = R(0.0);
+    for (int j = 0; j < AXES; j++) {
+        linear[o] += p->d[o][j] * in[j];
+    }
+}
+for (int i = 0; i < MODES; i++) {"""
+    + POLE
+    + """
+    complex_number entering = complex_of(R(0.0), R(0.0));
+    for (int j = 0; j < AXES; j++) {
+        const complex_number moved = complex_times(complex_at(p->b_change[i][j]), complex_of(g, R(0.0)));
+        const complex_number both = complex_plus(complex_at(p->b[i][j]), moved);
+        entering = complex_plus(entering, complex_times(both, complex_of(in[j], R(0.0))));
+    }
+    const complex_number x = complex_over(complex_of(-entering.re, -entering.im), pole);
+    s->x[0][i][0] = x.re;
+    s->x[0][i][1] = x.im;
+    for (int o = 0; o < AXES; o++) {
+        linear[o] += twice * complex_times(complex_at(p->c[i][o]), x).re;
+    }
+}
+"""
+    + FORCE
+    + """
+for (int o = 0; o < AXES; o++) {
+    out[o] = linear[o];
+    for (int j = 0; j < FORCES; j++) {
+        out[o] += p->h_d[o][j] * s->force[j];
+    }
+}
+for (int i = 0; i < MODES; i++) {"""
+    + POLE
+    + """
+    complex_number entering = complex_of(R(0.0), R(0.0));
+    for (int j = 0; j < FORCES; j++) {
+        entering = complex_plus(entering, complex_times(complex_at(p->h[i][j]), complex_of(s->force[j], R(0.0))));
+    }
+    const complex_number w = complex_over(complex_of(-entering.re, -entering.im), pole);
+    s->x[1][i][0] = w.re;
+    s->x[1][i][1] = w.im;
+    for (int o = 0; o < AXES; o++) {
+        out[o] += twice * complex_times(complex_at(p->c[i][o]), w).re;
+    }
+}
+"""
+)
+"""`settle_softening_modal` in C."""
+
+
 class SofteningModalFilter(Filter):
     """Streaming `SofteningModal`."""
 
@@ -257,23 +491,12 @@ class SofteningModalFilter(Filter):
         self.mean_square, self.last, self.force = np.zeros(1), np.full(sampling.axes, np.nan), np.zeros(arrays["force_mean"].size)
 
     def settle(self, value: Array) -> Array:
-        value = np.asarray(value, dtype=float)
-        decay, frequency, decay_change, frequency_change, c, b, b_change, d, k, h, h_d, force_mean = self.arguments
-        exponent, amplitude = self.scalars[2:]
-        self.mean_square[0] = np.mean(value**2)
-        a = np.sqrt(self.mean_square[0])
-        g = (np.sqrt(a / amplitude) - 1.0) / (1.0 - np.sqrt(0.5))
-        poles = -np.exp(decay + decay_change * g) + 1j * np.where(frequency == 0.0, 0.0, frequency + frequency_change * g)
-        twice = np.where(frequency == 0.0, 1.0, 2.0)
-        self.state[0] = -((b + b_change * g) @ value) / poles
-        linear = ((twice * self.state[0]) @ c).real + d @ value
-        q = k @ linear
-        power = np.repeat(exponent, len(q))
-        q = np.tile(q, len(exponent))
-        self.force[:] = q * (np.abs(q) ** power - force_mean * a**power)
-        self.state[1] = -(h @ self.force) / poles
+        value = np.array(value, dtype=float)
+        settled = np.empty_like(value)
         self.last[:] = np.nan if self.held else value
-        settled: Array = linear + ((twice * self.state[1]) @ c).real + h_d @ self.force
+        exponent_and_amplitude: tuple[Any, ...] = self.scalars[2:]
+        state: tuple[Any, ...] = (self.state, self.mean_square)
+        settle_softening_modal(value, *exponent_and_amplitude, *state, *self.arguments, self.force, settled)  # type: ignore[call-arg]
         return settled
 
     def process(self, block: Array) -> Array:
@@ -281,3 +504,52 @@ class SofteningModalFilter(Filter):
         state: tuple[Any, ...] = (self.last, self.state, self.mean_square)
         advance_softening_modal(block, *self.scalars, *state, *self.arguments, self.force, output)  # type: ignore[call-arg]
         return output
+
+    def c_code(self) -> CCode:
+        names = ("decay", "frequency", "decay_change", "frequency_change", "c", "b", "b_change", "d", "k", "h", "h_d", "force_mean")
+        texts = (
+            "log(1/s)",
+            "rad/s",
+            "log(1/s)",
+            "rad/s",
+            "measurement unit, complex",
+            "1/(V s), complex",
+            "1/(V s), complex",
+            "measurement unit / V",
+            "V / measurement unit",
+            "1/(V s), complex",
+            "measurement unit / V",
+            "mean of the force",
+        )
+        smooth, step, exponent, amplitude = self.scalars
+        return CCode(
+            "softening modal",
+            ADVANCE,
+            COME_TO_REST,
+            {
+                "MODES": self.state.shape[1],
+                "FORCES": self.force.size,
+                "EXPONENTS": exponent.size,
+                "HELD": int(self.held),
+            },
+            {
+                **{name: reals(_pairs(value), text) for name, value, text in zip(names, self.arguments, texts, strict=True)},
+                "exponent": reals(exponent, "of the softening force"),
+                "amplitude": reals(amplitude, "V"),
+                "smooth": reals(smooth, "share by which the mean square follows in a step"),
+                "time": reals(step, "s, of a step"),
+                "span": reals(1.0 - np.sqrt(0.5), "of the root of the amplitude where g falls by 1"),
+            },
+            {
+                "x": reals(_pairs(self.state), "modes driven by the command, and by the force; complex"),
+                "mean_square": reals(0.0, "V^2"),
+                "last": reals(self.last, "V, command before"),
+                "force": reals(self.force, "of the tick that begins the interval"),
+            },
+            (COMPLEX, MODES),
+        )
+
+
+def _pairs(values: Any) -> Array:
+    """Complex numbers as pairs (..., 2); real ones unchanged."""
+    return np.stack([values.real, values.imag], axis=-1) if np.iscomplexobj(values) else np.asarray(values, dtype=float)

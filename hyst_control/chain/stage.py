@@ -21,6 +21,7 @@ from typing import Any, ClassVar, TypeVar, cast
 import numpy as np
 
 from hyst_control.chain import stage_coordinates
+from hyst_control.chain.c_code import CCode, each_axis
 from hyst_control.chain.parameter import AllAxes, Coordinate, Parameter, ScalarPerAxis, VectorPerAxis, declared, undeclared
 from hyst_control.chain.parameter import Array as Array
 from hyst_control.errors import InputError
@@ -95,6 +96,10 @@ class Filter:
     def process(self, block: Array) -> Array:
         """Filter a block (N, A) of consecutive samples; the state carries over to the next block."""
         raise NotImplementedError
+
+    def c_code(self) -> CCode:
+        """The filter in C, see `chain.c_code`. Raises `InputError` with the reason where it has none."""
+        raise InputError(f"{type(self).__name__}: the stage brings no C (Filter.c_code): leave it out, or give it its C")
 
 
 @dataclass(frozen=True)
@@ -373,6 +378,9 @@ class ThroughFilter(Filter):
 
     def process(self, block: Array) -> Array:
         return block.copy()
+
+    def c_code(self) -> CCode:
+        return each_axis("u", "through", {})
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hyst_control.chain import Chain, Parallel, Sampling, Stage
+from hyst_control.chain.c_code import CCode
 from hyst_control.chain.inverse_multiplicative import InverseMultiplicative, slope_range
 from hyst_control.chain.linear import Delay, LinearStage
 from hyst_control.chain.madelung import Madelung
@@ -73,6 +74,10 @@ class Compensator:
     def process(self, block: Array) -> Array:
         """Command rows (N, A) in V for a `block` of reference rows (N, A) in the measurement unit."""
         return self._filter.process(np.ascontiguousarray(block, dtype=float))
+
+    def c_code(self) -> CCode:
+        """The compensator in C, see `chain.c_code`. Raises `InputError` where a stage has none."""
+        return self._filter.c_code()
 
 
 @dataclass(frozen=True)

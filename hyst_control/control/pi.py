@@ -111,6 +111,11 @@ class RunningPI:
         self.reset()
 
     @property
+    def constants(self) -> Array:
+        """Constants of the law (7,): kp, ki T, lower, upper, greatest step, share of the anti-windup, share of the roll-off."""
+        return self._constants.copy()
+
+    @property
     def command(self) -> Array:
         """The last command (A,) in V; NaN before the first one."""
         return np.array(self._state[1])

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.chain.c_code import CCode, each_axis
+
 Array = NDArray[np.float64]
 
 
@@ -25,3 +27,8 @@ class Proportional:
     def process(self, block: Array) -> Array:
         """Turn a block of reference rows (N, A) into feedforward rows (N, A)."""
         return self.offset + self.gain * block
+
+    def c_code(self) -> CCode:
+        """The gain in C, see `chain.c_code`."""
+        constants = {"gain": (self.gain, "V / measurement unit"), "offset": (self.offset, "V")}
+        return each_axis("p->offset[i] + (p->gain[i] * u)", "proportional", constants)

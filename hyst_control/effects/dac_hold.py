@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hyst_control.chain.c_code import CCode, integers, reals
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalar, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
@@ -58,6 +59,47 @@ class DacHoldFilter(Filter):
         take_and_hold(block, self.count, self.samples, self.step, self.held, output)
         self.count += len(block)
         return output
+
+    def c_code(self) -> CCode:
+        return CCode(
+            "dac hold",
+            STEP,
+            SETTLE,
+            constants={
+                "samples": integers(self.samples, "for which a value is held"),
+                "step": reals(self.step, "V, of the lattice; 0: none"),
+            },
+            state={"held": reals(self.held, "V"), "count": integers(np.zeros(len(self.held)), "samples since the last one taken")},
+            functions=(TAKEN,),
+        )
+
+
+TAKEN = """
+static real taken_value(real value, real step)
+{
+    return (step > R(0.0)) ? (step * M(rint)(value / step)) : value;
+}
+"""
+
+STEP = """
+for (int i = 0; i < AXES; i++) {
+    if (s->count[i] == 0) {
+        s->held[i] = taken_value(in[i], p->step[i]);
+    }
+    s->count[i] = ((s->count[i] + 1) < p->samples[i]) ? (s->count[i] + 1) : 0;
+    out[i] = s->held[i];
+}
+"""
+"""`take_and_hold` in C."""
+
+SETTLE = """
+for (int i = 0; i < AXES; i++) {
+    s->held[i] = taken_value(in[i], p->step[i]);
+    s->count[i] = 0;
+    out[i] = s->held[i];
+}
+"""
+"""`DacHoldFilter.settle` in C."""
 
 
 @njit(cache=True, error_model="numpy")

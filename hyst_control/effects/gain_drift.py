@@ -6,12 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
+from hyst_control.chain.c_code import CCode, each_axis
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
 from hyst_control.chain.stage import per_axis_scalar, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings
-from hyst_control.effects.time_dependent import TimedStage
+from hyst_control.effects.time_dependent import TimedStage, relaxed
 
 
 @register
@@ -25,7 +24,15 @@ class GainDrift(TimedStage):
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
         change, tau = per_axis_scalar(self.change, axes, "change"), per_axis_scalar(self.tau, axes, "tau")
-        return lambda u, t: u * (1.0 - change * np.expm1(-t / tau))
+        return lambda u, t: u * (1.0 - change * relaxed(-t / tau))
+
+    def function_in_c(self, axes: int) -> CCode:
+        change, tau = per_axis_scalar(self.change, axes, "change"), per_axis_scalar(self.tau, axes, "tau")
+        return each_axis(
+            "u * (R(1.0) - (p->change[i] * (real)expm1(-t / (double)p->tau[i])))",
+            "gain drift",
+            {"change": (change, "in the end"), "tau": (tau, "s")},
+        )
 
 
 def tau_parameter(around: Surroundings) -> Parameter:

@@ -7,10 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.chain.c_code import CCode
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
 from hyst_control.chain.stage import Filter, Sampling, per_axis_scalar, register
 from hyst_control.effects.effect import Effect, Parameter, RecordCheck
-from hyst_control.effects.random_stages import RandomStage, seed
+from hyst_control.effects.random_stages import RANDOM, RandomStage, seed
+from hyst_control.errors import InputError
 
 
 @register
@@ -46,6 +48,9 @@ class HeldFilter(Filter):
         output = np.take_along_axis(known, newest, axis=0)
         self.last = output[-1].copy() if len(block) else self.last
         return output
+
+    def c_code(self) -> CCode:
+        raise InputError(f"held_samples: {RANDOM}")
 
 
 EFFECT = Effect(

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.chain.c_code import each_axis
 from hyst_control.chain.memoryless import Memoryless
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
 from hyst_control.chain.stage import Modifier, Stage, per_axis_scalar, per_axis_scalars, register
@@ -14,6 +15,13 @@ from hyst_control.effects.effect import Effect, Parameter
 from hyst_control.effects.modifiers import beside, settled
 from hyst_control.effects.placement import hysteresis_index
 from hyst_control.errors import InputError
+
+BEND = """
+static real bend_value(real x, real height)
+{
+    return (height * x) * (R(1.0) - x);
+}
+"""
 
 
 @register
@@ -51,7 +59,17 @@ class HysteresisShape(Modifier):
             x = (u - lower) / (upper - lower)
             return amount * stroke * 4.0 * x * (1.0 - x)
 
-        return (*before[:index], beside(before[index], Memoryless(bend)), *before[index + 1 :])
+        code = each_axis(
+            "bend_value((u - p->lower[i]) / p->span[i], p->height[i])",
+            "bend",
+            {
+                "lower": (lower, "V, where the bend begins"),
+                "span": (upper - lower, "V"),
+                "height": (amount * stroke * 4.0, "output unit, four times the bend midway"),
+            },
+            (BEND,),
+        )
+        return (*before[:index], beside(before[index], Memoryless(bend, code)), *before[index + 1 :])
 
 
 EFFECT = Effect(

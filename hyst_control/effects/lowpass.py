@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.chain.c_code import CCode, reals
 from hyst_control.chain.linear import LinearStage, LinearSystem, linear_filter
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar
@@ -73,6 +74,20 @@ class RebuiltFilter(Filter):
         # In this order a signal at rest stays what it is to the last bit.
         rebuilt: Array = block + self.keep / (1.0 - self.keep) * (block - before)
         return rebuilt
+
+    def c_code(self) -> CCode:
+        return CCode(
+            "rebuilt",
+            """
+for (int i = 0; i < AXES; i++) {
+    out[i] = in[i] + (p->lead[i] * (in[i] - s->last[i]));
+    s->last[i] = in[i];
+}
+""",
+            "for (int i = 0; i < AXES; i++) {\n    s->last[i] = in[i];\n    out[i] = in[i];\n}",
+            constants={"lead": reals(self.keep / (1.0 - self.keep), "share of a change that is added")},
+            state={"last": reals(self.last, "signal unit, input before")},
+        )
 
 
 def lowpass_system(cutoff: float, order: int) -> LinearSystem:

@@ -8,10 +8,18 @@ from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.chain.c_code import CCode, each_axis
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Line, Parameter, RecordCheck
 from hyst_control.effects.time_dependent import TimedStage
+
+HUM = """
+static double hum_value(double angle)
+{
+    return (sin(angle) + (0.3 * sin(3.0 * angle))) + (0.1 * sin(5.0 * angle));
+}
+"""
 
 
 @register
@@ -35,6 +43,16 @@ class MainsHum(TimedStage):
             return u + amplitude * (np.sin(angle) + 0.3 * np.sin(3.0 * angle) + 0.1 * np.sin(5.0 * angle))
 
         return hum
+
+    def function_in_c(self, axes: int) -> CCode:
+        amplitude, frequency, phase = per_axis_scalars(self, axes, "amplitude", "frequency", "phase")
+        return each_axis(
+            "u + (p->amplitude[i] * (real)hum_value((p->rate[i] * t) + p->phase[i]))",
+            "mains hum",
+            {"amplitude": (amplitude, "measurement unit")},
+            (HUM,),
+            {"rate": (2 * np.pi * frequency, "rad/s"), "phase": (phase, "rad")},
+        )
 
 
 EFFECT = Effect(

@@ -6,13 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
+from hyst_control.chain.c_code import CCode, each_axis
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import per_axis_scalar, register
 from hyst_control.effects.effect import Companion, Effect, Parameter
 from hyst_control.effects.gain_drift import tau_parameter
-from hyst_control.effects.time_dependent import TimedStage
+from hyst_control.effects.time_dependent import TimedStage, relaxed
 
 
 @register
@@ -26,7 +25,15 @@ class OffsetDrift(TimedStage):
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
         change, tau = per_axis_scalar(self.change, axes, "change"), per_axis_scalar(self.tau, axes, "tau")
-        return lambda u, t: u - change * np.expm1(-t / tau)
+        return lambda u, t: u - change * relaxed(-t / tau)
+
+    def function_in_c(self, axes: int) -> CCode:
+        change, tau = per_axis_scalar(self.change, axes, "change"), per_axis_scalar(self.tau, axes, "tau")
+        return each_axis(
+            "u - (p->change[i] * (real)expm1(-t / (double)p->tau[i]))",
+            "offset drift",
+            {"change": (change, "in the end"), "tau": (tau, "s")},
+        )
 
 
 EFFECT = Effect(

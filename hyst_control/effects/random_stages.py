@@ -7,8 +7,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from hyst_control.chain.c_code import CCode
 from hyst_control.chain.parameter import Array, ScalarPerAxis, count, scalar
 from hyst_control.chain.stage import Filter, Stage, per_axis_scalar
+from hyst_control.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,9 @@ class NoiseStage(RandomStage):
         return per_axis_scalar(self.rms, axes, "rms")
 
 
+RANDOM = "draws random numbers, which belong to a simulation: leave the stage out of what is exported"
+
+
 class NoiseFilter(Filter):
     """Adds rms (A,) times the unit noise (N, A) of `draw`, which `begin` starts anew."""
 
@@ -60,3 +65,6 @@ class NoiseFilter(Filter):
 
     def process(self, block: Array) -> Array:
         return block + self.rms * self.draw(len(block))
+
+    def c_code(self) -> CCode:
+        raise InputError(f"{type(self).__name__}: {RANDOM}")

@@ -7,11 +7,21 @@ from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.chain.c_code import each_axis
 from hyst_control.chain.memoryless import StaticFilter
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.errors import InputError
+
+BENT = """
+static real bent_value(real u, real lower, real upper, real second, real third)
+{
+    const real x = ((R(2.0) * (u - lower)) / (upper - lower)) - R(1.0);
+    return (u + ((second * R(0.5)) * (((R(3.0) * x) * x) - R(1.0)))) + (((third * R(0.5)) * (((R(5.0) * x) * x) - R(3.0))) * x);
+}
+"""
+"""The second and third Legendre polynomial in C, in the order of `SensorNonlinearity.filter`."""
 
 
 @register
@@ -37,7 +47,19 @@ class SensorNonlinearity(Stage):
             x = 2.0 * (u - lower) / (upper - lower) - 1.0
             return u + second * 0.5 * (3.0 * x * x - 1.0) + third * 0.5 * (5.0 * x * x - 3.0) * x + zero
 
-        return StaticFilter(bent, sampling.hold)
+        code = each_axis(
+            "bent_value(u, p->lower[i], p->upper[i], p->second[i], p->third[i]) + p->zero[i]",
+            "sensor nonlinearity",
+            {
+                "second": (second, "measurement unit"),
+                "third": (third, "measurement unit"),
+                "lower": (lower, "measurement unit"),
+                "upper": (upper, "measurement unit"),
+                "zero": (zero, "measurement unit"),
+            },
+            (BENT,),
+        )
+        return StaticFilter(bent, sampling.hold, code)
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
+from hyst_control.chain.c_code import CCode, reals
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings
@@ -46,6 +47,32 @@ class SlewFilter(Filter):
         output = np.empty_like(block)
         follow(block, self.most, self.hold == "zoh", self.state, output)
         return output
+
+    def c_code(self) -> CCode:
+        return CCode(
+            "slew limit",
+            STEP,
+            "for (int i = 0; i < AXES; i++) {\n    s->value[i] = in[i];\n    out[i] = in[i];\n}",
+            {"MEAN": int(self.hold == "zoh")},
+            {"most": reals(self.most, "signal unit, largest change in a sample")},
+            {"value": reals(self.state, "signal unit, at the end of the interval")},
+        )
+
+
+STEP = """
+for (int i = 0; i < AXES; i++) {
+    const real distance = in[i] - s->value[i];
+    if (M(fabs)(distance) <= p->most[i]) {
+        s->value[i] = in[i];
+        out[i] = s->value[i] - ((MEAN != 0) ? (((R(0.5) * distance) * M(fabs)(distance)) / p->most[i]) : R(0.0));
+    } else {
+        const real step = (distance > R(0.0)) ? p->most[i] : -p->most[i];
+        s->value[i] += step;
+        out[i] = s->value[i] - ((MEAN != 0) ? (R(0.5) * step) : R(0.0));
+    }
+}
+"""
+"""`follow` in C."""
 
 
 @njit(cache=True, error_model="numpy")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hyst_control.chain.c_code import COMPLEX, LARGER, CCode, integers, reals
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear import LinearStage, LinearSystem, TransferFunction, stacked
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
@@ -106,9 +107,9 @@ class ModesMovedFilter(Filter):
         self.whose = np.repeat(np.arange(len(systems)), [len(own) for own, _ in poles])
 
     def settle(self, value: Array) -> Array:
-        value = np.asarray(value, dtype=float)
-        self.mean[:], self.square[:] = self.static @ value, 0.0
-        self.state[:] = -(self.inputs @ value) / self.poles
+        value = np.array(value, dtype=float)
+        self.square[:] = 0.0
+        settle_modes_moved(value, self.poles, self.inputs, self.static, self.mean, self.state)
         self.last[:] = np.nan if self.held else value
         return np.zeros(len(value))
 
@@ -131,6 +132,156 @@ class ModesMovedFilter(Filter):
             output,
         )
         return output
+
+    def c_code(self) -> CCode:
+        def pairs(values: NDArray[np.complex128]) -> Array:
+            return np.stack([np.real(values), np.imag(values)], axis=-1)
+
+        return CCode(
+            "softening modes",
+            ADVANCE,
+            COME_TO_REST,
+            {
+                "MODES": len(self.poles),
+                "SQUARES": len(self.square),
+                "SHARED": len(self.last) // len(self.square),
+                "HELD": int(self.held),
+            },
+            {
+                "poles": reals(pairs(self.poles), "1/s, complex"),
+                "as_it_is": reals(pairs(np.array([_carried(pole, self.step) for pole in self.poles])), "of a step, complex"),
+                "change": reals(self.change, "softening and damping of every mode"),
+                "inputs": reals(pairs(self.inputs), "[mode][input], complex"),
+                "outputs": reals(pairs(self.outputs), "[output][mode], complex"),
+                "statics": reals(self.static, "of the motion's amplitude / input unit"),
+                "smooth": reals(self.smooth, "share by which the means follow in a step"),
+                "time": reals(self.step, "s, of a step"),
+                "whose": integers(self.whose, "square that the mode goes by"),
+            },
+            {
+                "x": reals(pairs(self.state), "modes as they are, and moved; complex"),
+                "mean": reals(self.mean, "in units of the amplitude"),
+                "square": reals(self.square, "about the mean"),
+                "last": reals(self.last, "input before"),
+            },
+            (LARGER, COMPLEX, PAIR),
+        )
+
+
+@njit(cache=True)
+def _carried(pole: complex, step: float) -> Any:
+    return np.exp(pole * step)
+
+
+PAIR = """
+static complex_number complex_of_pair(const real pair[])
+{
+    return complex_of(pair[0], pair[1]);
+}
+"""
+
+ADVANCE = """
+real drive[AXES];
+for (int j = 0; j < AXES; j++) {
+    drive[j] = (HELD != 0) ? in[j] : (R(0.5) * (in[j] + s->last[j]));
+    s->last[j] = in[j];
+    out[j] = R(0.0);
+}
+for (int q = 0; q < SQUARES; q++) {
+    real power = R(0.0);
+    for (int o = q * SHARED; o < ((q + 1) * SHARED); o++) {
+        real deflection = R(0.0);
+        for (int j = 0; j < AXES; j++) {
+            deflection += p->statics[o][j] * drive[j];
+        }
+        const real beside = deflection - s->mean[o];
+        power += beside * beside;
+        s->mean[o] += p->smooth * (deflection - s->mean[o]);
+    }
+    s->square[q] += p->smooth * ((power / (real)SHARED) - s->square[q]);
+}
+for (int i = 0; i < MODES; i++) {
+    complex_number entering = complex_of(R(0.0), R(0.0));
+    for (int j = 0; j < AXES; j++) {
+        entering = complex_plus(entering, complex_times(complex_of_pair(p->inputs[i][j]), complex_of(drive[j], R(0.0))));
+    }
+    const complex_number own = complex_of_pair(p->poles[i]);
+    const complex_number rest = complex_over(complex_of(-entering.re, -entering.im), own);
+    const real root = M(pow)(s->square[p->whose[i]], R(0.25));
+    const complex_number pole = complex_of(own.re * larger_of(R(1.0) + (p->change[i][1] * root), R(0.0)),
+                                           own.im * (R(1.0) - (p->change[i][0] * root)));
+    const complex_number carry = complex_exp(complex_times(pole, complex_of(p->time, R(0.0))));
+    const complex_number still = complex_plus(
+        rest, complex_times(complex_of_pair(p->as_it_is[i]), complex_minus(complex_of_pair(s->x[0][i]), rest)));
+    const complex_number moved = complex_plus(rest, complex_times(carry, complex_minus(complex_of_pair(s->x[1][i]), rest)));
+    s->x[0][i][0] = still.re;
+    s->x[0][i][1] = still.im;
+    s->x[1][i][0] = moved.re;
+    s->x[1][i][1] = moved.im;
+    for (int o = 0; o < AXES; o++) {
+        out[o] += complex_times(complex_of_pair(p->outputs[o][i]), complex_minus(moved, still)).re;
+    }
+}
+"""
+"""`advance_modes_moved` in C."""
+
+COME_TO_REST = """
+for (int q = 0; q < SQUARES; q++) {
+    s->square[q] = R(0.0);
+}
+for (int o = 0; o < AXES; o++) {
+    s->mean[o] = R(0.0);
+    for (int j = 0; j < AXES; j++) {
+        s->mean[o] += p->statics[o][j] * in[j];
+    }
+    s->last[o] = in[o];
+    out[o] = R(0.0);
+}
+for (int i = 0; i < MODES; i++) {
+    complex_number entering = complex_of(R(0.0), R(0.0));
+    for (int j = 0; j < AXES; j++) {
+        entering = complex_plus(entering, complex_times(complex_of_pair(p->inputs[i][j]), complex_of(in[j], R(0.0))));
+    }
+    const complex_number rest = complex_over(complex_of(-entering.re, -entering.im), complex_of_pair(p->poles[i]));
+    for (int which = 0; which < 2; which++) {
+        s->x[which][i][0] = rest.re;
+        s->x[which][i][1] = rest.im;
+    }
+}
+"""
+"""`settle_modes_moved` in C."""
+
+
+@njit(cache=True)
+def settle_modes_moved(
+    value: Array,
+    poles: NDArray[np.complex128],
+    inputs: NDArray[np.complex128],
+    static: Array,
+    mean: Array,
+    state: NDArray[np.complex128],
+) -> None:
+    """Bring the modes to rest at a constant input.
+
+    Parameters
+    ----------
+    value
+        (A,).
+    poles, inputs, static
+        As for `advance_modes_moved`.
+    mean, state
+        As there; filled in.
+    """
+    for o in range(len(value)):
+        mean[o] = 0.0
+        for j in range(len(value)):
+            mean[o] += static[o, j] * value[j]
+    for i in range(len(poles)):
+        entering = 0j
+        for j in range(len(value)):
+            entering += inputs[i, j] * value[j]
+        state[0, i] = -entering / poles[i]
+        state[1, i] = state[0, i]
 
 
 @njit(cache=True)

@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 
+from hyst_control.chain.c_code import CCode, reals
 from hyst_control.chain.parameter import Array
 from hyst_control.chain.stage import Filter, Sampling, Stage
+
+STEP = """
+const double t = (s->count + p->ahead) * p->sample_time;
+s->count += 1.0;
+BODY
+"""
+
+SETTLE = """
+const double t = 0.0;
+s->count = 0.0;
+BODY
+"""
 
 
 @dataclass(frozen=True)
@@ -23,15 +38,42 @@ class TimedStage(Stage):
         """f(values (N, A), times (N, 1)) -> (N, A)."""
         raise NotImplementedError
 
+    def function_in_c(self, axes: int) -> CCode | None:
+        """The same in C of the input `u` and the time `t` (s, double) of the axis `i`; None where it has none.
+
+        Parameters
+        ----------
+        axes
+            Number of axes.
+        """
+        return None
+
     def filter(self, sampling: Sampling) -> Filter:
-        return TimedFilter(self.function(sampling.axes), sampling)
+        return TimedFilter(self.function(sampling.axes), sampling, self.function_in_c(sampling.axes))
+
+
+@njit(cache=True, error_model="numpy")
+def relaxed(exponent: Array) -> Array:
+    """e^x - 1 of every number (N, A), by the function of the C library, which the exported C calls too.
+
+    Parameters
+    ----------
+    exponent
+        x.
+    """
+    output = np.empty_like(exponent)
+    for row in range(exponent.shape[0]):
+        for axis in range(exponent.shape[1]):
+            output[row, axis] = math.expm1(exponent[row, axis])
+    return output
 
 
 class TimedFilter(Filter):
     """Streaming `TimedStage`: the k-th value processed is the one at (k + ahead) sample times."""
 
-    def __init__(self, function: Callable[[Array, Array], Array], sampling: Sampling) -> None:
+    def __init__(self, function: Callable[[Array, Array], Array], sampling: Sampling, code: CCode | None = None) -> None:
         self.hold = sampling.hold
+        self.code = code
         self.function, self.sample_time, self.ahead = function, sampling.sample_time, sampling.first_tick
         self.count = 0
 
@@ -45,3 +87,15 @@ class TimedFilter(Filter):
         times = (ticks * self.sample_time).astype(np.float64)
         self.count += len(block)
         return self.function(block, times[:, None])
+
+    def c_code(self) -> CCode:
+        if self.code is None:
+            return super().c_code()
+        timing = {"sample_time": reals(self.sample_time, "s", wide=True), "ahead": reals(self.ahead, "ticks", wide=True)}
+        return replace(
+            self.code,
+            step=STEP.replace("BODY", self.code.step.strip()),
+            settle=SETTLE.replace("BODY", self.code.step.strip()),
+            constants={**self.code.constants, **timing},
+            state={"count": reals(0.0, "ticks since it was settled", wide=True)},
+        )

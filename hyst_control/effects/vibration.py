@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.chain.c_code import CCode, each_axis
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Line, Parameter, RecordCheck, Surroundings
@@ -31,6 +32,15 @@ class Vibration(TimedStage):
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
         amplitude, frequency, phase = per_axis_scalars(self, axes, "amplitude", "frequency", "phase")
         return lambda u, t: u + amplitude * np.sin(2 * np.pi * frequency * t + phase)
+
+    def function_in_c(self, axes: int) -> CCode:
+        amplitude, frequency, phase = per_axis_scalars(self, axes, "amplitude", "frequency", "phase")
+        return each_axis(
+            "u + (p->amplitude[i] * (real)sin((p->rate[i] * t) + p->phase[i]))",
+            "vibration",
+            {"amplitude": (amplitude, "measurement unit")},
+            wide={"rate": (2 * np.pi * frequency, "rad/s"), "phase": (phase, "rad")},
+        )
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:

@@ -5,6 +5,15 @@ from __future__ import annotations
 from hyst_control.nodes.parameters import Setting
 
 LOCKSTEP, TIMER = "lockstep", "timer"
+PYTHON, C = "python", "c"
+
+BACKEND = Setting(
+    "backend",
+    PYTHON,
+    "",
+    "python, or c: what hyst export writes, compiled at the start (needs a C compiler); the same bits",
+    choices=(PYTHON, C),
+)
 
 COMMON = (
     Setting(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -10,9 +10,12 @@ from hyst_control.control.feedforward import KINDS, RATE_FILTER, build_compensat
 from hyst_control.control.loop import Compensator
 from hyst_control.control.static_gain import Proportional
 from hyst_control.errors import InputError
+from hyst_control.export.backend import CompiledFeedforward
+from hyst_control.export.controller import Feedforward as WithC
 from hyst_control.model_file import load_model
 from hyst_control.nodes import feedforward_learning
 from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.common_parameters import BACKEND, C
 from hyst_control.nodes.feedforward_learning import FeedforwardLearning
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.signal_ports import Input
@@ -75,11 +78,14 @@ class Feedforward(SignalNode):
             Setting(
                 "limits", (0.0, 0.0), "V", "rating of the drive, lower and upper; if equal, the model's valid range", -1e6, 1e6
             ),
+            BACKEND,
             Setting("gain", (0.0,), "V per unit", "proportional: gain of all axes or of each", -1e12, 1e12),
             Setting("offset", (0.0,), "V", "proportional: command at reference 0, of all axes or of each", -1e6, 1e6),
         )
         super().__init__(name, **options)
         self._compensator = compensator or self._described()
+        if self.settings.backend == C:
+            self._compensator = self._compiled(self._compensator)
         self._compensator.settle(np.zeros(len(self.axes)))  # compiled before the first tick
         self._compensator.process(np.zeros((1, len(self.axes))))
         self._next: int | None = None  # tick of the next row out of the compensator
@@ -140,6 +146,12 @@ class Feedforward(SignalNode):
 
     def status(self) -> dict[str, Any]:
         return {"preview [ticks]": self._compensator.preview, **(self._learning.status() if self._learning else {})}
+
+    def _compiled(self, compensator: Compensator) -> Compensator:
+        try:
+            return CompiledFeedforward(cast(WithC, compensator), len(self.axes), self.period)
+        except InputError as error:
+            raise InputError(f"{self.get_name()}: parameter backend: {error}") from None
 
     def _described(self) -> Compensator:
         axes = len(self.axes)

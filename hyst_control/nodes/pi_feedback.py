@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from hyst_control.control.pi import PI
 from hyst_control.errors import InputError
+from hyst_control.export.backend import CompiledPI
 from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.common_parameters import TIMER
+from hyst_control.nodes.common_parameters import BACKEND, TIMER, C
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.sensor_watch import MOTION, MeasurementWatch
@@ -89,6 +90,7 @@ class PiFeedback(SignalNode):
             0.0,
             1e6,
         ),
+        BACKEND,
         Setting("saturation_time", 0.5, "s", "time after which a command at its limits is a warning", 1e-6, 1e6, live=True),
         Setting(
             "overrun_ticks",
@@ -120,7 +122,10 @@ class PiFeedback(SignalNode):
         if len(given.safe_command) not in (1, axes):
             raise InputError(f"{self.get_name()}: parameter safe_command: {len(given.safe_command)} values, {axes} axes")
         self._safe = np.clip(np.broadcast_to(np.array(given.safe_command), axes), given.lower, given.upper)
-        self._controller = description.start(axes)
+        try:
+            self._controller = CompiledPI(description, axes) if given.backend == C else description.start(axes)
+        except InputError as error:
+            raise InputError(f"{self.get_name()}: parameter backend: {error}") from None
         self._controller.step(*np.zeros((3, 1, axes)))  # compiled before the first tick
         self._controller.pass_through(np.zeros((1, axes)))
         self._watch = MeasurementWatch(

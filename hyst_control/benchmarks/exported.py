@@ -1,0 +1,116 @@
+"""Speed, size and bit equality of the exported C on this machine."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from hyst_control import progress
+from hyst_control.chain.parameter import Array
+from hyst_control.config_files import config_path
+from hyst_control.control.feedforward import Compensator, build_compensator
+from hyst_control.control.pi import PI
+from hyst_control.export.c_source import Program
+from hyst_control.export.compiled import CompiledProgram
+from hyst_control.export.controller import Controller, SafeLoop
+from hyst_control.export.programs import Exported, FeedforwardOptions, feedforward, simulator
+from hyst_control.model_file import load_model
+from hyst_control.reporting.tables import Table
+
+ROWS = 20_000
+REPEATS = 30
+COMPARED = 10_000_000
+"""Samples over which C and Python are compared."""
+BLOCK = 500_000
+
+CONTROLLERS = (
+    ("hampi feedforward + PI, 10 operators, 1 axis", "pea_hampi", "hampi", 20e3),
+    ("mhl feedforward + PI, 2 axes", "fsm_mhl", "mhl", 5e3),
+)
+"""Case, model, kind of the feedforward, and rate in Hz."""
+
+
+def run(table: Table) -> None:
+    """Add the time of a step and the bytes of the state of both papers' controllers, and the samples at which C and Python differ.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    """
+    for case, name, kind, rate in CONTROLLERS:
+        progress.step(f"{case} in C")
+        model = load_model(config_path(f"models/{name}.yaml"))
+        compensator = build_compensator(model, kind, sample_time=1.0 / rate)
+        seconds, state = step_time(compensator, rate, model.units["measurement"])
+        table.add("exported", case, "c", "step_time", "us", 1e6 * seconds, n=REPEATS)
+        table.add("exported", case, "c", "state_size", "byte", state)
+    for case, exported in compared():
+        progress.step(f"{case}: {COMPARED} samples in C and in Python")
+        table.add("exported", case, "c", "samples_that_differ", "samples", differences(exported), n=COMPARED)
+
+
+def step_time(compensator: Compensator, rate: float, unit: str) -> tuple[float, int]:
+    """Seconds of a step of feedforward and feedback in C (the best of several runs), and bytes of the state.
+
+    Parameters
+    ----------
+    compensator
+        Feedforward.
+    rate
+        Hz.
+    unit
+        Of the measurement.
+    """
+    axes = len(compensator.axes)
+    controller = Controller(PI(0.3, 900.0, 1.0 / rate, 0.0, 50.0, 2e5), axes, SafeLoop(frozen_time=0.0), compensator)
+    program = Program("loop", controller.c_code(), axes, *controller.slots(compensator.axes, unit), 1.0 / rate, ("of a benchmark",))
+    running = CompiledProgram(program)
+    phase = 0.02 * np.arange(ROWS)[:, None] + np.arange(axes)
+    reference = 1.0 - 0.9 * np.cos(phase) * np.cos(0.00037 * phase)
+    rows = np.concatenate([reference, reference - 0.01 * np.sin(3.1 * phase), np.ones((ROWS, 1))], axis=1)
+    best = np.inf
+    for _ in range(REPEATS):
+        running.settle(rows[0])
+        begin = time.thread_time()
+        found = running.process(rows)
+        best = min(best, time.thread_time() - begin)
+        assert np.all(found[:, -1] == 0.0) and np.ptp(found[:, 0]) > 1.0
+    return best / ROWS, running.state.nbytes
+
+
+def compared() -> tuple[tuple[str, Exported], ...]:
+    """Programs that are compared: both papers' plants and feedforwards."""
+    hampi, mhl = (load_model(config_path(f"models/{name}.yaml")) for name in ("pea_hampi", "fsm_mhl"))
+    return (
+        ("hampi plant", simulator(hampi)),
+        ("hampi feedforward", feedforward(hampi, FeedforwardOptions("hampi"), reference_ahead=True)),
+        ("mhl plant", simulator(mhl)),
+        ("mhl feedforward", feedforward(mhl, FeedforwardOptions("mhl"))),
+    )
+
+
+def differences(exported: Exported, samples: int = COMPARED) -> int:
+    """Samples of random signals at which C and Python differ in any bit.
+
+    Parameters
+    ----------
+    exported
+        Program, and the same in Python.
+    samples
+        Their number, all axes counted.
+    """
+    running, python, spans = CompiledProgram(exported.program), exported.python, exported.spans
+    random = np.random.default_rng(1)
+    last: Array = np.full(len(spans), 0.5)
+    running.settle(spans[:, 0])
+    python.settle(spans[:, 0])
+    found = 0
+    for _ in range(samples // (BLOCK * len(spans))):
+        steps = random.normal(0.0, 0.03, (BLOCK, len(spans))) * (random.random((BLOCK, len(spans))) < 0.8)
+        walk = last + np.cumsum(steps, axis=0)
+        last = walk[-1] % 4.0
+        rows = spans[:, 0] + (0.5 + 0.55 * np.sin(0.5 * np.pi * walk)) * (spans[:, 1] - spans[:, 0])  # a little beyond both ends
+        found += int(np.count_nonzero(running.process(rows) != python.process(rows)))
+    return found

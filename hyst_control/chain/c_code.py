@@ -1,0 +1,264 @@
+"""C of a running filter, as the filter itself gives it beside its kernel; `hyst_control.export` makes a source file of it.
+
+The texts are bodies of C99 functions. They are given `p`, the constants, `s`, the state, and the arrays `in` and `out`, one value per
+axis; `sizes` are known in them as integer constants. `real` is double or float, `R(0.5)` is a literal of it and `M(fabs)` the function
+of math.h for it. `number` is `real`, or double where `wide` says that float would lose too much. Every expression stands in the
+order of the kernel, so that both give the same bits in double.
+
+TINY, LAST_DIGIT and RESOLUTION are limits of searches and states, as the kernels have them in double and wider in float.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.chain.parameter import Array
+
+Values = Array | NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Member:
+    """A constant, or a part of the state.
+
+    Parameters
+    ----------
+    value
+        Of the constant; of a state only shape and type count.
+    text
+        What it is, with its unit.
+    wide
+        Whether it is a `number` instead of a `real`; for numbers that are no integers.
+    """
+
+    value: Values
+    text: str
+    wide: bool = False
+
+
+def integers(value: object, text: str) -> Member:
+    """A member of whole numbers.
+
+    Parameters
+    ----------
+    value
+        Number, or array of any shape.
+    text
+        What it is, with its unit.
+    """
+    return Member(np.asarray(value, dtype=np.int64), text)
+
+
+def reals(value: object, text: str, wide: bool = False) -> Member:
+    """A member of real numbers.
+
+    Parameters
+    ----------
+    value
+        Number, or array of any shape.
+    text
+        What it is, with its unit.
+    wide
+        As in `Member`.
+    """
+    return Member(np.asarray(value, dtype=float), text, wide)
+
+
+@dataclass(frozen=True)
+class CCode:
+    """C of a running filter; see the module.
+
+    Parameters
+    ----------
+    title
+        One or two words, from which its names in C are made.
+    step
+        Body of the function that advances by one sample.
+    settle
+        Body of the function that comes to rest at a constant input; "" where that is `step`. `SELF_step(s, in, out)` calls `step`.
+    sizes
+        Integer constants by name.
+    constants, state
+        Members by name.
+    functions
+        Functions that the bodies call, those called first in front; the same text is written once for all filters.
+    parts
+        Filters inside, called as `PART0_step(&s->part0, in, out)`.
+    inputs, outputs
+        Length of `in` and `out`; 0: one value per axis.
+    wide
+        Whether `number` is double also where `real` is float.
+    """
+
+    title: str
+    step: str
+    settle: str = ""
+    sizes: Mapping[str, int] = field(default_factory=dict)
+    constants: Mapping[str, Member] = field(default_factory=dict)
+    state: Mapping[str, Member] = field(default_factory=dict)
+    functions: tuple[str, ...] = ()
+    parts: tuple[CCode, ...] = ()
+    inputs: int = 0
+    outputs: int = 0
+    wide: bool = False
+
+
+def each_axis(
+    expression: str,
+    title: str,
+    constants: Mapping[str, tuple[object, str]],
+    functions: Sequence[str] = (),
+    wide: Mapping[str, tuple[object, str]] | None = None,
+) -> CCode:
+    """C of a function without memory.
+
+    Parameters
+    ----------
+    title
+        As in `CCode`.
+    expression
+        Output for the input `u` of the axis `i`.
+    constants
+        Values (A,) by name, each with what it is.
+    functions
+        As in `CCode`.
+    wide
+        Further constants, which are double in any case.
+    """
+    step = f"""
+for (int i = 0; i < AXES; i++) {{
+    const real u = in[i];
+    out[i] = {expression};
+}}
+"""
+    members = {name: reals(value, text) for name, (value, text) in constants.items()}
+    members.update((name, reals(value, text, wide=True)) for name, (value, text) in (wide or {}).items())
+    return CCode(title, step, constants=members, functions=tuple(functions))
+
+
+MAXIMUM = """
+/* The greater one; NaN where one is NaN. */
+static real maximum_of(real a, real b)
+{
+    return ((a >= b) || isnan(a)) ? a : b;
+}
+"""
+
+MINIMUM = """
+/* The lesser one; NaN where one is NaN. */
+static real minimum_of(real a, real b)
+{
+    return ((a <= b) || isnan(a)) ? a : b;
+}
+"""
+
+LARGER = """
+/* The greater one; the first where one is NaN. */
+static real larger_of(real a, real b)
+{
+    return (b > a) ? b : a;
+}
+"""
+
+SMALLER = """
+/* The lesser one; the first where one is NaN. */
+static real smaller_of(real a, real b)
+{
+    return (b < a) ? b : a;
+}
+"""
+
+COMPLEX = """
+/* Complex numbers: products and quotients as Python computes them. */
+typedef struct {
+    real re;
+    real im;
+} complex_number;
+
+static complex_number complex_of(real re, real im)
+{
+    const complex_number z = {re, im};
+    return z;
+}
+
+static complex_number complex_times(complex_number a, complex_number b)
+{
+    return complex_of((a.re * b.re) - (a.im * b.im), (a.re * b.im) + (a.im * b.re));
+}
+
+static complex_number complex_over(complex_number a, complex_number b)
+{
+    complex_number z = {(real)NAN, (real)NAN};
+    if (M(fabs)(b.re) >= M(fabs)(b.im)) {
+        const real ratio = b.im / b.re;
+        const real whole = b.re + (b.im * ratio);
+        z = complex_of((a.re + (a.im * ratio)) / whole, (a.im - (a.re * ratio)) / whole);
+    } else if (M(fabs)(b.im) >= M(fabs)(b.re)) {
+        const real ratio = b.re / b.im;
+        const real whole = (b.re * ratio) + b.im;
+        z = complex_of(((a.re * ratio) + a.im) / whole, ((a.im * ratio) - a.re) / whole);
+    } else {
+        /* one is NaN */
+    }
+    return z;
+}
+
+static complex_number complex_plus(complex_number a, complex_number b)
+{
+    return complex_of(a.re + b.re, a.im + b.im);
+}
+
+static complex_number complex_minus(complex_number a, complex_number b)
+{
+    return complex_of(a.re - b.re, a.im - b.im);
+}
+
+static complex_number complex_exp(complex_number z)
+{
+    const real size = M(exp)(z.re);
+    return complex_of(size * M(cos)(z.im), size * M(sin)(z.im));
+}
+"""
+
+
+def series(parts: Sequence[CCode]) -> CCode:
+    """Filters one after the other.
+
+    Parameters
+    ----------
+    parts
+        Their C, in signal order.
+    """
+
+    def body(work: str) -> str:
+        lines, last = [], len(parts) - 1
+        signals = ["in", *(f"signal{i}" for i in range(last)), "out"]
+        for i in range(last):
+            lines.append(f"real signal{i}[AXES];")
+        lines += [f"PART{i}_{work}(&s->part{i}, {signals[i]}, {signals[i + 1]});" for i in range(len(parts))]
+        return "\n".join(lines)
+
+    return CCode("series", body("step"), body("settle"), parts=tuple(parts))
+
+
+def parallel(parts: Sequence[CCode]) -> CCode:
+    """Filters fed alike, outputs added.
+
+    Parameters
+    ----------
+    parts
+        Their C.
+    """
+
+    def body(work: str) -> str:
+        add = "\nfor (int i = 0; i < AXES; i++) {\n    out[i] = out[i] + more[i];\n}"
+        lines = ["real more[AXES];"] if len(parts) > 1 else []
+        lines.append(f"PART0_{work}(&s->part0, in, out);")
+        lines += [f"PART{i}_{work}(&s->part{i}, in, more);{add}" for i in range(1, len(parts))]
+        return "\n".join(lines)
+
+    return CCode("parallel", body("step"), body("settle"), parts=tuple(parts))

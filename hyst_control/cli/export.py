@@ -1,0 +1,116 @@
+"""Write a simulator, a feedforward, a live twin or a whole controller as C, with a harness that holds it against Python.
+
+MODEL.yaml is exported as the plant, with --kind as a feedforward, with --twin as the model beside the running system. A file of nodes'
+parameters is exported as the controller of its pi_feedback and its feedforward node.
+
+examples:
+  hyst export config/models/pea_hampi.yaml --output plant
+  hyst export config/models/pea_hampi.yaml --kind hampi --causal --output feedforward
+  hyst export tracking.yaml --reference-ahead --output controller
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hyst_control.reporting.artifacts import Artifacts
+
+NAME = "export"
+HELP = "write a model, a feedforward or a controller as C"
+JSON = "list of written files"
+READS = ("source", "plant")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command to `parser`."""
+    parser.add_argument("source", metavar="MODEL|CONTROLLER", help="model file, or file of nodes' parameters")
+    parser.add_argument("--target", choices=("c",), default="c", help="language (default c: C99)")
+    parser.add_argument("--output", metavar="FOLDER", required=True, help="folder to write into; created where it is missing")
+    parser.add_argument("--name", default="", help="prefix of everything in C (default: the model's name, or the file's)")
+    parser.add_argument("--real", choices=("double", "float"), default="double", help="type of the signals (default double)")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="sample rate of a model in Hz (default: the model's)")
+    parser.add_argument("--kind", help="of a model: the feedforward of this kind, such as hapi, hampi, mhl, mhl_inverse")
+    parser.add_argument("--twin", action="store_true", help="of a model: measurement minus prediction beside the running system")
+    parser.add_argument("--inverse", default="zpetc", help="with --kind: inverse of the dynamics (default zpetc)")
+    parser.add_argument("--discretisation", default="zoh", help="with --kind: of the dynamics, zoh or tustin (default zoh)")
+    parser.add_argument("--iterations", type=int, help="with --kind: of the inverse of the hysteresis (default: the kind's)")
+    parser.add_argument(
+        "--inverse-model", default="", metavar="MODEL.yaml", help="with --kind: separately identified inverse curves"
+    )
+    parser.add_argument(
+        "--limits",
+        type=float,
+        nargs=2,
+        metavar=("LOWER", "UPPER"),
+        help="with --kind: rating of the drive in V (default: the model's)",
+    )
+    parser.add_argument("--causal", action="store_true", help="with --kind: do not look ahead; the command is late")
+    parser.add_argument(
+        "--plant", metavar="MODEL.yaml", help="of a controller: also a program that closes the loop against this model's simulator"
+    )
+    parser.add_argument(
+        "--reference-ahead", action="store_true", help="the reference is known as far ahead as the feedforward looks"
+    )
+
+
+def run(arguments: argparse.Namespace) -> Artifacts:
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
+    from hyst_control.errors import InputError
+    from hyst_control.export import programs
+    from hyst_control.export.folder import sizes, write_folder
+    from hyst_control.model_file import load_model
+    from hyst_control.reporting.artifacts import Artifacts
+
+    given = arguments
+    if given.rate is not None and not 0 < given.rate < 1e12:
+        raise InputError(f"--rate: must be > 0 Hz and < 1e12 Hz, got {given.rate!r}")
+    if given.kind and given.twin:
+        raise InputError("--twin: give it, or --kind, not both")
+    time = 1.0 / given.rate if given.rate else None
+    files = [given.source]
+    if not programs.is_model(given.source):
+        chosen = [name for name in ("rate", "kind", "twin", "causal", "limits") if getattr(given, name)]
+        if chosen:
+            raise InputError(f"--{chosen[0]}: {given.source} has nodes' parameters, which say that: change it there")
+        exported = programs.controller(given.source, given.real, given.name, given.reference_ahead)
+    else:
+        model = load_model(given.source)
+        try:
+            if given.kind:
+                options = programs.FeedforwardOptions(
+                    given.kind,
+                    given.inverse,
+                    given.discretisation,
+                    given.iterations,
+                    inverse_model=given.inverse_model,
+                    limits=tuple(given.limits) if given.limits else None,
+                    preview=not given.causal,
+                )
+                files += [given.inverse_model] if given.inverse_model else []
+                exported = programs.feedforward(model, options, time, given.real, given.name, given.reference_ahead)
+            else:
+                exported = (programs.twin if given.twin else programs.simulator)(model, time, given.real, given.name)
+        except InputError as error:
+            raise InputError(f"{given.source}: {error}") from None
+    plant = None
+    if given.plant:
+        plant = programs.simulator(load_model(given.plant), exported.program.sample_time, given.real)
+        files.append(given.plant)
+    written = write_folder(exported, given.output, files, plant)
+    program, size = exported.program, sizes(exported.program)
+    flash = "unknown without a compiler" if size.flash is None else f"{size.flash} bytes (this machine, -Os)"
+    made = Artifacts(
+        "export",
+        written,
+        lines=[
+            f"{program.name}: {len(program.inputs)} inputs, {len(program.outputs)} outputs, {program.real}, tick {program.sample_time:g} s",
+            f"state {size.state} bytes, flash {flash}",
+            f"make -C {given.output} test compiles it and compares it with Python",
+        ],
+    )
+    made.add("", "state", "byte", size.state)
+    if size.flash is not None:
+        made.add("", "flash", "byte", size.flash)
+    return made

@@ -1,0 +1,1 @@
+"""A chain, a compensator or a whole controller as C."""

@@ -1,0 +1,388 @@
+"""C99 source of a program: one header and one source file, from the C that its filters bring (`chain.c_code`).
+
+Everything is static and constant but what `NAME_init`, `NAME_settle`, `NAME_step` and `NAME_block` are given: no heap, no recursion,
+no library but math.h. Numbers are hexadecimal literals, and every expression has the order of the Python kernels, so that a compiler
+that does not contract expressions (`-ffp-contract=off`) gives the same bits in double.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyst_control.chain.c_code import CCode, Member
+from hyst_control.errors import InputError
+
+REALS = ("double", "float")
+
+DEVIATIONS = (
+    "Rules of MISRA C:2012 that are not kept, all of them advisory but 10.6:",
+    "2.4, 2.5    enumerations without a tag name sizes; a macro may be there for a filter that is not",
+    "8.7, 8.9    the interface is for other files; constants stand together",
+    "10.6        cppcheck takes (a < b) ? 1 : 0 for a composite expression",
+    "12.1, 15.4  conditional expressions without further parentheses; a search ends where it has found",
+    "20.10       M(fabs) names the function of the chosen type",
+)
+
+MATH = re.compile(r"\bM\((\w+)\)")
+EXACT_MATH = ("fabs", "rint", "sqrt", "floor")
+"""Functions of math.h that give the same bits on every machine."""
+
+
+@dataclass(frozen=True)
+class Slot:
+    """One number that goes in or comes out.
+
+    Parameters
+    ----------
+    name
+        Such as `reference_x`.
+    text
+        Unit and meaning.
+    """
+
+    name: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Program:
+    """A filter to be written as C, with its inputs and outputs.
+
+    Parameters
+    ----------
+    name
+        Prefix of everything in C.
+    code
+        C of the filter.
+    axes
+        Number of axes.
+    inputs, outputs
+        What goes in and comes out of a step.
+    sample_time
+        s, between two steps.
+    facts
+        Lines for the header's comment.
+    real
+        Type of the signals where nothing else is defined, "double" or "float".
+    """
+
+    name: str
+    code: CCode
+    axes: int
+    inputs: tuple[Slot, ...]
+    outputs: tuple[Slot, ...]
+    sample_time: float
+    facts: tuple[str, ...]
+    real: str = "double"
+
+    def __post_init__(self) -> None:
+        if self.real not in REALS:
+            raise InputError(f"real: {self.real!r} is not one of {', '.join(REALS)}")
+
+    @property
+    def exact(self) -> bool:
+        """True where double gives the same bits on every machine: nothing of math.h that may differ between libraries."""
+        used = {name for unit in _units(self) for text in (unit.code.step, unit.code.settle, *unit.code.functions)
+                for name in MATH.findall(text)}  # fmt: skip
+        return used <= set(EXACT_MATH)
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One filter of a program, with the names that it has in C."""
+
+    name: str
+    code: CCode
+    parts: tuple[Unit, ...]
+
+    @property
+    def has_state(self) -> bool:
+        """True where it, or a part of it, has a state."""
+        return bool(self.code.state) or any(part.has_state for part in self.parts)
+
+
+def c_identifier(text: str) -> str:
+    """A text as a name of C.
+
+    Parameters
+    ----------
+    text
+        Such as a model's name.
+    """
+    name = re.sub(r"\W+", "_", text.strip(), flags=re.ASCII).strip("_").lower()
+    return name if name and not name[0].isdigit() else f"m_{name}"
+
+
+def header(program: Program) -> str:
+    """Text of the header.
+
+    Parameters
+    ----------
+    program
+        To be written.
+    """
+    name, upper = program.name, program.name.upper()
+    lines = [
+        "/*",
+        *(f" * {line}".rstrip() for line in program.facts),
+        " *",
+        f" * {name}_init(state)                    at rest with inputs of 0",
+        f" * {name}_settle(state, in, out)         at rest with these inputs, for which all has settled",
+        f" * {name}_step(state, in, out)           one tick of {program.sample_time!r} s",
+        f" * {name}_block(state, in, out, rows)    as many ticks, row after row",
+        " *",
+        " * Compile with -ffp-contract=off. The state is plain memory without pointers: a copy of it is a saved state.",
+        " *",
+        *(f" * {line}" for line in DEVIATIONS),
+        " */",
+        f"#ifndef {upper}_H",
+        f"#define {upper}_H",
+        "",
+        f"#ifndef {upper}_FLOAT",
+        f"#define {upper}_FLOAT {int(program.real == 'float')} /* 1: signals are float, 0: double */",
+        "#endif",
+        "",
+        "#ifdef __cplusplus",
+        'extern "C" {',
+        "#endif",
+        "",
+        f"#if {upper}_FLOAT",
+        f"typedef float {name}_real;",
+        "#else",
+        f"typedef double {name}_real;",
+        "#endif",
+        "",
+        f"#define {upper}_SAMPLE_TIME {_hexadecimal(program.sample_time)} /* s */",
+        "",
+        *_slots(f"{upper}_IN", f"{upper}_INPUTS", program.inputs),
+        "",
+        *_slots(f"{upper}_OUT", f"{upper}_OUTPUTS", program.outputs),
+        "",
+    ]
+    root = _root(program)
+    for unit in _walk(root):
+        if unit.has_state:
+            lines += [*_state(program, unit), ""]
+    member = f"    {root.name}_state chain;" if root.has_state else "    int nothing; /* it has no memory */"
+    lines += ["typedef struct {", member, f"}} {name}_state;", ""]
+    lines += [
+        f"void {name}_init({name}_state *state);",
+        f"void {name}_settle({name}_state *state, const {name}_real in[], {name}_real out[]);",
+        f"void {name}_step({name}_state *state, const {name}_real in[], {name}_real out[]);",
+        f"void {name}_block({name}_state *state, const {name}_real in[], {name}_real out[], int rows);",
+        "",
+        "#ifdef __cplusplus",
+        "}",
+        "#endif",
+        "",
+        "#endif",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def source(program: Program) -> str:
+    """Text of the source file.
+
+    Parameters
+    ----------
+    program
+        To be written.
+    """
+    name, upper = program.name, program.name.upper()
+    units = _units(program)
+    functions = list(dict.fromkeys(text.strip() for unit in units for text in unit.code.functions))
+    texts = "\n".join([*functions, *(text for unit in units for text in (unit.code.step, unit.code.settle))])
+    lines = ["/*", *(f" * {line}".rstrip() for line in program.facts), " */", f'#include "{name}.h"', ""]
+    if MATH.search(texts) or re.search(r"\b(isnan|isfinite|INFINITY|NAN)\b", texts + _numbers(units)):
+        lines += ["#include <math.h>", ""]
+    lines += [f"typedef {name}_real real;", "", "#define R(value) ((real)(value))"]
+    macros = {
+        "M": ("M(function)", "function##f", "function"),
+        "TINY": ("TINY", "1e-30f", "1e-80"),
+        "LAST_DIGIT": ("LAST_DIGIT", "6e-8f", "1e-16"),
+        "RESOLUTION": ("RESOLUTION", "2e-7f", "1e-13"),
+    }
+    chosen = [macro for word, macro in macros.items() if re.search(rf"\b{word}\b", texts)]
+    if chosen:
+        lines += [f"#if {upper}_FLOAT", *(f"#define {left} {single}" for left, single, _ in chosen), "#else"]
+        lines += [*(f"#define {left} {double}" for left, _, double in chosen), "#endif"]
+    lines.append("")
+    for text in functions:
+        lines += [text, ""]
+    for unit in units:
+        lines += [*_constants(program, unit), *_work(program, unit)]
+    root = units[-1]
+    pointer = "&state->chain, " if root.has_state else ""
+    unused = [] if root.has_state else ["    (void)state;"]
+    width = f"{upper}_INPUTS", f"{upper}_OUTPUTS"
+    lines += [
+        f"void {name}_settle({name}_state *state, const {name}_real in[], {name}_real out[])",
+        "{",
+        *unused,
+        f"    {root.name}_settle({pointer}in, out);",
+        "}",
+        "",
+        f"void {name}_init({name}_state *state)",
+        "{",
+        f"    static const {name}_state fresh = {{0}};",
+        f"    static const {name}_real zero[{width[0]}] = {{0}};",
+        f"    {name}_real out[{width[1]}];",
+        "    *state = fresh;",
+        f"    {name}_settle(state, zero, out);",
+        "}",
+        "",
+        f"void {name}_step({name}_state *state, const {name}_real in[], {name}_real out[])",
+        "{",
+        *unused,
+        f"    {root.name}_step({pointer}in, out);",
+        "}",
+        "",
+        f"void {name}_block({name}_state *state, const {name}_real in[], {name}_real out[], int rows)",
+        "{",
+        "    for (int row = 0; row < rows; row++) {",
+        f"        {name}_step(state, &in[row * (int){width[0]}], &out[row * (int){width[1]}]);",
+        "    }",
+        "}",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _slots(prefix: str, count: str, slots: tuple[Slot, ...]) -> list[str]:
+    rows = [f"    {prefix}_{slot.name.upper()} = {i}, /* {slot.text} */" for i, slot in enumerate(slots)]
+    return ["enum {", *rows, f"    {count} = {len(slots)}", "};"]
+
+
+def _root(program: Program) -> Unit:
+    count = 0
+
+    def named(code: CCode) -> Unit:
+        nonlocal count
+        parts = tuple(named(part) for part in code.parts)
+        count += 1
+        return Unit(f"{program.name}_{count}_{c_identifier(code.title)}", code, parts)
+
+    return named(program.code)
+
+
+def _walk(unit: Unit) -> Iterator[Unit]:
+    for part in unit.parts:
+        yield from _walk(part)
+    yield unit
+
+
+def _units(program: Program) -> list[Unit]:
+    return list(_walk(_root(program)))
+
+
+def _type(program: Program, member: Member) -> str:
+    if member.value.dtype.kind in "iub":
+        return "int"
+    return "double" if member.wide else f"{program.name}_real"
+
+
+def _dimensions(member: Member) -> str:
+    return "".join(f"[{max(length, 1)}]" for length in member.value.shape)
+
+
+def _state(program: Program, unit: Unit) -> list[str]:
+    rows = [
+        f"    {_type(program, member)} {name}{_dimensions(member)}; /* {member.text} */" for name, member in unit.code.state.items()
+    ]
+    rows += [f"    {part.name}_state part{i};" for i, part in enumerate(unit.parts) if part.has_state]
+    return ["typedef struct {", *rows, f"}} {unit.name}_state;"]
+
+
+def _constants(program: Program, unit: Unit) -> list[str]:
+    if not unit.code.constants:
+        return []
+    short = {f"{program.name}_real": "real"}
+    rows, values = [], []
+    for name, member in unit.code.constants.items():
+        kind = _type(program, member)
+        rows.append(f"    {short.get(kind, kind)} {name}{_dimensions(member)}; /* {member.text} */")
+        values.append(f"    {_initializer(member)}, /* {name} */")
+    return [
+        "typedef struct {",
+        *rows,
+        f"}} {unit.name}_parameters;",
+        "",
+        f"static const {unit.name}_parameters {unit.name}_given = {{",
+        *values,
+        "};",
+        "",
+    ]
+
+
+def _initializer(member: Member) -> str:
+    value = np.asarray(member.value)
+    if 0 in value.shape:
+        value = np.zeros([max(length, 1) for length in value.shape], value.dtype)
+    whole = value.dtype.kind in "iub"
+
+    def literal(number: float) -> str:
+        if whole:
+            return str(int(number))
+        text = _hexadecimal(float(number))
+        return text if member.wide else f"R({text})"
+
+    def nested(part: np.ndarray) -> str:
+        if not part.ndim:
+            return literal(part.item())
+        return "{" + ", ".join(nested(row) for row in part) + "}"
+
+    return nested(value)
+
+
+def _hexadecimal(number: float) -> str:
+    if np.isnan(number):
+        return "NAN"
+    if np.isinf(number):
+        return "INFINITY" if number > 0 else "-INFINITY"
+    if number == int(number) and abs(number) < 2**53:
+        return f"{number:.1f}"
+    return re.sub(r"\.?0*p", "p", number.hex()) if ".0p" not in number.hex() else number.hex().replace(".0p", "p")
+
+
+def _numbers(units: list[Unit]) -> str:
+    return "\n".join(_initializer(member) for unit in units for member in unit.code.constants.values())
+
+
+def _work(program: Program, unit: Unit) -> list[str]:
+    code = unit.code
+    given = f"{unit.name}_state *s, " if unit.has_state else ""
+    lines = []
+    for work, text in (("step", code.step), ("settle", code.settle or "SELF_step(s, in, out);")):
+        body = _called(text, unit)
+        sizes = {"AXES": program.axes, **code.sizes}
+        used = [f"{name} = {size}" for name, size in sizes.items() if re.search(rf"\b{name}\b", body)]
+        body = re.sub(r"\bnumber\b", "double" if code.wide else "real", body)
+        lines += [f"static void {unit.name}_{work}({given}const real in[], real out[])", "{"]
+        if used:
+            lines.append(f"    enum {{ {', '.join(used)} }};")
+        if "p->" in body:
+            lines.append(f"    const {unit.name}_parameters *p = &{unit.name}_given;")
+        lines += [f"    {line}".rstrip() for line in body.strip().splitlines()]
+        if unit.has_state and not re.search(r"\bs\b", body):
+            lines.append("    (void)s;")
+        lines += ["}", ""]
+    return lines
+
+
+def _called(text: str, unit: Unit) -> str:
+    """The calls of the filter's own functions and of its parts, by their names in C; who has no state is given none."""
+
+    def own(found: re.Match[str]) -> str:
+        return f"{unit.name}_{found[1]}({'s, ' if unit.has_state else ''}"
+
+    def inner(found: re.Match[str]) -> str:
+        part = unit.parts[int(found[1])]
+        return f"{part.name}_{found[2]}({f'&s->part{found[3]}, ' if part.has_state else ''}"
+
+    text = re.sub(r"\bSELF_(\w+)\(s, ", own, text)
+    return re.sub(r"\bPART(\d+)_(\w+)\(&s->part(\d+), ", inner, text)

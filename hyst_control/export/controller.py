@@ -1,0 +1,479 @@
+"""A whole controller: feedforward, learned rows, PI feedback, and what the feedback node does about faults; in Python and as C.
+
+Every tick takes the newest reference and measurement. A row that is not finite is left out: the one before stands for it, and after
+`timeout` it is a fault. A fault, also a measurement that is frozen or out of range, or `enable` at 0, sends the command to
+`safe_command` at `safe_rate`; the loop returns without a jump once there was none for `recovery_time`, with `recovery: manual` when
+`enable` is raised again. Before the first complete inputs the command rests at 0 V.
+
+It is what `nodes/pi_feedback.py` does under the timer, tick by tick, with a feedforward node before it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from hyst_control.chain import Filter
+from hyst_control.chain.c_code import CCode, Member, integers, reals
+from hyst_control.chain.parameter import Array
+from hyst_control.control import pi_c_code
+from hyst_control.control.pi import PI, RunningPI
+from hyst_control.errors import InputError
+from hyst_control.export.c_source import Slot
+
+MOTION = 0.01
+"""Share of the command's range by which it must move before a constant measurement counts as frozen, as in the node."""
+FAULTS = ("none", "no reference", "no measurement", "measurement out of range", "measurement frozen")
+"""Faults by their code."""
+
+
+class Feedforward(Protocol):
+    """Running filter with C, which may look ahead."""
+
+    @property
+    def preview(self) -> int:
+        """Ticks that it looks ahead."""
+
+    def settle(self, value: Array) -> Array:
+        """Come to rest at the reference `value` (A,)."""
+
+    def process(self, block: Array) -> Array:
+        """Turn a block of reference rows (N, A) into feedforward rows (N, A)."""
+
+    def c_code(self) -> CCode:
+        """The filter in C."""
+
+
+@dataclass(frozen=True)
+class SafeLoop:
+    """Answer of the loop to faults; parameters as those of the feedback node.
+
+    Parameters
+    ----------
+    safe_command
+        V, (A,).
+    safe_rate
+        V/s.
+    timeout
+        s, after which inputs that are not finite are a fault.
+    recovery
+        "automatic" or "manual".
+    recovery_time
+        s without a fault, with automatic recovery.
+    measurement_lower, measurement_upper
+        Range of the measurement.
+    frozen_time
+        s; 0 for never.
+    """
+
+    safe_command: tuple[float, ...] = (0.0,)
+    safe_rate: float = 1000.0
+    timeout: float = 0.1
+    recovery: str = "automatic"
+    recovery_time: float = 0.1
+    measurement_lower: float = -1e6
+    measurement_upper: float = 1e6
+    frozen_time: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.recovery not in ("automatic", "manual"):
+            raise InputError(f"recovery: {self.recovery!r} is not one of automatic, manual")
+        if not (np.isfinite(self.safe_rate) and self.safe_rate > 0):
+            raise InputError(f"safe_rate: must be a positive rate in V/s, got {self.safe_rate!r}")
+        for name in ("timeout", "recovery_time", "frozen_time"):
+            if not 0 <= getattr(self, name) < 1e6:
+                raise InputError(f"{name}: must be >= 0 and < 1e6 s, got {getattr(self, name)!r}")
+        if not self.measurement_lower < self.measurement_upper:
+            raise InputError(f"measurement_lower: {self.measurement_lower} is not below measurement_upper {self.measurement_upper}")
+
+    def ticks(self, seconds: float, period: float) -> int:
+        """Whole ticks of `period` s that last so many `seconds` at least."""
+        return int(np.ceil(seconds / period - 1e-9))
+
+
+class Controller(Filter):
+    """The controller running in Python, with `c_code` that gives the same bits.
+
+    `process` takes rows of reference (A), measurement (A) and enable, and returns rows of command (A), feedback (A), feedforward (A)
+    and the code of the fault. With a feedforward that previews, the reference is the one `preview` ticks ahead.
+
+    Parameters
+    ----------
+    pi
+        Gains and limits.
+    axes
+        Number of axes.
+    loop
+        Faults.
+    feedforward
+        None: zero.
+    learned
+        Rows (N, A) in V of one period that are added to the feedforward from the first tick on, again and again; None: none.
+
+    Raises
+    ------
+    InputError
+        `safe_command` or `learned` does not fit the axes.
+    """
+
+    def __init__(
+        self, pi: PI, axes: int, loop: SafeLoop, feedforward: Feedforward | None = None, learned: Array | None = None
+    ) -> None:
+        self.hold = "zoh"
+        self.axes, self.loop, self.feedforward = axes, loop, feedforward
+        if len(loop.safe_command) not in (1, axes):
+            raise InputError(f"safe_command: {len(loop.safe_command)} values for {axes} axes")
+        if learned is not None and (learned.ndim != 2 or learned.shape[1] != axes or not len(learned)):
+            raise InputError(f"learned: must be rows by {axes} axes, got shape {learned.shape}")
+        self.safe = np.clip(np.broadcast_to(np.array(loop.safe_command, dtype=float), axes), pi.lower, pi.upper)
+        self.learned = learned
+        self.pi = pi
+        self.ahead = feedforward.preview if feedforward else 0
+        self.rate = float(min(loop.safe_rate, pi.slew_limit or np.inf))
+        self.timeout, self.recovery, self.frozen = (
+            loop.ticks(value, pi.sample_time) for value in (loop.timeout, loop.recovery_time, loop.frozen_time)
+        )
+        self.settle(np.zeros(2 * axes + 1))
+
+    def settle(self, value: Array) -> Array:
+        """Begin a run: at rest at 0 V, nothing known of the inputs; the output (3 A + 1,) is 0, whatever the `value` is."""
+        self.controller: RunningPI = self.pi.start(self.axes)
+        self.controller.reset(np.zeros(self.axes))
+        self.inputs = np.zeros((2, self.axes))
+        self.known, self.age = [False, False], [0, 0]
+        self.begun = self.away = self.enabled = False
+        self.fault = self.well = self.row = self.same = self.place = 0
+        self.ring = np.zeros((self.ahead + 1, self.axes))
+        self.watched: Array | None = None
+        return np.zeros(3 * self.axes + 1)
+
+    def process(self, block: Array) -> Array:
+        return np.array([self._step(row) for row in block]).reshape(len(block), 3 * self.axes + 1)
+
+    def _step(self, row: Array) -> Array:
+        axes = self.axes
+        for i, given in enumerate((row[:axes], row[axes : 2 * axes])):
+            if np.isfinite(given).all():
+                self.inputs[i], self.known[i], self.age[i] = given, True, 0
+            else:
+                self.age[i] = min(self.age[i] + 1, self.timeout + 1)
+        enabled = bool(row[2 * axes] > 0.5)
+        if enabled and not self.enabled:
+            self.fault = self.well = 0
+        self.enabled = enabled
+        if not all(self.known):
+            return np.concatenate([self.controller.command, np.zeros(2 * axes), [0.0]])
+        reference, ahead = self._feedforward(self.inputs[0])
+        measurement = self.inputs[1].copy()
+        last = self.controller.command
+        stale = next((i + 1 for i in (0, 1) if self.age[i] > self.timeout), 0)
+        wrong = self._watch(measurement, last)
+        found = stale or wrong
+        self.well = 0 if found else min(self.well + 1, self.recovery + 1)
+        if found or self.loop.recovery == "automatic" and self.well >= self.recovery:
+            self.fault = found
+        feedback = np.zeros(axes)
+        if self.fault or not enabled:
+            self.away = True
+            command = self.controller.ramp(self.safe, self.rate)[0]
+        else:
+            if self.away:
+                self.controller.resume(last, reference, measurement, ahead)
+            command, feedback = self.controller.step(reference, measurement, ahead)
+            if self.away and not self.pi.ki:  # no integral action to lead back
+                wanted = command
+                self.controller.resume(last, reference, measurement, ahead)
+                command = self.controller.ramp(wanted, self.rate)[0]
+                self.away = not np.array_equal(command, wanted)
+            else:
+                self.away = False
+        return np.concatenate([command, feedback, ahead, [float(self.fault)]])
+
+    def _feedforward(self, newest: Array) -> tuple[Array, Array]:
+        """Reference of this tick, and its feedforward (V)."""
+        if not self.begun:
+            self.begun = True
+            self.ring[:] = newest
+            if self.feedforward is not None:
+                self.feedforward.settle(newest)
+        self.ring[self.place] = newest
+        self.place = self.place + 1 if self.place < self.ahead else 0
+        ahead = np.zeros(self.axes) if self.feedforward is None else self.feedforward.process(newest[None].copy())[0]
+        if self.learned is not None:
+            ahead = ahead + self.learned[self.row]
+            self.row = (self.row + 1) % len(self.learned)
+        return self.ring[self.place].copy(), ahead
+
+    def _watch(self, measurement: Array, sent: Array) -> int:
+        """Fault of the measurement, as `nodes/sensor_watch.py` has it."""
+        if self.watched is None or np.any(measurement != self.watched):
+            self.watched, self.same, self.least, self.most = measurement, 0, sent, sent
+        else:
+            self.least, self.most = np.minimum(self.least, sent), np.maximum(self.most, sent)
+            if np.max(self.most - self.least) > MOTION * (self.pi.upper - self.pi.lower):
+                self.same = min(self.same + 1, self.frozen)
+        if measurement.min() < self.loop.measurement_lower or measurement.max() > self.loop.measurement_upper:
+            return 3
+        return 4 if 0 < self.frozen <= self.same else 0
+
+    def c_code(self) -> CCode:
+        axes, learned = self.axes, self.learned
+        limits = {
+            "safe": reals(self.safe, "V, command of a stopped loop"),
+            "safe_step": reals(self.rate * self.pi.sample_time, "V, on the way to it, in a step"),
+            "measurement_lower": reals(self.loop.measurement_lower, "measurement unit"),
+            "measurement_upper": reals(self.loop.measurement_upper, "measurement unit"),
+            "motion": reals(MOTION * (self.pi.upper - self.pi.lower), "V, beyond which a constant measurement is frozen"),
+        }
+        table = {} if learned is None else {"learned": reals(learned, "V, one period")}
+        state: dict[str, Member] = {
+            **pi_c_code.state(self.controller),
+            "reference": reals(np.zeros(axes), "newest finite one"),
+            "measurement": reals(np.zeros(axes), "newest finite one"),
+            "ring": reals(self.ring, "references of the ticks to come"),
+            "watched": reals(np.zeros(axes), "measurement that was the same"),
+            "least": reals(np.zeros(axes), "V, command meanwhile"),
+            "most": reals(np.zeros(axes), "V, command meanwhile"),
+            "age": integers([0, 0], "ticks without a finite reference, measurement"),
+            "known": integers([0, 0], "1 once there was a reference, a measurement"),
+            "begun": integers(0, "1 once the feedforward is settled"),
+            "seen": integers(0, "1 once a measurement was watched"),
+            "away": integers(0, "1 on the way back from the safe command"),
+            "enabled": integers(0, "last enable"),
+            "fault": integers(0, ", ".join(f"{code}: {text}" for code, text in enumerate(FAULTS))),
+            "well": integers(0, "ticks without a fault"),
+            "same": integers(0, "ticks of a frozen measurement"),
+            "place": integers(0, "in the ring"),
+            "row": integers(0, "in the learned period"),
+        }
+        parts = () if self.feedforward is None else (self.feedforward.c_code(),)
+        texts = {
+            "SETTLE_FEEDFORWARD": "real rest[AXES];\nPART0_settle(&s->part0, s->reference, rest);"
+            if parts
+            else "/* no feedforward */",
+            "STEP_FEEDFORWARD": "PART0_step(&s->part0, s->reference, feedforward);" if parts else "/* no feedforward */",
+            "ADD_LEARNED": "/* nothing is learned */" if learned is None else ADD_LEARNED,
+            "RESUME": pi_c_code.RESUME.strip(),
+            "STEP_PI": pi_c_code.STEP.strip(),
+        }
+        step = STEP
+        for name, text in texts.items():
+            step = step.replace(f"@{name}@", text)
+        return CCode(
+            "controller",
+            step,
+            SETTLE,
+            {
+                "AHEAD": self.ahead,
+                "TIMEOUT": self.timeout,
+                "RECOVERY": self.recovery,
+                "AUTOMATIC": int(self.loop.recovery == "automatic"),
+                "FROZEN": self.frozen,
+                "ROWS": 0 if learned is None else len(learned),
+            },
+            {**pi_c_code.constants(self.controller), **limits, **table},
+            state,
+            (*pi_c_code.FUNCTIONS, FINITE),
+            parts,
+        )
+
+    def slots(self, axes: tuple[str, ...], unit: str) -> tuple[tuple[Slot, ...], tuple[Slot, ...]]:
+        """Inputs and outputs by name.
+
+        Parameters
+        ----------
+        axes
+            Names of the axes.
+        unit
+            Of the measurement.
+        """
+        early = f", {self.ahead} ticks ahead" if self.ahead else ""
+        inputs = [Slot(f"reference_{axis}", f"{unit}{early}") for axis in axes]
+        inputs += [Slot(f"measurement_{axis}", unit) for axis in axes]
+        inputs.append(Slot("enable", "1: run, 0: go to the safe command; raising it ends a fault"))
+        outputs = [Slot(f"{name}_{axis}", "V") for name in ("command", "feedback", "feedforward") for axis in axes]
+        outputs.append(Slot("fault", ", ".join(f"{code}: {text}" for code, text in enumerate(FAULTS))))
+        return tuple(inputs), tuple(outputs)
+
+
+FINITE = """
+static int all_finite(const real values[], int count)
+{
+    int finite = 1;
+    for (int i = 0; i < count; i++) {
+        if (!isfinite(values[i])) {
+            finite = 0;
+        }
+    }
+    return finite;
+}
+"""
+
+ADD_LEARNED = """for (int i = 0; i < AXES; i++) {
+    feedforward[i] = feedforward[i] + p->learned[s->row][i];
+}
+s->row = ((s->row + 1) < ROWS) ? (s->row + 1) : 0;"""
+
+SETTLE = """
+(void)in;
+for (int i = 0; i < AXES; i++) {
+    s->integral[i] = R(0.0);
+    s->command[i] = R(0.0);
+    s->rolled[i] = R(0.0);
+}
+for (int i = 0; i < ((3 * AXES) + 1); i++) {
+    out[i] = R(0.0);
+}
+for (int i = 0; i < 2; i++) {
+    s->age[i] = 0;
+    s->known[i] = 0;
+}
+s->saturated = 0;
+s->begun = 0;
+s->seen = 0;
+s->away = 0;
+s->enabled = 0;
+s->fault = 0;
+s->well = 0;
+s->same = 0;
+s->place = 0;
+s->row = 0;
+"""
+"""`Controller.settle` in C."""
+
+STEP = """
+/* A row that is not finite is left out. */
+if (all_finite(in, AXES) != 0) {
+    for (int i = 0; i < AXES; i++) {
+        s->reference[i] = in[i];
+    }
+    s->known[0] = 1;
+    s->age[0] = 0;
+} else {
+    s->age[0] = (s->age[0] <= TIMEOUT) ? (s->age[0] + 1) : s->age[0];
+}
+if (all_finite(&in[AXES], AXES) != 0) {
+    for (int i = 0; i < AXES; i++) {
+        s->measurement[i] = in[AXES + i];
+    }
+    s->known[1] = 1;
+    s->age[1] = 0;
+} else {
+    s->age[1] = (s->age[1] <= TIMEOUT) ? (s->age[1] + 1) : s->age[1];
+}
+const int enabled = (in[2 * AXES] > R(0.5)) ? 1 : 0;
+if ((enabled != 0) && (s->enabled == 0)) {
+    s->fault = 0;
+    s->well = 0;
+}
+s->enabled = enabled;
+real feedback[AXES];
+real feedforward[AXES];
+for (int i = 0; i < AXES; i++) {
+    feedback[i] = R(0.0);
+    feedforward[i] = R(0.0);
+}
+int shown = 0;
+if ((s->known[0] != 0) && (s->known[1] != 0)) {
+    /* Feedforward; the feedback has the reference of this tick. */
+    if (s->begun == 0) {
+        s->begun = 1;
+        for (int row = 0; row <= AHEAD; row++) {
+            for (int i = 0; i < AXES; i++) {
+                s->ring[row][i] = s->reference[i];
+            }
+        }
+        @SETTLE_FEEDFORWARD@
+    }
+    for (int i = 0; i < AXES; i++) {
+        s->ring[s->place][i] = s->reference[i];
+    }
+    s->place = (s->place < AHEAD) ? (s->place + 1) : 0;
+    const real *reference = s->ring[s->place];
+    const real *measurement = s->measurement;
+    @STEP_FEEDFORWARD@
+    @ADD_LEARNED@
+    /* Faults. */
+    real last[AXES];
+    real motion = R(0.0);
+    int same = s->seen;
+    int outside = 0;
+    for (int i = 0; i < AXES; i++) {
+        last[i] = s->command[i];
+        if (measurement[i] != s->watched[i]) {
+            same = 0;
+        }
+        if ((measurement[i] < p->measurement_lower) || (measurement[i] > p->measurement_upper)) {
+            outside = 1;
+        }
+    }
+    for (int i = 0; i < AXES; i++) {
+        s->watched[i] = measurement[i];
+        s->least[i] = ((same == 0) || (last[i] < s->least[i])) ? last[i] : s->least[i];
+        s->most[i] = ((same == 0) || (last[i] > s->most[i])) ? last[i] : s->most[i];
+        motion = larger_of(motion, s->most[i] - s->least[i]);
+    }
+    if (same == 0) {
+        s->same = 0;
+    } else if ((motion > p->motion) && (s->same < FROZEN)) {
+        s->same = s->same + 1;
+    } else {
+        /* the command rests, too */
+    }
+    s->seen = 1;
+    int found = 0;
+    if (s->age[0] > TIMEOUT) {
+        found = 1;
+    } else if (s->age[1] > TIMEOUT) {
+        found = 2;
+    } else if (outside != 0) {
+        found = 3;
+    } else if ((FROZEN > 0) && (s->same >= FROZEN)) {
+        found = 4;
+    } else {
+        /* no fault */
+    }
+    s->well = (found != 0) ? 0 : ((s->well <= RECOVERY) ? (s->well + 1) : s->well);
+    if ((found != 0) || ((AUTOMATIC != 0) && (s->well >= RECOVERY))) {
+        s->fault = found;
+    }
+    shown = s->fault;
+    if ((s->fault != 0) || (enabled == 0)) {
+        s->away = 1;
+        for (int i = 0; i < AXES; i++) {
+            s->command[i] = ramped_command(last[i], p->safe[i], p->lower, p->upper, p->safe_step);
+        }
+    } else {
+        if (s->away != 0) {
+            @RESUME@
+        }
+        @STEP_PI@
+        if ((s->away != 0) && (p->ki_step == R(0.0))) {
+            /* no integral action to lead back */
+            real wanted[AXES];
+            for (int i = 0; i < AXES; i++) {
+                wanted[i] = s->command[i];
+            }
+            @RESUME@
+            s->away = 0;
+            for (int i = 0; i < AXES; i++) {
+                s->command[i] = ramped_command(last[i], wanted[i], p->lower, p->upper, p->safe_step);
+                if (s->command[i] != wanted[i]) {
+                    s->away = 1;
+                }
+            }
+        } else {
+            s->away = 0;
+        }
+    }
+}
+for (int i = 0; i < AXES; i++) {
+    out[i] = s->command[i];
+    out[AXES + i] = feedback[i];
+    out[(2 * AXES) + i] = feedforward[i];
+}
+out[3 * AXES] = (real)shown;
+"""
+"""`Controller._step` in C."""

@@ -1,0 +1,446 @@
+"""Programs to be exported: of a model its simulator, a feedforward or its twin; of a file of nodes' parameters the whole controller."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from hyst_control.chain import Filter, Sampling
+from hyst_control.chain.c_code import CCode, reals
+from hyst_control.chain.parameter import Array
+from hyst_control.control.feedforward import RATE_FILTER, Compensator, build_compensator
+from hyst_control.control.pi import PI
+from hyst_control.control.static_gain import Proportional
+from hyst_control.errors import InputError
+from hyst_control.export.c_source import Program, Slot, c_identifier
+from hyst_control.export.controller import Controller, Feedforward, SafeLoop
+from hyst_control.model_file import FORMAT, Model, Simulator, load_model, model_to_document
+from hyst_control.yaml_files import read_yaml
+
+
+class Running(Protocol):
+    """A filter in Python that a program has to match."""
+
+    def settle(self, value: Array) -> Array:
+        """Come to rest at the inputs `value`."""
+
+    def process(self, block: Array) -> Array:
+        """Outputs for a `block` of inputs."""
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A program, and the same in Python.
+
+    Parameters
+    ----------
+    program
+        To be written as C.
+    python
+        Running filter, whose outputs are the golden vectors.
+    spans
+        Lower and upper value (inputs, 2) between which the golden vectors' inputs lie.
+    """
+
+    program: Program
+    python: Running
+    spans: Array = field(compare=False)
+
+
+class Twin(Filter):
+    """The model beside a running system: command and measurement in, what the measurement has beyond the prediction out.
+
+    Parameters
+    ----------
+    model
+        Nominal model.
+    sample_time
+        s.
+    """
+
+    def __init__(self, model: Model, sample_time: float) -> None:
+        self.axes = len(model.axes)
+        self._filter = model.filter(sample_time, "zoh")
+        self.hold = self._filter.hold
+        self._ahead = np.zeros(self.axes)
+
+    def settle(self, value: Array) -> Array:
+        """Come to rest at commands (A,) and measurements (A,) in one `value` (2 A,); the residual (A,)."""
+        value = np.array(value, dtype=float)
+        self._ahead = self._filter.settle(value[: self.axes])
+        residual: Array = value[self.axes :] - self._ahead
+        return residual
+
+    def process(self, block: Array) -> Array:
+        """Residuals (N, A) of a `block` of commands and measurements (N, 2 A)."""
+        following = self._filter.process(np.ascontiguousarray(block[:, : self.axes]))
+        predicted = np.concatenate([self._ahead[None], following[:-1]])
+        self._ahead = following[-1].copy()
+        residual: Array = block[:, self.axes :] - predicted
+        return residual
+
+    def c_code(self) -> CCode:
+        body = "for (int i = 0; i < AXES; i++) {\n    out[i] = in[AXES + i] - s->ahead[i];\n}\n"
+        return CCode(
+            "twin",
+            body + "PART0_step(&s->part0, in, s->ahead);",
+            "PART0_settle(&s->part0, in, s->ahead);\n" + body,
+            state={"ahead": reals(self._ahead, "measurement that the model foresees")},
+            parts=(self._filter.c_code(),),
+        )
+
+
+@dataclass(frozen=True)
+class FeedforwardOptions:
+    """Choices of `control.feedforward.build_compensator`, named as the parameters of the feedforward nodes.
+
+    Parameters
+    ----------
+    kind, inverse, discretisation, iterations, smoothing, inverse_model, rate_filter, limits, preview
+        As there; `limits` lower and upper in V, `inverse_model` the path of a model file.
+    """
+
+    kind: str
+    inverse: str = "zpetc"
+    discretisation: str = "zoh"
+    iterations: int | None = None
+    smoothing: int = 0
+    inverse_model: str = ""
+    rate_filter: tuple[float, ...] | None = RATE_FILTER
+    limits: tuple[float, float] | None = None
+    preview: bool = True
+
+    def compensator(self, model: Model, sample_time: float) -> Compensator:
+        """Compensator of a `model` at a `sample_time` in s."""
+        return build_compensator(
+            model,
+            self.kind,
+            sample_time=sample_time,
+            inverse=self.inverse,
+            discretisation=self.discretisation,
+            limits=self.limits,
+            preview=self.preview,
+            iterations=self.iterations,
+            inverse_model=load_model(self.inverse_model) if self.inverse_model else None,
+            rate_filter=self.rate_filter,
+            smoothing=self.smoothing,
+        )
+
+
+def is_model(path: str | Path) -> bool:
+    """Tell a model file from a file of nodes' parameters.
+
+    Parameters
+    ----------
+    path
+        Of a YAML file.
+    """
+    document = read_yaml(path, "give a model file or a file of nodes' parameters (YAML)")
+    return isinstance(document, Mapping) and document.get("format") == FORMAT
+
+
+def simulator(model: Model, sample_time: float | None = None, real: str = "double", name: str = "") -> Exported:
+    """A model as the plant: a command in, the measurement at the following tick out.
+
+    Parameters
+    ----------
+    model
+        To be exported.
+    sample_time
+        s; the model's by default.
+    real
+        "double" or "float".
+    name
+        Prefix in C; the model's name by default.
+    """
+    time = sample_time or model.sample_time
+    running = model.chain.filter(Sampling(time, len(model.axes), "zoh"))
+    unit = model.units["measurement"]
+    inputs = tuple(Slot(f"command_{axis}", "V, held for the tick") for axis in model.axes)
+    outputs = tuple(Slot(f"measurement_{axis}", f"{unit}, at the tick that follows") for axis in model.axes)
+    facts = _facts(model, "simulator", [])
+    program = Program(c_identifier(name or model.name), running.c_code(), len(model.axes), inputs, outputs, time, facts, real)
+    return Exported(program, running, _command_span(model))
+
+
+def twin(model: Model, sample_time: float | None = None, real: str = "double", name: str = "") -> Exported:
+    """A model beside the running system: command and measurement in, residual out.
+
+    Parameters
+    ----------
+    model, sample_time, real, name
+        As for `simulator`.
+    """
+    time = sample_time or model.sample_time
+    running = Twin(model, time)
+    unit = model.units["measurement"]
+    inputs = [Slot(f"command_{axis}", "V, of this tick") for axis in model.axes]
+    inputs += [Slot(f"measurement_{axis}", f"{unit}, before the command acts") for axis in model.axes]
+    outputs = tuple(Slot(f"residual_{axis}", f"{unit}, measured minus predicted") for axis in model.axes)
+    rms = model.discrepancy.get("rms")
+    extra = [] if rms is None else [f"Discrepancy on the records it was identified from: {_listed(rms)} {unit} rms."]
+    command = _command_span(model)
+    plant = Simulator(model, time)
+    plant.reset(command[:, 0])
+    simulated = plant.step(np.linspace(command[:, 0], command[:, 1], 400))
+    spans = np.concatenate([command, np.stack([simulated.min(axis=0), simulated.max(axis=0)], axis=1)])
+    facts = _facts(model, "twin", extra)
+    named = c_identifier(name or f"{model.name}_twin")
+    return Exported(Program(named, running.c_code(), len(model.axes), tuple(inputs), outputs, time, facts, real), running, spans)
+
+
+def feedforward(
+    model: Model,
+    options: FeedforwardOptions,
+    sample_time: float | None = None,
+    real: str = "double",
+    name: str = "",
+    reference_ahead: bool = False,
+) -> Exported:
+    """A compensator: a reference in, the command out.
+
+    Parameters
+    ----------
+    model, sample_time, real, name
+        As for `simulator`.
+    options
+        Of the compensator.
+    reference_ahead
+        Whether the reference is known as many ticks ahead as the compensator looks.
+
+    Raises
+    ------
+    InputError
+        The compensator looks ahead, and the reference is not known so far ahead.
+    """
+    time = sample_time or model.sample_time
+    running = options.compensator(model, time)
+    check_preview(running.preview, reference_ahead)
+    unit, axes = model.units["measurement"], model.axes
+    early = f", {running.preview} ticks ahead of the command" if running.preview else ""
+    late = [f"The command is {running.residual_delay_ticks} ticks late."] if running.residual_delay_ticks else []
+    chosen = ", ".join(f"{item.name} {getattr(options, item.name)!r}" for item in fields(options))
+    program = Program(
+        c_identifier(name or f"{model.name}_{options.kind}"),
+        running.c_code(),
+        len(axes),
+        tuple(Slot(f"reference_{axis}", unit + early) for axis in axes),
+        tuple(Slot(f"command_{axis}", "V") for axis in axes),
+        time,
+        _facts(model, "feedforward", [f"Options: {chosen}.", *late]),
+        real,
+    )
+    return Exported(program, running, _reference_span(model, running))
+
+
+def check_preview(preview: int, reference_ahead: bool) -> None:
+    """Refuse a preview that is not there in real time.
+
+    Parameters
+    ----------
+    preview
+        Ticks that the compensator looks ahead.
+    reference_ahead
+        Whether the reference is known so far ahead.
+
+    Raises
+    ------
+    InputError
+        It is not.
+    """
+    if preview and not reference_ahead:
+        raise InputError(
+            f"preview: the feedforward looks {preview} ticks ahead, where a reference in real time is not known: give --causal "
+            f"(preview: false) for the form that is late by as many ticks, or --reference-ahead where it is known {preview} ticks ahead"
+        )
+
+
+def controller(path: str | Path, real: str = "double", name: str = "", reference_ahead: bool = False) -> Exported:
+    """The controller that a file of nodes' parameters describes: its `pi_feedback` and its feedforward node.
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    real, name, reference_ahead
+        As for `feedforward`.
+
+    Raises
+    ------
+    InputError
+        There is no `pi_feedback` in the file, or something in it cannot be exported.
+    """
+    document = read_yaml(path, "give a model file or a file of nodes' parameters (YAML)")
+    try:
+        return _controller(document, Path(path), real, name, reference_ahead)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _controller(document: Any, path: Path, real: str, name: str, reference_ahead: bool) -> Exported:
+    nodes = _nodes(document)
+    if "pi_feedback" not in nodes:
+        raise InputError("pi_feedback: is missing: give a model file, or nodes' parameters with pi_feedback")
+    given = nodes["pi_feedback"]
+    axes, unit = tuple(map(str, given.get("axes", ["x"]))), str(given.get("unit", "um"))
+    rate = _number(given, "rate_hz", 1000.0)
+    if given.get("feedback", True) is not True:
+        raise InputError("pi_feedback.feedback: is not true: export the feedforward from the model file (--kind)")
+    if not rate > 0:
+        raise InputError(f"pi_feedback.rate_hz: must be > 0, got {rate!r}")
+    time = 1.0 / rate
+    defaults = {"kp": 0.0, "ki": 0.0, "lower": 0.0, "upper": 100.0, "slew_limit": 0.0, "tracking_time": 0.0, "roll_off": 0.0}
+    law = PI(sample_time=time, **{key: _number(given, key, value) for key, value in defaults.items()})
+    known: dict[str, Any] = {item.name: given[item.name] for item in fields(SafeLoop) if item.name in given}
+    for key in known:
+        if key == "safe_command":
+            known[key] = tuple(map(float, np.atleast_1d(np.asarray(known[key], dtype=float))))
+        elif key != "recovery":
+            known[key] = _number(known, key, 0.0)
+    feeding = [key for key in nodes if key.endswith("_feedforward")]
+    if len(feeding) > 1:
+        raise InputError(f"{' and '.join(feeding)}: two feedforwards: keep the one that is used")
+    fed = _fed(nodes[feeding[0]], feeding[0], axes, time, path) if feeding else _Fed()
+    running = Controller(law, len(axes), SafeLoop(**known), fed.filter, fed.learned)
+    check_preview(running.ahead, reference_ahead)
+    inputs, outputs = running.slots(axes, unit)
+    used = {key: value for key, value in sorted(nodes.items()) if key in ("pi_feedback", *feeding)}
+    learned = None if fed.learned is None else fed.learned.tolist()
+    facts = (
+        f"Controller of {path.name}: PI feedback with limits, its answers to faults, {fed.text}.",
+        _made_by(),
+        f"Content: {_digest(repr((used, learned, fed.model and model_to_document(fed.model))))}.",
+        *([f"It inverts the model {fed.model.name}, {_sha(fed.model)}."] if fed.model else []),
+    )
+    reach = np.tile([[-5.0, 5.0]], (len(axes), 1))
+    if fed.model is not None and isinstance(fed.filter, Compensator):
+        reach = _reference_span(fed.model, fed.filter)
+    spans = np.concatenate([reach, reach, [[0.0, 1.2]]])
+    program = Program(c_identifier(name or path.stem), running.c_code(), len(axes), inputs, outputs, time, facts, real)
+    return Exported(program, running, spans)
+
+
+@dataclass(frozen=True)
+class _Fed:
+    """Feedforward of a node: its filter, learned rows, model, and what the header says of it."""
+
+    filter: Feedforward | None = None
+    learned: Array | None = None
+    model: Model | None = None
+    text: str = "no feedforward"
+
+
+def _fed(given: Mapping[str, Any], node: str, axes: Sequence[str], time: float, path: Path) -> _Fed:
+    learned = None
+    learning = given.get("learning", "none")
+    if learning == "played":
+        learned = _learned(_beside(path, str(given.get("learned_file", ""))), len(axes))
+    elif learning != "none":
+        raise InputError(f"{node}.learning: {learning} goes on learning, which is not exported: let it learn, then take played")
+    also = "" if learned is None else f" with {len(learned)} learned rows"
+    kind = str(given.get("kind", node.removesuffix("_feedforward")))
+    if kind == "proportional":
+        gain, offset = (np.broadcast_to(np.asarray(given.get(key, 0.0), dtype=float), len(axes)) for key in ("gain", "offset"))
+        return _Fed(Proportional(gain, offset), learned, None, f"feedforward proportional{also}")
+    if not given.get("model"):
+        raise InputError(f"{node}.model: is missing: give the model file to invert, or kind: proportional")
+    model = load_model(_beside(path, str(given["model"])))
+    if model.axes != tuple(axes):
+        raise InputError(f"{node}.model: has axes {', '.join(model.axes)}, the loop {', '.join(axes)}")
+    rating, filtered = given.get("limits", [0.0, 0.0]), given.get("rate_filter", RATE_FILTER)
+    iterations = int(given.get("iterations", -1))
+    options = FeedforwardOptions(
+        kind,
+        str(given.get("inverse", "zpetc")),
+        str(given.get("discretisation", "zoh")),
+        iterations if iterations >= 0 else None,
+        int(given.get("smoothing", 0)),
+        _beside(path, str(given["inverse_model"])) if given.get("inverse_model") else "",
+        tuple(map(float, filtered)) if any(filtered) else None,
+        (float(rating[0]), float(rating[-1])) if rating[0] != rating[-1] else None,
+        bool(given.get("preview", True)),
+    )
+    found = options.compensator(model, time)
+    late = f", {found.residual_delay_ticks} ticks late" if found.residual_delay_ticks else ""
+    return _Fed(found, learned, model, f"feedforward {kind}{late}{also}")
+
+
+def _beside(path: Path, name: str) -> str:
+    """A file that another one names: from the present folder, as for the nodes, or else beside that one."""
+    return name if Path(name).exists() else str(path.parent / name)
+
+
+def _nodes(document: Any) -> dict[str, dict[str, Any]]:
+    """Parameters by node, those of `/**` in each."""
+    if not isinstance(document, Mapping) or not document:
+        raise InputError("is neither a model file nor nodes' parameters")
+    found: dict[str, dict[str, Any]] = {}
+    for name, content in document.items():
+        own = content.get("ros__parameters") if isinstance(content, Mapping) else None
+        if not isinstance(own, Mapping):
+            raise InputError(f"{name}: has no ros__parameters: is neither a model file nor nodes' parameters")
+        found[str(name).rsplit("/", 1)[-1]] = dict(own)
+    common = found.pop("**", {})
+    return {name: {**common, **own} for name, own in found.items()}
+
+
+def _number(given: Mapping[str, Any], name: str, default: float) -> float:
+    value = given.get(name, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise InputError(f"pi_feedback.{name}: must be a number, got {value!r}")
+    return float(value)
+
+
+def _learned(path: str, axes: int) -> Array:
+    try:
+        rows = np.asarray(np.load(path), dtype=float)
+    except (OSError, ValueError) as error:
+        raise InputError(f"learned_file: {path}: {error}: give an .npy file as hyst learn writes it") from None
+    if rows.ndim != 2 or rows.shape[1] != axes or not len(rows) or not np.isfinite(rows).all():
+        raise InputError(f"learned_file: {path}: must be finite rows by {axes} axes, got shape {rows.shape}")
+    return rows
+
+
+def _command_span(model: Model) -> Array:
+    valid = np.array(model.valid.get("command", [0.0, 100.0]), dtype=float).reshape(-1, 2)
+    return np.array(np.broadcast_to(valid, (len(model.axes), 2)))
+
+
+def _reference_span(model: Model, running: Compensator) -> Array:
+    """Range of references that the compensator answers within its limits, by what the model does there."""
+    plant = Simulator(model, running.sample_time)
+    plant.reset(np.zeros(len(model.axes)))
+    limits = running.limits if "command" not in model.valid else _command_span(model).T
+    measured = plant.step(np.linspace(limits[0], limits[1], 2000))
+    low, high = measured.min(axis=0), measured.max(axis=0)
+    return np.stack([low + 0.05 * (high - low), high - 0.05 * (high - low)], axis=1)
+
+
+def _facts(model: Model, what: str, more: Sequence[str]) -> tuple[str, ...]:
+    return f"{model.name}: {what}.", _made_by(), f"Content of the model: {_sha(model)}.", *more
+
+
+def _made_by() -> str:
+    try:
+        number = version("hyst_control")
+    except PackageNotFoundError:
+        number = "0"
+    return f"Made by hyst export, hyst_control {number}: the same input gives the same bytes."
+
+
+def _sha(model: Model) -> str:
+    return _digest(repr(model_to_document(model)))
+
+
+def _digest(text: str) -> str:
+    return f"SHA-256 {hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def _listed(values: Any) -> str:
+    return ", ".join(f"{value:.6g}" for value in np.atleast_1d(np.asarray(values, dtype=float)))

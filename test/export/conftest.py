@@ -1,0 +1,24 @@
+"""Compilers and a cache of their own for the tests of the exported C."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from hyst_control.export.compiled import COMPILERS
+
+
+@pytest.fixture(autouse=True, scope="session")
+def compiled_cache(tmp_path_factory):
+    """Libraries go to a folder of this run."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+def pytest_collection_modifyitems(items):
+    if not any(map(shutil.which, COMPILERS)):
+        for item in items:
+            if "test/export" in item.path.as_posix():
+                item.add_marker(pytest.mark.skip(reason=f"no C compiler: none of {', '.join(COMPILERS)} is installed"))

@@ -1,0 +1,119 @@
+"""Every registered stage in C, compiled here: the same bits as in Python in double, within 1e-5 of the range in float."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_every_stage import CASES, SAMPLE_TIME, command, started
+
+from hyst_control.chain import STAGES, Chain, Sampling
+from hyst_control.chain.c_code import CCode
+from hyst_control.chain.stage import Filter
+from hyst_control.errors import InputError
+from hyst_control.export.c_source import Program, Slot
+from hyst_control.export.compiled import CompiledProgram
+
+WITHOUT_C = {"sensor_noise", "flicker_noise", "held_samples"}
+"""Stages that draw random numbers."""
+LATTICES = {"quantization": 2.5, "dac_hold": 0.5}
+"""Stages with steps, where float may fall on the other side of one, and their greatest step."""
+ROWS = 3000
+
+
+def compiled(code: CCode, axes: int, real: str = "double") -> CompiledProgram:
+    slots = tuple(Slot(f"axis_{i}", "") for i in range(axes))
+    return CompiledProgram(Program("unit", code, axes, slots, slots, SAMPLE_TIME, ("of a test",), real))
+
+
+def rough(seed: int, axes: int) -> np.ndarray:
+    """A wandering command with plateaus, reversals at every row, long stays at far rails, and zeros."""
+    u = command(seed, ROWS, axes)
+    inward = np.concatenate([np.linspace(1.0, 0.1, 30), np.linspace(0.1, 1.0, 170)])
+    u[400:600] = (50.0 + 40.0 * (-1.0) ** np.arange(200) * inward)[:, None]
+    u[1000:1020], u[1020:1040] = -1e6, 1e6
+    u[1500:1510] = 0.0
+    return u
+
+
+@pytest.mark.parametrize("case", [case for case, (name, _) in CASES.items() if name not in WITHOUT_C])
+@pytest.mark.parametrize(("hold", "axes"), [("zoh", 2), ("foh", 1), ("zoh", 3)])
+def test_c_and_python_agree_to_the_last_bit(case, hold, axes):
+    """Random signals, reversals, rails and NaN; in the middle the state is saved, overwritten and restored."""
+    python = started(case, axes, hold)
+    c = compiled(python.c_code(), axes)
+    for seed, spoiled in ((1, None), (2, 700)):
+        u = rough(seed, axes)
+        if spoiled is not None:
+            u[spoiled] = np.nan
+        np.testing.assert_array_equal(c.settle(u[0]), python.settle(u[0]))
+        expected = python.process(u)
+        first = c.process(u[:800])
+        saved = c.state.copy()
+        c.settle(u[5])
+        c.state[:] = saved
+        np.testing.assert_array_equal(np.concatenate([first, c.process(u[800:])]), expected)
+
+
+@pytest.mark.parametrize("case", [case for case, (name, _) in CASES.items() if name not in WITHOUT_C])
+def test_float_is_within_1e_5_of_the_range(case):
+    axes = 2
+    python = started(case, axes, "zoh")
+    c = compiled(python.c_code(), axes, "float")
+    u = command(3, ROWS, axes).astype(np.float32).astype(float)
+    python.settle(u[0])
+    c.settle(u[0])
+    expected, found = python.process(u), c.process(u)
+    off = np.abs(found - expected) / np.ptp(expected, axis=0)
+    beyond = off > 1e-5
+    if CASES[case][0] in LATTICES:  # a value midway between two steps may go to either
+        step = LATTICES[CASES[case][0]]
+        assert np.abs(found - expected).max() <= 1.001 * step and beyond.mean() < 1e-2
+    else:
+        assert not beyond.any(), off.max()
+
+
+def test_a_wider_madelung_loop_has_the_same_bits_too():
+    """Its mean curve is no stage of a model file: it is there only where a modifier takes it off."""
+    width = STAGES["hysteresis_width"](width=[0.3, -0.2])
+    for case in ("madelung", "madelung, knots"):
+        name, make = CASES[case]
+        python = Chain((STAGES[name](**make(2)), width)).filter(Sampling(SAMPLE_TIME, 2))
+        c = compiled(python.c_code(), 2)
+        u = rough(6, 2)
+        np.testing.assert_array_equal(c.settle(u[0]), python.settle(u[0]))
+        np.testing.assert_array_equal(c.process(u), python.process(u))
+
+
+def test_every_stage_has_c_or_says_why_not():
+    """A new stage brings its C (`Filter.c_code`), or is listed above with the reason."""
+    for name in STAGES:
+        case = started(name, 2, "zoh")
+        if name in WITHOUT_C:
+            with pytest.raises(InputError, match="draws random numbers"):
+                case.c_code()
+        else:
+            assert case.c_code().step
+
+
+def test_a_filter_without_c_names_itself_and_the_remedy():
+    class Odd(Filter):
+        pass
+
+    with pytest.raises(InputError, match=r"Odd: the stage brings no C \(Filter.c_code\): leave it out, or give it its C"):
+        Odd().c_code()
+
+
+def test_a_full_stack_forgets_the_flattest_loop_and_counts_it():
+    """Loops within loops, deeper than the C keeps: the outer ones stay what they are, and the way out of them is Python's again."""
+    python = started("madelung", 1, "zoh")
+    c = compiled(python.c_code(), 1)
+    inward = 50.0 + 45.0 * (-1.0) ** np.arange(90) * np.linspace(1.0, 0.02, 90)
+    outward = np.linspace(inward[-1], 99.0, 400)
+    u = np.concatenate([[0.0], inward, outward])[:, None]
+    python.settle(u[0])
+    c.settle(u[0])
+    expected, found = python.process(u), c.process(u)
+    same = (found == expected)[:, 0]
+    assert same[:40].all() and not same.all()
+    assert np.abs(found - expected).max() < 0.005 * np.ptp(expected)
+    assert same[-15:].all()  # beyond the outermost loop

@@ -1,0 +1,148 @@
+"""Exported folders: every published model and every compensator of both papers compiles without a warning and equals Python."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from hyst_control.cli import main
+from hyst_control.config_files import config_path
+
+MODELS = sorted(path.name for path in Path(config_path("models/pea_hampi.yaml")).parent.glob("*.yaml"))
+INVERSE = str(config_path("models/fsm_mhl_inverse.yaml"))
+FEEDFORWARDS = {
+    "hapi": ("pea_hapi.yaml", "--kind", "hapi", "--causal"),
+    "hampi": ("pea_hampi.yaml", "--kind", "hampi", "--reference-ahead"),
+    "hampi, Eq. 13": ("pea_hampi.yaml", "--kind", "hampi", "--iterations", "1", "--discretisation", "tustin", "--causal"),
+    "hampi, exact": ("pea_hampi.yaml", "--kind", "hampi", "--iterations", "0", "--causal"),
+    "none": ("pea_hampi.yaml", "--kind", "none"),
+    "mhl": ("fsm_mhl.yaml", "--kind", "mhl"),
+    "mhl, identified inverse": ("fsm_mhl.yaml", "--kind", "mhl", "--inverse-model", INVERSE, "--discretisation", "tustin"),
+    "mhl_static": ("fsm_mhl.yaml", "--kind", "mhl_static"),
+    "whole inverse": ("fsm_mhl.yaml", "--kind", "mhl_inverse", "--causal"),
+}
+TRACKING = """
+/**:
+  ros__parameters: {rate_hz: 20000.0, axes: [x], unit: um}
+hampi_feedforward:
+  ros__parameters: {kind: hampi, model: MODEL, limits: [0.0, 50.0], learning: played, learned_file: learned.npy}
+pi_feedback:
+  ros__parameters: {kp: 0.34, ki: 13600.0, upper: 50.0, slew_limit: 2.0e+6, safe_command: [1.0]}
+"""
+
+
+def export(model: str, *options: str, output: Path) -> None:
+    assert main(["export", str(config_path(f"models/{model}")), *options, "--output", str(output)]) == 0
+
+
+def make(folder: Path, target: str, *words: str) -> str:
+    done = subprocess.run(
+        ["make", "-s", "-C", str(folder), target, *words], capture_output=True, text=True, check=False, timeout=250
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def compared(folder: Path) -> None:
+    told = make(folder, "test")
+    lines = [line for line in told.splitlines() if "rows" in line]
+    assert lines and all(" 0 wrong" in line for line in lines), told
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_published_model_compiles_and_equals_python(model, tmp_path):
+    export(model, output=tmp_path)
+    compared(tmp_path)
+
+
+@pytest.mark.parametrize("name", FEEDFORWARDS)
+def test_a_compensator_compiles_and_equals_python(name, tmp_path):
+    export(*FEEDFORWARDS[name], output=tmp_path)
+    compared(tmp_path)
+
+
+def test_a_controller_a_twin_and_float_too(tmp_path):
+    import numpy as np
+
+    (tmp_path / "tracking.yaml").write_text(TRACKING.replace("MODEL", str(config_path("models/pea_hampi.yaml"))))
+    np.save(tmp_path / "learned.npy", np.sin(np.arange(50.0))[:, None])
+    assert main(["export", str(tmp_path / "tracking.yaml"), "--reference-ahead", "--output", str(tmp_path / "controller")]) == 0
+    compared(tmp_path / "controller")
+    assert "SHA-256" in (tmp_path / "controller" / "tracking.h").read_text()
+    loop = ["export", str(tmp_path / "tracking.yaml"), "--plant", str(config_path("models/pea_hampi.yaml"))]
+    assert main([*loop, "--reference-ahead", "--output", str(tmp_path / "loop")]) == 0
+    told = make(tmp_path / "loop", "run", "SECONDS=0.2")
+    assert "4000 ticks at 20000 Hz" in told and "0 ticks with a fault" in told
+    error = re.search(r"error ([\d.]+) % of the range", told)
+    assert error and float(error[1]) < 10.0, told  # the rows learned in this test are no good ones
+    export("fsm_mhl.yaml", "--twin", "--real", "float", output=tmp_path / "twin")
+    compared(tmp_path / "twin")
+
+
+def test_the_same_model_gives_the_same_bytes(tmp_path, capsys):
+    for folder in ("one", "two"):
+        export("fsm_mhl.yaml", output=tmp_path / folder)
+    files = sorted(path.name for path in (tmp_path / "one").iterdir())
+    assert files == ["Makefile", "fsm_mhl.c", "fsm_mhl.h", "fsm_mhl_golden.h", "fsm_mhl_test.c"]
+    for file in files:
+        assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
+    assert re.search(r"state \d{4} bytes, flash \d{4} bytes", capsys.readouterr().out)
+    text = (tmp_path / "one" / "fsm_mhl.c").read_text()
+    assert "malloc" not in text and "#include <string.h>" not in text
+
+
+@pytest.mark.skipif(not shutil.which("sha256sum"), reason="sha256sum is not installed")
+def test_the_header_has_the_hash_of_the_file(tmp_path):
+    export("pea_hampi.yaml", output=tmp_path)
+    told = subprocess.run(["sha256sum", config_path("models/pea_hampi.yaml")], capture_output=True, text=True, check=True).stdout
+    assert f"pea_hampi.yaml: SHA-256 {told.split()[0]}" in (tmp_path / "pea_hampi.h").read_text()
+
+
+@pytest.mark.skipif(
+    not (shutil.which("arm-linux-gnueabihf-gcc") and shutil.which("qemu-arm")),
+    reason="no ARM here: apt-get install gcc-arm-linux-gnueabihf libc6-dev-armhf-cross qemu-user",
+)
+@pytest.mark.parametrize("case", ["hampi", "mhl", "hampi, exact"])
+def test_an_arm_gives_the_same_bits(case, tmp_path):
+    export(*FEEDFORWARDS[case], output=tmp_path)
+    told = make(tmp_path, "arm")
+    assert told.count(" 0 wrong") == 2
+
+
+@pytest.mark.skipif(not shutil.which("cppcheck"), reason="cppcheck is not installed: apt-get install cppcheck")
+@pytest.mark.parametrize("case", ["hampi, exact", "mhl"])
+def test_misra_finds_no_more_than_the_listed_deviations(case, tmp_path):
+    export(*FEEDFORWARDS[case], output=tmp_path)
+    make(tmp_path, "misra")
+
+
+def test_what_cannot_be_exported_is_refused_with_the_reason(tmp_path, capsys):
+    folder = str(tmp_path / "out")
+    hampi = str(config_path("models/pea_hampi.yaml"))
+    assert main(["export", hampi, "--kind", "hampi", "--output", folder]) == 2
+    assert "ticks ahead, where a reference in real time is not known: give --causal" in capsys.readouterr().err
+    noisy = Path(hampi).read_text().replace("noise:", "  - {stage: sensor_noise, rms: 0.1}\nnoise:")
+    (tmp_path / "noisy.yaml").write_text(noisy)
+    assert main(["export", str(tmp_path / "noisy.yaml"), "--output", folder]) == 2
+    assert "draws random numbers, which belong to a simulation: leave the stage out" in capsys.readouterr().err
+    (tmp_path / "other.yaml").write_text("recorder:\n  ros__parameters: {output: bag}\n")
+    assert main(["export", str(tmp_path / "other.yaml"), "--output", folder]) == 2
+    assert "pi_feedback: is missing" in capsys.readouterr().err
+    assert not Path(folder).exists()
+
+
+def test_defaults_are_the_nodes_defaults():
+    """What a file of parameters leaves out is what the node takes for it."""
+    pytest.importorskip("rclpy")
+    from dataclasses import fields
+
+    from hyst_control.export.controller import SafeLoop
+    from hyst_control.nodes.common_parameters import COMMON
+    from hyst_control.nodes.pi_feedback import PiFeedback
+
+    settings = {setting.name: setting.default for setting in (*COMMON, *PiFeedback.SETTINGS)}
+    assert {item.name: item.default for item in fields(SafeLoop)} == {item.name: settings[item.name] for item in fields(SafeLoop)}
