@@ -14,6 +14,7 @@ from rclpy.context import Context
 from rclpy.exceptions import NotInitializedException
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.experimental import EventsExecutor
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from hyst_control.errors import InputError
@@ -24,6 +25,8 @@ from hyst_control.nodes.intra_process import hand_over
 from hyst_control.processes import environment
 
 FOREVER = 1e6  # s
+LONGEST_WIND_DOWN = 8.0
+"""s, for which an actuator is brought to its safe value after an interrupt; then its watchdog has to do so."""
 
 
 def spin(executor: Executor, future: Future, timeout: float = FOREVER) -> None:
@@ -84,8 +87,14 @@ def run(
         hand_over(nodes, executor, failed)
         gc.collect()
         gc.freeze()  # present objects stay: examining them again and again would cost ticks
-        spin(executor, ended, timeout)
-        return ended.result() if ended.done() else None
+        graceful = all(isinstance(node, SignalNode) for node in nodes)  # others compute for long in a callback
+        with interrupts.delivered(lambda: failed(KeyboardInterrupt()), graceful):
+            try:
+                spin(executor, ended, timeout)
+                return ended.result() if ended.done() else None
+            except KeyboardInterrupt:
+                wind_down(nodes, executor)
+                raise
     finally:
         expected = isinstance(sys.exc_info()[1], (type(None), KeyboardInterrupt, ExternalShutdownException))
         with interrupts.ignored():
@@ -93,6 +102,28 @@ def run(
             status = ended.result() if ended.done() and ended.exception() is None else 0
             close(nodes, lambda: on_closed(status) if expected else None)
             executor.shutdown()
+
+
+def wind_down(nodes: Sequence[EndingNode], executor: Executor) -> None:
+    """Spin nodes until each has left its actuator at the safe value, or a second interrupt comes.
+
+    Parameters
+    ----------
+    nodes : sequence of EndingNode
+        The nodes.
+    executor : Executor
+        Their executor.
+    """
+    for node in nodes:
+        node.wind_down()
+    end = time.monotonic() + LONGEST_WIND_DOWN
+    while not all(node.wound_down for node in nodes):
+        if time.monotonic() > end:
+            for node in nodes:
+                if not node.wound_down:
+                    node.get_logger().warning(f"ended after {LONGEST_WIND_DOWN:g} s, before the command was at its safe value")
+            return
+        spin(executor, Future(), 0.01)
 
 
 def tick_together(nodes: Sequence[EndingNode]) -> None:
@@ -170,7 +201,7 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
 
 def _initialize(args: Sequence[str] | None) -> None:
     try:
-        rclpy.init(args=None if args is None else list(args))
+        rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy's own exceptions: arguments or parameter files that it cannot read
         text = " ".join(str(error).split()).removeprefix("failed to initialize rcl: ").partition(", at ")[0]
         raise InputError(f"ROS arguments: {text}: in a parameter file quote texts such as 'y', 'on' or 'no'") from None
