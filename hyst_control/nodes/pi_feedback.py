@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.control.pi import PI
-from hyst_control.control.safe_loop import Safety, SafeLoop
+from hyst_control.control.safe_loop import SafeLoop, Safety
 from hyst_control.control.sensor_watch import MOTION, MeasurementWatch
 from hyst_control.errors import InputError
 from hyst_control.nodes.base import SignalNode

@@ -1,4 +1,4 @@
-"""Watch over a topic that a node publishes itself: does anybody else publish it too?
+"""Watch over a topic that a node publishes itself, for others that publish it too.
 
 As long as the node is its only publisher nothing is received. Once there are several, the node listens, and what it hears and has not
 sent is a rival's.
@@ -91,7 +91,6 @@ class RivalWatch:
         assert self._intake is not None
         for label, block, _ in self._intake.take(lambda reason: None):
             foreign = [row for row in block if row.tobytes() not in self._sent]
-            if foreign:
+            if foreign and label == self._label and not isinstance(admit(block, self._node.period), Refusal):  # others nobody takes
                 self._heard = time.monotonic()
-                if label == self._label and not isinstance(admit(block, self._node.period), Refusal):
-                    self.newest = foreign[-1][1:].copy()
+                self.newest = foreign[-1][1:].copy()

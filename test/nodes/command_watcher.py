@@ -1,0 +1,85 @@
+"""An independent watcher of `command`: plain rclpy and nothing of the package, in a thread of its own."""
+
+from __future__ import annotations
+
+import math
+import threading
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Float64MultiArray
+
+
+class CommandWatcher:
+    """Records every row of `command`, and of `applied` what the actuator is said to have, as they arrive.
+
+    A row of `command` may differ from what the actuator had by `step` at most: the row before it, or a row of `applied` since.
+    """
+
+    def __init__(self, domain, period, lower, upper, step):
+        self.period, self.lower, self.upper, self.step = period, lower, upper, step
+        self.rows = []  # (topic, tick, values), in order of arrival
+        self.foreign = set()  # values of rivals
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self._node = rclpy.create_node("watcher", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        for topic in ("command", "applied"):
+            self._node.create_subscription(
+                Float64MultiArray, topic, lambda m, topic=topic: self._note(topic, m), QoSProfile(depth=5000)
+            )
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def _spin(self):
+        while self._context.ok():
+            self._executor.spin_once(timeout_sec=0.1)
+
+    def _note(self, topic, message):
+        columns = message.layout.dim[1].size
+        data = list(message.data)
+        for begin in range(0, len(data), columns):
+            time, *values = data[begin : begin + columns]
+            tick = round(time / self.period) if math.isfinite(time) and abs(time) < 1e200 else None
+            self.rows.append((topic, tick, tuple(values)))
+
+    def command(self, since=0):
+        """Rows (tick, values) of `command` that are no rival's, from this one on in order of arrival."""
+        return [(tick, values) for topic, tick, values in self.rows if topic == "command" and values not in self.foreign][since:]
+
+    @property
+    def applied(self):
+        return [values for topic, _, values in list(self.rows) if topic == "applied"]
+
+    @property
+    def last(self):
+        command = self.command()
+        return command[-1][1] if command else None
+
+    def check(self):
+        """Every row to the last one: finite, within the limits, and no further from the actuator than the slew limit allows."""
+        known, newest, last = {}, -1, None
+        for number, (topic, tick, values) in enumerate(list(self.rows)):
+            if values in self.foreign:
+                continue
+            where = f"row {number}, {topic} of tick {tick}: {values} after {last}"
+            assert all(math.isfinite(value) for value in values), where
+            if topic == "applied":
+                last = values
+                continue
+            assert tick is not None and all(self.lower - 1e-9 <= value <= self.upper + 1e-9 for value in values), where
+            if tick in known:
+                assert known[tick] == values, f"{where}: was {known[tick]} before"
+                continue
+            known[tick] = values
+            if tick > newest:
+                if last is not None:
+                    assert all(abs(a - b) <= self.step * (1 + 1e-9) for a, b in zip(values, last)), where
+                newest, last = tick, values
+
+    def close(self):
+        rclpy.try_shutdown(context=self._context)
+        self._thread.join(5.0)
+        self._node.destroy_node()
