@@ -241,7 +241,7 @@ class SignalNode(EndingNode):
     @property
     def latest_tick(self) -> float:
         """Tick that no row of an input may be beyond, under the timer."""
-        return (self.tick_timer.now + self.settings.ahead) / self.period
+        return float((self.tick_timer.now + self.settings.ahead) / self.period)
 
     @property
     def longest_age(self) -> float:

@@ -92,7 +92,12 @@ class DiagnosisNode(SignalNode):
             "bridge", 10, "ticks", "most successive ticks without a command that count as holding the newest one", 0, 1_000_000
         ),
         Setting("buffer", 2.0, "s", "length of the newest data kept for the diagnosis", 0.01, 1e4),
-        Setting("output", "diagnosis", "", "folder for the results of ~/diagnose", live=True),
+        Setting(
+            "output",
+            "diagnosis",
+            "",
+            "folder for the results of ~/diagnose; only here does anybody write, so it is set at the start",
+        ),
     )
 
     def __init__(self, name: str = "diagnosis", **options: Any) -> None:

@@ -91,9 +91,9 @@ class PiFeedback(SignalNode):
         Setting("rival_time", 0.5, "s", "time for which such a publisher must be silent until that is over", 0.05, 1e6, live=True),
         Setting(
             "takeover_time",
-            0.3,
+            2.0,
             "s",
-            "longest time for which a starting node listens to applied for the present command, 0 for not at all",
+            "longest time for which a starting node waits for the present command if somebody publishes applied, 0 for not at all",
             0.0,
             1e3,
         ),
@@ -189,10 +189,9 @@ class PiFeedback(SignalNode):
         if any(not each.available for each in rows):
             return
         first = max(self._from, *(each.start for each in rows))
-        if self._waiting and (first > 0 or self._rival_active):
-            if not self._takes_over():
-                return
-            first = max(self._from, first)
+        if self._waiting and not self._begins(first):
+            return
+        first = max(self._from, first)
         self._waiting = False
         if any(each.start != first for each in rows):  # one of them was restarted during a run
             for each in rows:
@@ -302,7 +301,7 @@ class PiFeedback(SignalNode):
 
     @property
     def _rival_active(self) -> bool:
-        return self.settings.rival != "warn" and self._rivals.silent_for < self.settings.rival_time
+        return bool(self.settings.rival != "warn" and self._rivals.silent_for < self.settings.rival_time)
 
     def _safety(self) -> Safety:
         given = self.settings
@@ -313,6 +312,18 @@ class PiFeedback(SignalNode):
             given.recovery == "manual",
             given.axis_fault == "all",
         )
+
+    def _begins(self, first: int) -> bool:
+        """Whether the first rows are those of a new run, or the node has taken a run over, in lockstep.
+
+        The measurement that follows on a command is there only if somebody has sent that command.
+        """
+        if first == 0 and not self._rival_active:
+            if self.measurement is not None and (self.measurement.rows.end or 0) <= 1:
+                return True
+            if self.measurement is None and self._takeover.ready(0.0) and self._takeover.command is None:
+                return True
+        return self._takes_over()
 
     def _takes_over(self) -> bool:
         """Begin from what is on the actuator, once that was heard or listened for long enough; False while the node has to wait."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -25,6 +26,9 @@ from hyst_control.nodes.intra_process import hand_over
 from hyst_control.processes import environment
 
 FOREVER = 1e6  # s
+SECURITY_REMEDY = (
+    "give a keystore with this enclave, and a ROS of a distribution: that of the wheels has no security (docs/safety.md)"
+)
 LONGEST_WIND_DOWN = 8.0
 """s, for which an actuator is brought to its safe value after an interrupt; then its watchdog has to do so."""
 
@@ -116,14 +120,20 @@ def wind_down(nodes: Sequence[EndingNode], executor: Executor) -> None:
     """
     for node in nodes:
         node.wind_down()
-    end = time.monotonic() + LONGEST_WIND_DOWN
-    while not all(node.wound_down for node in nodes):
-        if time.monotonic() > end:
-            for node in nodes:
-                if not node.wound_down:
-                    node.get_logger().warning(f"ended after {LONGEST_WIND_DOWN:g} s, before the command was at its safe value")
-            return
-        spin(executor, Future(), 0.01)
+    over, end = Future(), time.monotonic() + LONGEST_WIND_DOWN
+
+    def look() -> None:
+        if not over.done() and (all(node.wound_down for node in nodes) or time.monotonic() > end):
+            over.set_result(None)
+
+    look()
+    if not over.done():
+        timer = nodes[0].every(0.01, look)
+        spin(executor, over)  # not for a short time again and again: an executor with events at hand does not look at the time
+        timer.cancel()
+    for node in nodes:
+        if not node.wound_down:
+            node.get_logger().warning(f"ended after {LONGEST_WIND_DOWN:g} s, before the command was at its safe value")
 
 
 def tick_together(nodes: Sequence[EndingNode]) -> None:
@@ -182,6 +192,9 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
     int
         Exit status: 0 when the nodes ended by themselves or were interrupted, 2 on bad input, which is printed in one line.
     """
+    exposed = environment.exposure()
+    if exposed:
+        print(exposed, file=sys.stderr)
     environment.prepare()
     interrupts.listen()
     try:
@@ -204,7 +217,25 @@ def _initialize(args: Sequence[str] | None) -> None:
         rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy's own exceptions: arguments or parameter files that it cannot read
         text = " ".join(str(error).split()).removeprefix("failed to initialize rcl: ").partition(", at ")[0]
+        if _secured():
+            raise InputError(f"security: {text}: {SECURITY_REMEDY}") from None
         raise InputError(f"ROS arguments: {text}: in a parameter file quote texts such as 'y', 'on' or 'no'") from None
+
+
+def _secured() -> bool:
+    return os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true"
+
+
+def _made(factory: Callable[[], EndingNode]) -> EndingNode:
+    try:
+        return factory()
+    except InputError:
+        raise
+    except Exception as error:
+        if not _secured():
+            raise
+        text = " ".join(str(error).split()).removeprefix("error creating node: ").partition(", at ")[0]
+        raise InputError(f"security: {text}: {SECURITY_REMEDY}") from None
 
 
 def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | None) -> int:
@@ -212,7 +243,7 @@ def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | N
     try:
         _initialize(args)
         for factory in factories:
-            nodes.append(factory())
+            nodes.append(_made(factory))
         if interrupts.received():  # a library has suppressed the interrupt
             close(nodes, lambda: exit_within(0))
             return 0

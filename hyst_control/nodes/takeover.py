@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 TOPIC = "applied"
 FRESH = 1.0
 """s, for which what was heard counts."""
+DISCOVERY = 0.3
+"""s, within which programs on one machine usually know of each other."""
 
 
 class Takeover:
@@ -50,7 +52,10 @@ class Takeover:
     """Value (A,) on the actuator in V; None when nothing was heard."""
 
     def ready(self, patience: float) -> bool:
-        """Whether the node may begin: it has heard what is applied, or has listened for `patience` s since the first call."""
+        """Whether the node may begin: it has heard what is applied, or has listened for `patience` s since the first call.
+
+        While nobody is known who would publish it, it listens for `DISCOVERY` s at most.
+        """
         now = time.monotonic()
         if self._since is None:
             self._since = now
@@ -62,4 +67,7 @@ class Takeover:
                 self._node.drop(TOPIC, tick.kind, tick.reason)
         if self.command is not None and now - self._heard > FRESH:
             self.tick, self.command = -1, None
-        return self.command is not None or now - self._since >= patience
+        if self.command is not None:
+            return True
+        listened = now - self._since
+        return listened >= patience or listened >= DISCOVERY and not self._node.count_publishers(TOPIC)

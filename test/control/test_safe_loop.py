@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hyst_control.control.command_watchdog import CommandWatchdog
 from hyst_control.control.pi import PI
-from hyst_control.control.safe_loop import OVERFLOW, AxisFaults, Safety, SafeLoop
+from hyst_control.control.safe_loop import OVERFLOW, AxisFaults, SafeLoop, Safety
 from hyst_control.control.sensor_watch import OUT_OF_RANGE, MeasurementWatch
 
 PERIOD, LOWER, UPPER, SLEW, RATE, SAFE = 1e-2, -5.0, 20.0, 300.0, 100.0, 2.0

@@ -14,7 +14,7 @@ from std_msgs.msg import Float64MultiArray
 class CommandWatcher:
     """Records every row of `command`, and of `applied` what the actuator is said to have, as they arrive.
 
-    A row of `command` may differ from what the actuator had by `step` at most: the row before it, or a row of `applied` since.
+    A row of `command` may differ by `step` at most from the row before it, or from what was said to be on the actuator since.
     """
 
     def __init__(self, domain, period, lower, upper, step):
@@ -30,11 +30,12 @@ class CommandWatcher:
             self._node.create_subscription(
                 Float64MultiArray, topic, lambda m, topic=topic: self._note(topic, m), QoSProfile(depth=5000)
             )
+        self._over = threading.Event()
         self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
 
     def _spin(self):
-        while self._context.ok():
+        while not self._over.is_set():
             self._executor.spin_once(timeout_sec=0.1)
 
     def _note(self, topic, message):
@@ -60,26 +61,27 @@ class CommandWatcher:
 
     def check(self):
         """Every row to the last one: finite, within the limits, and no further from the actuator than the slew limit allows."""
-        known, newest, last = {}, -1, None
+        known, newest, last, applied = {}, -1, None, None
         for number, (topic, tick, values) in enumerate(list(self.rows)):
-            if values in self.foreign:
-                continue
-            where = f"row {number}, {topic} of tick {tick}: {values} after {last}"
+            where = f"row {number}, {topic} of tick {tick}: {values} after {last}, applied {applied}"
             assert all(math.isfinite(value) for value in values), where
             if topic == "applied":
-                last = values
-                continue
-            assert tick is not None and all(self.lower - 1e-9 <= value <= self.upper + 1e-9 for value in values), where
-            if tick in known:
-                assert known[tick] == values, f"{where}: was {known[tick]} before"
-                continue
-            known[tick] = values
-            if tick > newest:
-                if last is not None:
-                    assert all(abs(a - b) <= self.step * (1 + 1e-9) for a, b in zip(values, last)), where
-                newest, last = tick, values
+                applied = values
+            elif values not in self.foreign:
+                assert tick is not None and all(self.lower - 1e-9 <= value <= self.upper + 1e-9 for value in values), where
+                if tick in known:
+                    assert known[tick] == values, f"{where}: was {known[tick]} before"
+                    continue
+                known[tick] = values
+                if tick > newest:
+                    assert last is None or self._follows(values, last) or applied and self._follows(values, applied), where
+                    newest, last, applied = tick, values, None
+
+    def _follows(self, values, last):
+        return all(abs(a - b) <= self.step * (1 + 1e-9) for a, b in zip(values, last))
 
     def close(self):
-        rclpy.try_shutdown(context=self._context)
+        self._over.set()
         self._thread.join(5.0)
         self._node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
