@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from hyst_control.processes.environment import LIFELINE
+
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 _count = 0
@@ -43,6 +45,21 @@ def listen() -> None:
         os.register_at_fork(after_in_child=_not_in_child)
     _listening = True
     signal.set_wakeup_fd(_sockets[1].fileno(), warn_on_full_buffer=False)
+
+
+def end_with_parent() -> None:
+    """End as by SIGTERM when the process that started this one has ended, if that is one of this package."""
+    number = os.environ.pop(LIFELINE, "")
+    if number:
+        threading.Thread(target=_wait_for_parent, args=(int(number),), daemon=True, name="lifeline").start()
+
+
+def _wait_for_parent(lifeline: int) -> None:
+    try:
+        os.read(lifeline, 1)  # nothing is ever written
+    except OSError:
+        return
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _wait(own: socket.socket) -> None:

@@ -197,6 +197,7 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
         print(exposed, file=sys.stderr)
     environment.prepare()
     interrupts.listen()
+    interrupts.end_with_parent()
     try:
         return _body(factories, args)
     except KeyboardInterrupt:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import os
 import sys
 
+LIFELINE = "HYST_CONTROL_LIFELINE"
+"""Variable with the number of an open pipe that ends when the process that started the nodes does."""
+
 
 def exposure() -> str:
     """One line that says who can hear the nodes and command the actuator; "" where the user has chosen this machine, or security.
