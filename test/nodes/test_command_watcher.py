@@ -344,6 +344,31 @@ def test_second_feedback_waits_while_the_first_one_runs(loop):
     loop.watcher.check()
 
 
+def test_plant_brings_the_actuator_to_safety_while_two_commands_contradict(bench, domain, tmp_path):
+    """Whatever the feedback does: here it only warns."""
+    loop = Loop(bench, domain, "timer", tmp_path, rival="warn")
+    try:
+        loop.until(loop.tracks)
+        sender = loop.sender("command")
+        loop.watcher.foreign.add((9.123,))
+        swinging = bench.probe.create_timer(0.01, lambda: sender.send(np.array([[loop.now(), 9.123]])))
+        loop.until(lambda: loop.watcher.applied and loop.watcher.applied[-1] == (PLANT_SAFE,))
+        loop.until(
+            lambda: loop.bench.says("plant", "no trusted command: the actuator goes to its safe value, or back to the command")
+        )
+        swinging.cancel()
+        loop.until(lambda: loop.plant._watchdog.following)
+        applied = np.array(
+            [[tick, *values] for topic, tick, values in loop.watcher.rows if topic == "applied" and tick is not None]
+        )
+        falling = applied[np.argmax(applied[:, 1] > 25.0) :]
+        falling = falling[: np.argmin(falling[:, 1]) + 1]
+        slope = np.diff(falling[:, 1]) / np.diff(falling[:, 0]) / PERIOD
+        assert len(slope) > 5 and slope.min() >= -SAFE_RATE * (1 + 1e-6)
+    finally:
+        loop.close()
+
+
 def test_command_of_the_far_future_passes_by(loop):
     loop = loop()
     sender = loop.sender("command")

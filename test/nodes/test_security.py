@@ -16,6 +16,7 @@ from hyst_control.nodes.pipeline import COMPOSABLE, node_class
 from hyst_control.processes import environment
 
 SETTINGS = {
+    "reference_generator": {"signal": "rest", "duration": 1.0},
     "recorder": {"topics": ["reference", "learned", "feedforward", "feedback", "command", "measurement"]},
     "plant": {"model": MODEL, "wait_for_recorder": True},
     "diagnosis": {"model": MODEL},
