@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 class CommandWatchdog:
-    """What the actuator gets, tick by tick.
+    """Watchdog that decides, tick by tick, which voltage the actuator gets.
 
     Parameters
     ----------
@@ -44,11 +44,11 @@ class CommandWatchdog:
 
     @property
     def following(self) -> bool:
-        """Whether commands pass unchanged."""
+        """True while commands pass unchanged."""
         return bool(self._met.all())
 
     def apply(self, command: Array | None, trusted: bool = True) -> Array:
-        """Value (A,) in V of the next tick.
+        """Voltage of the next tick.
 
         Parameters
         ----------
@@ -56,6 +56,11 @@ class CommandWatchdog:
             Newest command in V; None: there was none.
         trusted : bool
             False: it is too old, or contradicts another one.
+
+        Returns
+        -------
+        ndarray, shape (A,)
+            The voltage, V.
         """
         if command is None or not trusted or not np.isfinite(command).all():
             self._met[:], self._below = False, None

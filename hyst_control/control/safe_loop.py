@@ -37,7 +37,7 @@ OVERFLOW = "numbers too large to compute with"
 
 @dataclass(frozen=True)
 class Safety:
-    """What a stopped axis does, and how its stop ends.
+    """Behavior of a stopped axis, and the end of its stop.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class AxisFaults:
 
     @property
     def any(self) -> bool:
-        """Whether an axis has a fault."""
+        """True when an axis has a fault."""
         return any(self.present)
 
     def clear(self) -> None:
@@ -137,12 +137,12 @@ class SafeLoop:
 
     @property
     def away(self) -> bool:
-        """Whether an axis' command is not that of the controller."""
+        """True when the command of an axis is not that of the controller."""
         return bool(self._away.any())
 
     @property
     def at_safe_value(self) -> bool:
-        """Whether every axis is stopped and its command is the safe value."""
+        """True when every axis is stopped and its command is the safe value."""
         return bool(self._away.all() and np.array_equal(self.controller.command, self._safe))
 
     def restart(self, command: Array | None, away: bool) -> None:
@@ -223,7 +223,20 @@ class SafeLoop:
         return command, np.zeros_like(command)
 
     def stopped_by(self, fault: str, ticks: int) -> tuple[Array, Array]:
-        """As `stopped`, with the `fault` of the whole loop for its reason; "" when nothing has come for the loop to compute with."""
+        """Command and feedback on the way to the safe value, for a reason.
+
+        Parameters
+        ----------
+        fault : str
+            Fault of the whole loop; "" when nothing has come for the loop to compute with.
+        ticks : int
+            Number of ticks.
+
+        Returns
+        -------
+        command, feedback : ndarray, shape (ticks, A)
+            In V.
+        """
         self._running(fault, (), ticks)
         return self.stopped(ticks)
 

@@ -56,11 +56,11 @@ class RivalWatch:
 
     @property
     def listening(self) -> bool:
-        """Whether there are several publishers."""
+        """True while there are several publishers."""
         return self._intake is not None
 
     def sent(self, block: Array) -> None:
-        """Remember rows (N, 1 + A) that the node sends, while there are several publishers."""
+        """Remember the rows of a `block` (N, 1 + A) that the node sends, while there are several publishers."""
         if self._intake is not None:
             for row in block:
                 key = row.tobytes()

@@ -26,7 +26,7 @@ DISCOVERY = 0.3
 
 
 class Takeover:
-    """What a starting node hears of the actuator.
+    """Listener of a starting node for the state of the actuator.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Takeover:
     """Value (A,) on the actuator in V; None when nothing was heard."""
 
     def ready(self, patience: float) -> bool:
-        """Whether the node may begin: it has heard what is applied, or has listened for `patience` s since the first call.
+        """True when the node may begin: it has heard what is applied, or has listened for `patience` s since the first call.
 
         While nobody is known who would publish it, it listens for `DISCOVERY` s at most.
         """

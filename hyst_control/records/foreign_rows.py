@@ -59,13 +59,13 @@ def admit(block: Array, period: float) -> int | Refusal:
 
 
 def admissible(block: Array) -> NDArray[np.bool_]:
-    """Mask (N,) of the rows (N, C) whose values are finite and in range."""
+    """Mask (N,) of the rows of a `block` (N, C) whose values are finite and in range."""
     mask: NDArray[np.bool_] = np.logical_and.reduce(np.abs(block) <= LARGEST_VALUE, axis=1)
     return mask
 
 
 def refused_values(block: Array) -> Refusal:
-    """Reason for refusing the values of a block (N, C)."""
+    """Reason for refusing the values of a `block` (N, C)."""
     if not all(map(math.isfinite, block.ravel().tolist())):
         return Refusal(NOT_FINITE, "it contains NaN or infinity")
     return Refusal(OUT_OF_RANGE, f"it contains a number beyond {LARGEST_VALUE:g}")
