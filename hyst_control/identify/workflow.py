@@ -14,6 +14,7 @@ from hyst_control.errors import InputError
 from hyst_control.files import check_writable, write_json
 from hyst_control.identify import estimator_of, estimators, identify
 from hyst_control.identify.dataset import Dataset, Fit, Report
+from hyst_control.identify.record_consistency import disagreements
 from hyst_control.model_file import COMMAND_UNITS, DISCREPANCY_VERSION, MEASUREMENT_UNITS, Model, save_model, simulate
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.record import Record
@@ -119,6 +120,7 @@ def identify_bags(
         refuse_invalid([Trial(each.name, each.command, each.measurement, each.sample_time, each.axes) for each in datasets])
     fits = (identify(datasets, name, method, **given) for name in chosen)
     fit = next(fits) if family is not None else min(fits, key=lambda fit: max(fit.report["held_out_nrmse"]))
+    notes += [each.text() for each in disagreements(fit.model, datasets)]
     fit = replace(fit, report={**fit.report, "bags": [str(bag) for bag in bags], "notes": [*notes, *fit.report["notes"]]})
     fit = replace(fit, model=replace(fit.model, discrepancy=discrepancy(fit.model, datasets)))
     save_model(fit.model, output)

@@ -1,5 +1,6 @@
-"""`make mutate`: does a test notice when a check is missing?
+"""`make mutate`: mutation tests of the checks at every entry.
 
+Does a test notice when a check is missing?
 Every `except` and every check (an `if` whose body ends in `raise`, or refuses a message) of the modules where foreign numbers and files
 enter is taken out in turn, in a copy of the sources, and the tests of that module are run. A mutant that they pass survives, and is
 printed. Arguments: parts of module names, to mutate only those.

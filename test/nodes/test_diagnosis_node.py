@@ -108,9 +108,9 @@ def stream(bench, ticks, commands, measured):
 
 
 @pytest.fixture
-def talking(bench):
+def talking(bench, tmp_path):
     """A bench whose probe stands in for the loop, with a diagnosis node under the timer."""
-    bench.node = bench.add(DiagnosisNode, schedule="timer", **SETTINGS)
+    bench.node = bench.add(DiagnosisNode, schedule="timer", output=str(tmp_path / "diagnosis"), **SETTINGS)
     bench.listen("gap", "residual")
     bench.senders = {"command": bench.sender("command", "t[s],x[V]"), "measurement": bench.sender("measurement", "t[s],x[um]")}
     return bench
