@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from hyst_control.parallel import WaitingThread
 from hyst_control.processes.environment import LIFELINE
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -41,7 +42,7 @@ def listen() -> None:
         for end in _sockets:
             end.set_inheritable(False)
         _sockets[1].setblocking(False)
-        threading.Thread(target=_wait, args=(_sockets[0],), daemon=True, name="interrupts").start()
+        WaitingThread(target=_wait, args=(_sockets[0],), daemon=True, name="interrupts").start()
         os.register_at_fork(after_in_child=_not_in_child)
     _listening = True
     signal.set_wakeup_fd(_sockets[1].fileno(), warn_on_full_buffer=False)
@@ -51,7 +52,7 @@ def end_with_parent() -> None:
     """End as by SIGTERM when the process that started this one has ended, if that is one of this package."""
     number = os.environ.pop(LIFELINE, "")
     if number:
-        threading.Thread(target=_wait_for_parent, args=(int(number),), daemon=True, name="lifeline").start()
+        WaitingThread(target=_wait_for_parent, args=(int(number),), daemon=True, name="lifeline").start()
 
 
 def _wait_for_parent(lifeline: int) -> None:
