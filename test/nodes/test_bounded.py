@@ -70,7 +70,10 @@ def test_rows_ahead_of_the_clock_stay_bounded(bench):
     assert node.command.rows.available == 0 and node.counts["command: far ahead"] == 10 * MOST
     node.settings.ahead = 1e9
     bring(node.command, range(10**9, 10**9 + 10 * MOST))
-    assert node.command.rows.available == MOST and node.counts["command: too many waiting"] + node.counts["command: far ahead"] == 19 * MOST
+    assert (
+        node.command.rows.available == MOST
+        and node.counts["command: too many waiting"] + node.counts["command: far ahead"] == 19 * MOST
+    )
 
 
 MAKES = {
