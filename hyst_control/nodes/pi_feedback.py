@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rclpy.duration import Duration
 
 from hyst_control.control.pi import PI
 from hyst_control.control.safe_loop import SafeLoop, Safety
@@ -269,6 +270,10 @@ class PiFeedback(SignalNode):
             way = np.abs(self.loop.controller.command - self.loop.safety.command).max()
             ticks = min(int(np.ceil(way / (self.loop.rate * self.period))) + 1, LONGEST_RAMP)
             self._publish(self._newest[0] + 1, *self.loop.stopped_by(ENDING, ticks))
+
+    def close(self) -> None:
+        if self._ending and self._newest is not None:  # what was sent last must arrive, or the way to the safe value is cut short
+            self.command.publisher.wait_for_all_acked(Duration(seconds=1))
 
     @property
     def wound_down(self) -> bool:

@@ -81,7 +81,9 @@ def _refuses(body: list[ast.stmt], entry: bool) -> bool:
     if isinstance(body[-1], ast.Raise):
         return True
     text, last = "".join(ast.unparse(each) for each in body), ast.unparse(body[-1])
-    return entry and ("drop(" in text or last == "return" or any(word in last for word in ("efus", "Receipt.")))
+    return entry and (
+        "drop(" in text or last == "return" or any(word in last for word in ("Refusal", "refused_values", "Receipt."))
+    )
 
 
 def _replaced(node: ast.expr, text: str, what: str) -> Mutant:

@@ -101,6 +101,9 @@ def test_signal_that_is_only_watched(bench):
     assert node.counts["measurement: duplicate"] == 1
     signal._refused("no reason")
     assert node.counts["measurement: unreadable"] == 1
+    for tick in range(4, 4 + 2 * 65536, 65536):
+        signal.receive(np.column_stack([np.arange(tick, tick + 65536) * PERIOD, np.zeros(65536)]))
+    assert node.counts["measurement: too many waiting"] >= 1
     sender = bench.sender("measurement", "t[s],x[mrad]")
     sender.send(row(4, 1.0))
     bench.until(lambda: node.counts["measurement: wrong label"] == 1)
