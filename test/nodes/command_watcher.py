@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from functools import partial
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -20,6 +21,7 @@ class CommandWatcher:
     def __init__(self, domain, period, lower, upper, step):
         self.period, self.lower, self.upper, self.step = period, lower, upper, step
         self.rows = []  # (topic, tick, values), in order of arrival
+        self._sent = []  # times of sending: an executor does not keep the order of two topics
         self.foreign = set()  # values of rivals
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=domain)
@@ -27,9 +29,7 @@ class CommandWatcher:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         for topic in ("command", "applied"):
-            self._node.create_subscription(
-                Float64MultiArray, topic, lambda m, topic=topic: self._note(topic, m), QoSProfile(depth=5000)
-            )
+            self._node.create_subscription(Float64MultiArray, topic, partial(self._note, topic), QoSProfile(depth=5000))
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
@@ -38,12 +38,13 @@ class CommandWatcher:
         while not self._over.is_set():
             self._executor.spin_once(timeout_sec=0.1)
 
-    def _note(self, topic, message):
+    def _note(self, topic, message, information):
         columns = message.layout.dim[1].size
         data = list(message.data)
         for begin in range(0, len(data), columns):
             time, *values = data[begin : begin + columns]
             tick = round(time / self.period) if math.isfinite(time) and abs(time) < 1e200 else None
+            self._sent.append(information["source_timestamp"])
             self.rows.append((topic, tick, tuple(values)))
 
     def command(self, since=0):
@@ -62,7 +63,8 @@ class CommandWatcher:
     def check(self):
         """Every row to the last one: finite, within the limits, and no further from the actuator than the slew limit allows."""
         known, newest, last, applied = {}, -1, None, None
-        for number, (topic, tick, values) in enumerate(list(self.rows)):
+        for number in sorted(range(len(self.rows)), key=self._sent.__getitem__):
+            topic, tick, values = self.rows[number]
             where = f"row {number}, {topic} of tick {tick}: {values} after {last}, applied {applied}"
             assert all(math.isfinite(value) for value in values), where
             if topic == "applied":
