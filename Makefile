@@ -17,7 +17,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONPATH
 
-.PHONY: demo test fuzz lint docs figures check-compilers check-export check-wheel check-colcon check-readme bench env clean
+.PHONY: demo test fuzz mutate lint docs figures check-compilers check-export check-wheel check-colcon check-readme bench env clean
 demo: env
 	$(VENV)/bin/hyst demo $(ARGS)
 
@@ -26,6 +26,9 @@ test: env
 
 fuzz: env
 	PYTHONPATH=. $(VENV)/bin/python test/fuzz $(ARGS)
+
+mutate: env
+	$(VENV)/bin/python test/fuzz/mutations.py $(ARGS)
 
 docs: $(CHECKS_READY)
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --quiet --strict $(ARGS)

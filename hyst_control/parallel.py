@@ -36,6 +36,10 @@ _serial = False
 _work: Callable[[int], object] | None = None
 
 
+class WaitingThread(threading.Thread):
+    """Thread that waits for a file all its life and holds no lock, so that a fork may leave it behind."""
+
+
 def cores() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -105,7 +109,8 @@ def forked(work: Callable[[int], Result], count: int) -> Iterator[Result]:
     """
     global _work
     workers = min(cores(), count)
-    alone = _serial or workers < 2 or threading.active_count() > 1 or multiprocessing.current_process().daemon
+    others = [thread for thread in threading.enumerate() if not isinstance(thread, WaitingThread)]
+    alone = _serial or workers < 2 or len(others) > 1 or multiprocessing.current_process().daemon
     if alone or "fork" not in multiprocessing.get_all_start_methods():
         yield from map(work, range(count))
         return

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from std_msgs.msg import Int64
 
 from hyst_control.config_files import config_path
+from hyst_control.control.command_watchdog import CommandWatchdog
 from hyst_control.control.loop import Plant
 from hyst_control.errors import InputError
 from hyst_control.model_file import Simulator, load_model
@@ -32,6 +33,7 @@ AWAITED = 64
 MOST_AHEAD = 2048  # ticks that the plant may be ahead of a recorder it waits for
 REPETITIONS_BEFORE_JOINING = 5
 """Successive repetitions without an answer after which a plant restarted during a run continues at the tick of that run."""
+APPLIED_INTERVAL = 0.005  # s, at least, between two messages that say what is applied
 
 
 class PlantNode(SignalNode):
@@ -40,7 +42,10 @@ class PlantNode(SignalNode):
     In lockstep it publishes measurement[0] first, then for command rows k0 … k1 the measurement rows k0 + 1 … k1 + 1. As long as no
     command arrives, it repeats the newest measurement every `retry` s, which starts the loop and makes up for a lost message or a
     restarted node. With `ticks` it ends after that many command rows and has published as many measurement rows.
-    Under the timer, each tick runs the plant over the commands since the previous tick; the newest command is held.
+    Under the timer, each tick runs the plant over the commands since the previous tick; the newest command is held for `timeout` at
+    most. Then, and while two sources contradict each other, a watchdog brings the actuator to `safe_command` at `safe_rate`
+    (`control.command_watchdog`), at which it also approaches the first command and one that comes back. While it does not follow the
+    command, and in lockstep while none arrives, it publishes on `applied` what is on the actuator (V).
     """
 
     SETTINGS = (
@@ -63,6 +68,10 @@ class PlantNode(SignalNode):
             choices=("rest", "first_command"),
         ),
         Setting("retry", 0.2, "s", "time without a command after which the newest measurement is repeated", 1e-3, 60.0),
+        Setting(
+            "safe_command", (0.0,), "V", "actuator without a command, under the timer: one value for all axes or each", -1e6, 1e6
+        ),
+        Setting("safe_rate", 1000.0, "V/s", "slope towards it, and back to the command", 1e-6, 1e12),
         Setting("wait_for_recorder", False, "", "stay close to the rows that the recorder has stored, in lockstep"),
     )
 
@@ -85,13 +94,22 @@ class PlantNode(SignalNode):
         self._plant.reset(rest)  # compiled before the first tick
         self._plant.step(rest[None])
         self._tick: int | None = None  # of the newest measurement
-        self._held = rest
+        if len(self.settings.safe_command) not in (1, len(self.axes)):
+            raise InputError(
+                f"{self.get_name()}: parameter safe_command: {len(self.settings.safe_command)} values, {len(self.axes)} axes"
+            )
+        safe = np.broadcast_to(np.array(self.settings.safe_command), len(self.axes))
+        self._watchdog = CommandWatchdog(rest, safe, self.settings.safe_rate, self.period)
+        self._held = rest  # newest command, in lockstep
+        self._stalled_offer: int | None = None  # first tick of the commands offered at a standstill that others precede
+        self._said = 0  # tick at which it was said last what is applied
         self._recorded = -1
         self._recorded_at = time.monotonic()  # s: time of the recorder's last progress
         self._standstill = Standstill()
         self._sent: dict[int, int] = {}  # time of sending of the newest measurements, ns since the epoch, by tick
         self._latency = Durations()
         self.measurement = self.output("measurement", self.unit)
+        self.applied = self.output("applied", "V")
         self.command = self.input("command", "V")
         if self.settings.wait_for_recorder and self.lockstep:
             self.create_subscription(Int64, "recorded", self._on_recorded, QUEUE)
@@ -110,6 +128,7 @@ class PlantNode(SignalNode):
             if allowed <= 0:
                 return
             commands = rows.take(allowed)
+            self._held = commands[-1]
             measurements = self._plant.step(commands)
             first = tick + 1
             self._tick = tick + allowed
@@ -123,19 +142,18 @@ class PlantNode(SignalNode):
     def tick(self, tick: int) -> None:
         rows, period = self.command.rows, self.period
         if self._tick is None:
-            self._held = np.zeros(len(self.axes))
             self._tick = tick
-            self.measurement.send(tick, self._plant.reset(self._held)[None])
+            self.measurement.send(tick, self._plant.reset(self._watchdog.applied)[None])
             return
         first = max(self._tick, tick - max(self.settings.block, round(LONGEST_GAP / period)))
         commands = np.empty((tick - first, len(self.axes)))
+        longest = self.longest_age
+        contradicted = time.monotonic() - rows.conflicted < longest
         for row in range(len(commands)):
             newest = rows.newest(first + row)
-            if newest is not None:
-                self._held = newest
-            commands[row] = self._held
-        if self.command.age > self.settings.timeout:
-            self.warn("stale", f"no command for {self.settings.timeout:g} s: the last one is held")
+            commands[row] = self._watchdog.apply(newest, not contradicted and rows.behind(first + row) * period <= longest)
+        if not self._watchdog.following:
+            self._say_applied(tick, contradicted)
         measurements = self._plant.step(commands)
         self._sent[tick] = time.time_ns()
         if len(self._sent) > AWAITED:
@@ -152,6 +170,7 @@ class PlantNode(SignalNode):
 
     def reset(self) -> None:
         self._tick = None
+        self._watchdog.reset()
         self.measurement.clear()
         if self.lockstep:
             self.command.rows.expect(0)
@@ -163,9 +182,17 @@ class PlantNode(SignalNode):
             None,
             0,
         ):  # no node has tick 0 any more: restarted during a run
+            if tick != self._stalled_offer:  # a single message may come from anybody; the loop repeats its own
+                self._stalled_offer = tick
+                return
             self.get_logger().warning(f"joining a run in progress at tick {tick}")
             self._tick = None if self.settings.start == "first_command" else tick
             source.rows.expect(tick)
+
+    def trouble(self) -> str:
+        if self.lockstep or self._watchdog.following or not self._watchdog.armed:
+            return ""
+        return "no trusted command: the actuator goes to its safe value, or back to the command"
 
     def waits(self, now: float) -> list[Wait]:
         """Signals that the node is waiting for: the command, or the recorder while commands or the end of the run depend on it."""
@@ -183,6 +210,16 @@ class PlantNode(SignalNode):
         self._tick = tick
         self.measurement.send(tick, first[None])
         return tick
+
+    def _say_applied(self, tick: int, contradicted: bool) -> None:
+        """Publish what is on the actuator, for a feedback that starts, and warn when the watchdog has taken over."""
+        if self._watchdog.armed and self.command.rows.behind(tick) * self.period > self.longest_age:
+            self.warn("stale", f"no command for {self.longest_age:g} s: the actuator goes to its safe value")
+        elif contradicted:
+            self.warn("contradicted", "two sources of command: the actuator goes to its safe value")
+        if tick - self._said >= APPLIED_INTERVAL / self.period:
+            self._said = tick
+            self.applied.send(tick, self._watchdog.applied[None])
 
     def _newest_command(self) -> Array:
         row = self.command.rows.newest(self.command.rows.start)
@@ -205,6 +242,8 @@ class PlantNode(SignalNode):
         if self.finished.done():
             return
         looks = self._standstill.look((self.command.rows.end, self._tick))
+        if looks and self._tick:
+            self.applied.send(self._tick - 1, self._held[None])
         if looks == 1:
             self.measurement.repeat_newest()
         elif looks:

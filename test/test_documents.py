@@ -57,3 +57,18 @@ def test_a_command_of_the_readme_parses(line, capsys):
         parser().parse_args(shlex.split(line)[1:])
     except SystemExit as ended:
         assert ended.code == 0, capsys.readouterr().err
+
+
+def test_every_test_that_the_safety_page_names_exists():
+    """And every row of its table of faults names one."""
+    text = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
+    table = text[text.index("## Faults") : text.index("## A node for your hardware")]
+    rows = [line.split("|")[1:-1] for line in table.splitlines() if line.startswith("| ")][1:]
+    assert len(rows) > 15 and all(len(row) == 4 and re.search(r"`test_\w+`", row[3]) and row[2].strip() for row in rows)
+    defined = {
+        name
+        for file in (ROOT / "test").rglob("test_*.py")
+        for name in re.findall(r"^def (test_\w+)", file.read_text(), re.MULTILINE)
+    }
+    named = set(re.findall(r"`(test_\w+)`", text))
+    assert named and not named - defined

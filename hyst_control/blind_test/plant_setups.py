@@ -7,8 +7,8 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import yaml
 
+from hyst_control.yaml_files import read_yaml
 from hyst_plant_sim.physics.plant_files import shipped
 
 PLANTS = ("pea_published", "fsm_published", "third")
@@ -144,5 +144,5 @@ def scatter(plant: str, seed: int, size: float) -> dict[str, Any]:
 def _parameters(plant: str) -> dict[str, Any]:
     path = shipped(plant)
     assert path is not None
-    parameters: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))["parameters"]
+    parameters: dict[str, Any] = read_yaml(path)["parameters"]
     return parameters

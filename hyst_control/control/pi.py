@@ -12,6 +12,9 @@ For every tick k and axis, with e = reference - measurement:
 (backward Euler; Astrom and Hagglund, PID Controllers, 1995, section 3.5). Without ki the integral stays 0. The roll-off is a pole of
 the controller above its crossover: it takes the height from a resonance there, for which the integral may then be greater. It
 stands before the integral, so that whatever the limits do, it holds an average of errors and cannot wind up.
+
+Inputs so large that a sum or product overflows leave the state of their axis as it was: the command is held, the feedback is 0, and
+`overflowed` names the axis.
 """
 
 from __future__ import annotations
@@ -106,8 +109,11 @@ class RunningPI:
                 description.roll_off_share,
             ]
         )
-        self._state = np.empty((3, axes))
+        self._state = np.empty((4, axes))
+        """Integral, last command, rolled-off error, and 1 where the arithmetic has overflowed, of each axis."""
         self.saturated = 0
+        self.overflowed: tuple[int, ...] = ()
+        """Axes whose arithmetic overflowed in the last call; their commands were held."""
         self.reset()
 
     @property
@@ -121,13 +127,24 @@ class RunningPI:
         return np.array(self._state[1])
 
     def reset(self, command: Array | None = None) -> None:
-        """Forget the integral. The first command keeps the slew limit from `command` (A,) V, or is free when None."""
-        self._state[0] = 0.0
-        self._state[1] = np.nan if command is None else command
-        self._state[2] = 0.0
-        self.saturated = 0
+        """Forget the integral. The first command keeps the slew limit from `command` (A,) V, or is free when None.
 
-    def resume(self, command: Array, reference: Array, measurement: Array, feedforward: Array) -> None:
+        A command beyond the limits counts as at the limit: what is published lies within them from the first row on.
+        """
+        self._state[0] = 0.0
+        self._state[1] = np.nan if command is None else np.clip(command, self.description.lower, self.description.upper)
+        self._state[2] = 0.0
+        self._state[3] = 0.0
+        self.saturated, self.overflowed = 0, ()
+
+    def resume(
+        self,
+        command: Array,
+        reference: Array,
+        measurement: Array,
+        feedforward: Array,
+        axes: NDArray[np.bool_] | slice = slice(None),
+    ) -> None:
         """Take over without a jump: with these inputs the next command is `command`.
 
         Without integral action nothing would lead back from there: then only the slew limit holds.
@@ -142,12 +159,16 @@ class RunningPI:
             Measurement (A,), measurement unit.
         feedforward
             Feedforward (A,), V.
+        axes
+            Mask (A,) of the axes that are resumed.
         """
         kp, ki_step = self._constants[:2]
-        error = reference - measurement
-        self._state[0] = np.asarray(command, dtype=float) - feedforward - (kp + ki_step) * error if ki_step else 0.0
-        self._state[1] = command
-        self._state[2] = error
+        with np.errstate(all="ignore"):
+            error = reference - measurement
+            integral = np.asarray(command, dtype=float) - feedforward - (kp + ki_step) * error if ki_step else np.zeros(self.axes)
+        self._state[0][axes] = np.where(np.isfinite(integral), integral, 0.0)[axes]
+        self._state[1][axes] = command[axes]
+        self._state[2][axes] = np.where(np.isfinite(error), error, 0.0)[axes]
 
     def step(self, reference: Array, measurement: Array, feedforward: Array) -> tuple[Array, Array]:
         """Command and feedback of the next ticks, both shaped like the inputs: (A,) for one tick or (N, A) for N.
@@ -156,7 +177,7 @@ class RunningPI:
         """
         shape = feedforward.shape
         command, feedback = np.empty((2, shape[0] if len(shape) == 2 else 1, self.axes))
-        self.saturated += _run(
+        saturated, overflowed = _run(
             reference.reshape(-1, self.axes),
             measurement.reshape(-1, self.axes),
             feedforward.reshape(-1, self.axes),
@@ -165,13 +186,26 @@ class RunningPI:
             command,
             feedback,
         )
+        self.saturated += saturated
+        self.overflowed = self._overflowed() if overflowed else ()
         return command.reshape(shape), feedback.reshape(shape)
 
     def pass_through(self, feedforward: Array) -> tuple[Array, Array]:
         """The open loop: feedforward (N, A) in V within the limits, and a feedback of zeros."""
         command, feedback = np.empty(feedforward.shape), np.zeros(feedforward.shape)
-        self.saturated += _limit(feedforward, self._constants, self._state, command)
+        saturated, overflowed = _limit(feedforward, self._constants, self._state, command)
+        self.saturated += saturated
+        self.overflowed = self._overflowed() if overflowed else ()
         return command, feedback
+
+    def _overflowed(self) -> tuple[int, ...]:
+        axes = tuple(np.flatnonzero(self._state[3]).tolist())
+        self._state[3] = 0.0
+        return axes
+
+    def hold(self, command: Array) -> None:
+        """Take `command` (A,) in V as the last one, without any change of the integral."""
+        self._state[1] = command
 
     def ramp(self, target: Array, rate: float, ticks: int = 1) -> Array:
         """Commands (ticks, A) that go from the last one to `target` (A,) in V at no more than `rate` V/s."""
@@ -193,37 +227,57 @@ def _clamped(wanted: float, last: float, constants: Array) -> float:
 
 
 @njit(cache=True)
+def _held(last: float, constants: Array) -> float:
+    return min(max(0.0, constants[2]), constants[3]) if np.isnan(last) else last
+
+
+@njit(cache=True)
 def _run(
     reference: Array, measurement: Array, feedforward: Array, constants: Array, state: Array, command: Array, feedback: Array
-) -> int:
+) -> tuple[int, int]:
     kp, ki_step, share, passed = constants[0], constants[1], constants[5], constants[6]
-    saturated = 0
+    saturated = overflowed = 0
     for k in range(command.shape[0]):
         for axis in range(command.shape[1]):
             error = reference[k, axis] - measurement[k, axis]
             if passed < 1.0:
                 error = state[2, axis] + passed * (error - state[2, axis])
-                state[2, axis] = error
             integral = state[0, axis] + ki_step * error
-            feedback[k, axis] = kp * error + integral
-            wanted = feedforward[k, axis] + feedback[k, axis]
+            correction = kp * error + integral
+            wanted = feedforward[k, axis] + correction
             limited = _clamped(wanted, state[1, axis], constants)
-            if limited != wanted:
-                saturated += 1
+            limits = limited != wanted
+            if limits:
                 integral += (limited - wanted) * share
+            if not (np.isfinite(wanted) and np.isfinite(integral)):
+                overflowed += 1
+                state[3, axis] = 1.0
+                feedback[k, axis] = 0.0
+                command[k, axis] = state[1, axis] = _held(state[1, axis], constants)
+                continue
+            if limits:
+                saturated += 1
+            if passed < 1.0:
+                state[2, axis] = error
+            feedback[k, axis] = correction
             command[k, axis] = limited
             state[0, axis] = integral
             state[1, axis] = limited
-    return saturated
+    return saturated, overflowed
 
 
 @njit(cache=True)
-def _limit(feedforward: Array, constants: Array, state: Array, command: Array) -> int:
-    saturated = 0
+def _limit(feedforward: Array, constants: Array, state: Array, command: Array) -> tuple[int, int]:
+    saturated = overflowed = 0
     for k in range(command.shape[0]):
         for axis in range(command.shape[1]):
-            command[k, axis] = _clamped(feedforward[k, axis], state[1, axis], constants)
+            if np.isfinite(feedforward[k, axis]):
+                command[k, axis] = _clamped(feedforward[k, axis], state[1, axis], constants)
+                if command[k, axis] != feedforward[k, axis]:
+                    saturated += 1
+            else:
+                overflowed += 1
+                state[3, axis] = 1.0
+                command[k, axis] = _held(state[1, axis], constants)
             state[1, axis] = command[k, axis]
-            if command[k, axis] != feedforward[k, axis]:
-                saturated += 1
-    return saturated
+    return saturated, overflowed

@@ -41,9 +41,10 @@ FUNCTIONS = (MAXIMUM, MINIMUM, *CLAMPING, RAMPED)
 RESUME = """
 for (int i = 0; i < AXES; i++) {
     const real error = reference[i] - measurement[i];
-    s->integral[i] = (p->ki_step != R(0.0)) ? ((last[i] - feedforward[i]) - ((p->kp + p->ki_step) * error)) : R(0.0);
+    const real integral = (p->ki_step != R(0.0)) ? ((last[i] - feedforward[i]) - ((p->kp + p->ki_step) * error)) : R(0.0);
+    s->integral[i] = isfinite(integral) ? integral : R(0.0);
     s->command[i] = last[i];
-    s->rolled[i] = error;
+    s->rolled[i] = isfinite(error) ? error : R(0.0);
 }
 """
 """`RunningPI.resume` in C, of the arrays reference, measurement, feedforward and last."""
@@ -53,18 +54,32 @@ for (int i = 0; i < AXES; i++) {
     real error = reference[i] - measurement[i];
     if (p->passed < R(1.0)) {
         error = s->rolled[i] + (p->passed * (error - s->rolled[i]));
-        s->rolled[i] = error;
     }
     real integral = s->integral[i] + (p->ki_step * error);
-    feedback[i] = (p->kp * error) + integral;
-    const real wanted = feedforward[i] + feedback[i];
+    const real correction = (p->kp * error) + integral;
+    const real wanted = feedforward[i] + correction;
     const real limited = clamped_command(wanted, s->command[i], p->lower, p->upper, p->step);
-    if (limited != wanted) {
-        s->saturated = (s->saturated < 1000000000) ? (s->saturated + 1) : s->saturated;
+    const int limits = limited != wanted;
+    if (limits) {
         integral += (limited - wanted) * p->share;
     }
-    s->integral[i] = integral;
-    s->command[i] = limited;
+    if (!isfinite(wanted) || !isfinite(integral)) {
+        s->overflowed[i] = R(1.0);
+        feedback[i] = R(0.0);
+        if (isnan(s->command[i])) {
+            s->command[i] = smaller_of(larger_of(R(0.0), p->lower), p->upper);
+        }
+    } else {
+        if (limits) {
+            s->saturated = (s->saturated < 1000000000) ? (s->saturated + 1) : s->saturated;
+        }
+        if (p->passed < R(1.0)) {
+            s->rolled[i] = error;
+        }
+        feedback[i] = correction;
+        s->integral[i] = integral;
+        s->command[i] = limited;
+    }
 }
 """
 """`RunningPI.step` for one tick in C, of the arrays reference, measurement, feedforward and feedback."""
@@ -103,5 +118,6 @@ def state(controller: RunningPI) -> Mapping[str, Member]:
         "integral": reals(zero, "V"),
         "command": reals(zero, "V, the last command"),
         "rolled": reals(zero, "measurement unit, error behind the roll-off"),
+        "overflowed": reals(zero, "1 where the arithmetic left the finite and the command was held"),
         "saturated": integers(0, "commands that were limited, counted over all axes"),
     }

@@ -15,9 +15,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
-import yaml
-
 from hyst_control.errors import InputError
+from hyst_control.yaml_files import read_yaml
 
 Group = TypeVar("Group")
 
@@ -297,10 +296,7 @@ def load_configuration(path: str | Path) -> Configuration:
         Where the file cannot be read, or a value is missing, unknown or of another kind.
 
     """
-    try:
-        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InputError(f"{path}: cannot be read ({error}): give a YAML file with all groups of the configuration") from None
+    document = read_yaml(path, "give a YAML file with all groups of the configuration")
     try:
         return _group(Configuration, document, "")
     except InputError as error:

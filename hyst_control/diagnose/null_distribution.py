@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
@@ -237,9 +238,10 @@ def _cache_file(key: str) -> Path | None:
 
 def _read(file: Path) -> float | None:
     try:
-        return float(json.loads(file.read_text())["threshold"])
-    except (OSError, ValueError, KeyError, TypeError):
+        found = float(json.loads(file.read_text())["threshold"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, OverflowError):
         return None
+    return found if math.isfinite(found) and found >= 0.0 else None  # every verdict would follow from NaN or infinity
 
 
 def _write(file: Path, value: float) -> None:

@@ -71,8 +71,9 @@ class CompiledPI(RunningPI):
             functions=pi_c_code.CLAMPING,
         )
         self._running = _compiled("pi_feedback", code, axes, 3 * axes, 2 * axes, description.sample_time)
-        numbers = 3 * axes * np.dtype(float).itemsize
-        self._state = self._running.state[:numbers].view(float).reshape(3, axes)
+        rows = len(self._state)
+        numbers = rows * axes * np.dtype(float).itemsize
+        self._state = self._running.state[:numbers].view(float).reshape(rows, axes)
         self._counted = self._running.state[numbers : numbers + 4].view(np.int32)
         self.reset()
 
@@ -97,6 +98,7 @@ class CompiledPI(RunningPI):
             found = self._running.process(given)
         self.saturated += int(self._counted[0])
         self._counted[0] = 0
+        self.overflowed = self._overflowed() if self._state[3].any() else ()
         return found[:, :axes].reshape(shape), found[:, axes:].reshape(shape)
 
 

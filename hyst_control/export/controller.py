@@ -207,7 +207,7 @@ class Controller(Filter):
         return self.ring[self.place].copy(), ahead
 
     def _watch(self, measurement: Array, sent: Array) -> int:
-        """Fault of the measurement, as `nodes/sensor_watch.py` has it."""
+        """Fault of the measurement, as `control/sensor_watch.py` has it."""
         if self.watched is None or np.any(measurement != self.watched):
             self.watched, self.same, self.least, self.most = measurement, 0, sent, sent
         else:

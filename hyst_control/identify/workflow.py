@@ -15,6 +15,7 @@ from hyst_control.files import check_writable, write_json
 from hyst_control.identify import estimator_of, estimators, identify
 from hyst_control.identify.dataset import Dataset, Fit, Report
 from hyst_control.identify.model_choice import best_family, choice_lines
+from hyst_control.identify.record_consistency import disagreements
 from hyst_control.model_file import COMMAND_UNITS, DISCREPANCY_VERSION, MEASUREMENT_UNITS, Model, save_model, simulate
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.record import Record
@@ -138,6 +139,7 @@ def identify_bags(
         fit = identify(datasets, chosen[0], method, **given)
     else:
         fit = best_family(chosen, lambda name: identify(datasets, name, method, **given))
+    notes += [each.text() for each in disagreements(fit.model, datasets)]
     fit = replace(fit, report={**fit.report, "bags": [str(bag) for bag in bags], "notes": [*notes, *fit.report["notes"]]})
     fit = replace(fit, model=replace(fit.model, discrepancy=discrepancy(fit.model, datasets)))
     save_model(fit.model, output)

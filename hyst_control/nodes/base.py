@@ -57,6 +57,14 @@ class EndingNode(Node):
         # not `_clock`: that is the node's own clock, which may be simulated
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
 
+    def wind_down(self) -> None:
+        """Begin to leave the actuator at its safe value, after an interrupt; the node is spun until `wound_down`."""
+
+    @property
+    def wound_down(self) -> bool:
+        """True when nothing keeps the node from ending."""
+        return True
+
     def close(self) -> None:
         """Release the node's files and processes; called however the node ends."""
 
@@ -230,6 +238,16 @@ class SignalNode(EndingNode):
         """Fault that keeps the node from its work, for the diagnostics; "" when there is none."""
         return ""
 
+    @property
+    def latest_tick(self) -> float:
+        """Tick that no row of an input may be beyond, under the timer."""
+        return float((self.tick_timer.now + self.settings.ahead) / self.period)
+
+    @property
+    def longest_age(self) -> float:
+        """Age in s from which an input is stale, under the timer: the parameter `timeout`, but never less than two ticks."""
+        return float(max(self.settings.timeout, 2.0 * self.tick_timer.interval))
+
     def waits(self, now: float) -> list[Wait]:
         """Signals that the node is waiting for, in lockstep.
 
@@ -270,6 +288,17 @@ class SignalNode(EndingNode):
         """
         self.polled.append(PolledSubscription(self, topic, self.settings.message_objects))
         return self.polled[-1]
+
+    def end_intake(self, intake: PolledSubscription) -> None:
+        """End a subscription that `intake` made.
+
+        Parameters
+        ----------
+        intake : PolledSubscription
+            The subscription.
+        """
+        self.polled.remove(intake)
+        self.destroy_subscription(intake.subscription)
 
     def signal_rows(
         self, topic: str, missing: Missing, drop_oldest: bool = False, clock_may_be_set_back: bool = False

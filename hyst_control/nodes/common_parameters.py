@@ -29,6 +29,15 @@ COMMON = (
     Setting("unit", "um", "", "unit of reference and measurement", choices=("um", "mrad")),
     Setting("timeout", 0.1, "s", "age from which an input is stale, under the timer", 1e-4, 1e3, live=True),
     Setting(
+        "ahead",
+        1.0,
+        "s",
+        "an input whose time is ahead of the clock by more than this is dropped, under the timer; more than the lead of its source",
+        1e-3,
+        1e9,
+        live=True,
+    ),
+    Setting(
         "backwards",
         1.0,
         "s",

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+import secrets
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -92,7 +92,12 @@ class DiagnosisNode(SignalNode):
             "bridge", 10, "ticks", "most successive ticks without a command that count as holding the newest one", 0, 1_000_000
         ),
         Setting("buffer", 2.0, "s", "length of the newest data kept for the diagnosis", 0.01, 1e4),
-        Setting("output", "diagnosis", "", "folder for the results of ~/diagnose", live=True),
+        Setting(
+            "output",
+            "diagnosis",
+            "",
+            "folder for the results of ~/diagnose; only here does anybody write, so it is set at the start",
+        ),
     )
 
     def __init__(self, name: str = "diagnosis", **options: Any) -> None:
@@ -271,7 +276,8 @@ class DiagnosisNode(SignalNode):
         with as_input_error(self.settings.output):
             output = Path(self.settings.output).resolve()
             output.mkdir(parents=True, exist_ok=True)
-            folder = Path(tempfile.mkdtemp(prefix=time.strftime("%Y%m%dT%H%M%SZ-", time.gmtime()), dir=output))
+            folder = output / f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{secrets.token_hex(4)}"
+            folder.mkdir()  # with the permissions that the user's umask leaves
             self._write(folder / "record")
             self._job = Job(folder, self._model_path)
         return f"started: {self._kept_rows} rows, {self._kept_rows * self.period:.3g} s: {folder}"

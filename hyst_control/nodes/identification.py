@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from hyst_control.errors import InputError
@@ -72,7 +74,8 @@ class Identification(EndingNode):
     """Node that runs `hyst identify` with its parameters, whenever `~/identify` is called, or once at the start with `once`.
 
     The service answers with the summary of the fit, or with the reason of a failure. A fit takes seconds, in which this node does
-    nothing else; the nodes of the loop are not affected.
+    nothing else; the nodes of the loop are not affected. Whoever reaches the node may set its parameters and call it, so it writes
+    within one folder only, which is set at its start.
 
     Parameters
     ----------
@@ -85,8 +88,9 @@ class Identification(EndingNode):
     SETTINGS = (
         Setting("bags", ("",), "", "bags with command and measurement, fitted together", live=True),
         Setting("family", "", "", "model family, such as hapi or hampi; empty for the best one on held-out data", live=True),
-        Setting("output", "", "", "model file to write", live=True),
-        Setting("json", "", "", "fit report to write", live=True),
+        Setting("output", "", "", "model file to write, within the folder", live=True),
+        Setting("json", "", "", "fit report to write, within the folder", live=True),
+        Setting("folder", "", "", "only folder that is written to; if empty, that of output at the start, else the current one"),
         Setting("once", False, "", "identify at the start, then end"),
         *family_settings(),
     )
@@ -95,6 +99,8 @@ class Identification(EndingNode):
         super().__init__(name, **options)
         self.settings = declare(self, self.SETTINGS, lambda name, value: None)
         self.ends = self.settings.once
+        given = self.settings
+        self._folder = Path(os.path.realpath(given.folder or Path(given.output).parent))
         self.service("identify", self._identify)
         if self.ends:
             self.once(self._identify_and_end)
@@ -104,9 +110,24 @@ class Identification(EndingNode):
         for name in ("bags", "output"):
             if not any(getattr(given, name)):
                 raise InputError(f"{self.get_name()}: parameter {name}: must not be empty: set it first")
+        output, report = self._within("output"), self._within("json") if given.json else None
         options = {name: getattr(given, name) for name in every_option() if getattr(given, name) != ""}
-        result = identify_bags(given.bags, given.family or None, given.output, json_path=given.json or None, **options)
+        result = identify_bags(given.bags, given.family or None, output, json_path=report, **options)
         return result.text()
+
+    def _within(self, name: str) -> str:
+        """Path of an output, with its links resolved. Raises `InputError` where it lies outside the folder."""
+        given = getattr(self.settings, name)
+        try:
+            path = Path(os.path.realpath(given))
+        except ValueError:  # a NUL in a name
+            path = Path("/")
+        if self._folder not in path.parents:
+            raise InputError(
+                f"{self.get_name()}: parameter {name}: {given!r} is not within {self._folder}: start the node with the parameter "
+                "folder set to where it may write"
+            )
+        return str(path)
 
     def _identify_and_end(self) -> None:
         try:

@@ -7,27 +7,38 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rclpy.duration import Duration
 
 from hyst_control.control.pi import PI
+from hyst_control.control.safe_loop import SafeLoop, Safety
+from hyst_control.control.sensor_watch import MOTION, MeasurementWatch
 from hyst_control.errors import InputError
 from hyst_control.export.backend import CompiledPI
 from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.common_parameters import BACKEND, TIMER, C
 from hyst_control.nodes.parameters import Setting
+from hyst_control.nodes.rival_watch import RivalWatch
 from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.sensor_watch import MOTION, MeasurementWatch
 from hyst_control.nodes.signal_ports import Input
+from hyst_control.nodes.takeover import Takeover
+from hyst_control.records.signal_message import label_for
 
 Array = NDArray[np.float64]
+
+ENDING, RIVAL = "the node is ending", "another node publishes command"
+TAKEOVER_INTERVAL = 0.01  # s, between two looks whether the present command was heard
+LONGEST_RAMP = 100_000  # rows, in lockstep
 
 
 class PiFeedback(SignalNode):
     """Node that publishes `command` = limited (`feedforward` + `feedback`), in V.
 
     With `feedback: true` it runs tick by tick, as measurements arrive; otherwise it passes on blocks of any length (open loop).
-    When it is stopped or disabled, when the measurement is frozen or out of range, and under the timer with stale or conflicting
-    inputs or with ticks that take too long, the command goes to `safe_command` at `safe_rate`. It returns by itself when the fault is
-    over, or with `recovery: manual` after `~/reset`, in both cases without a jump.
+    When it is stopped, disabled or ended, when the measurement of an axis is frozen or out of range, when another node publishes
+    `command`, and under the timer with stale or conflicting inputs or with ticks that take too long, the command goes to
+    `safe_command` at `safe_rate`. It returns by itself when the fault is over, or with `recovery: manual` after `~/reset`, in both
+    cases without a jump. A node that is started during a run takes over from what the plant says on `applied`. `control.safe_loop` has
+    the states.
 
     Parameters
     ----------
@@ -62,6 +73,31 @@ class PiFeedback(SignalNode):
             1e-6,
             1e12,
             live=True,
+        ),
+        Setting(
+            "axis_fault",
+            "all",
+            "",
+            "axes that go to their safe value when one axis has a fault: all, or only that one (own)",
+            choices=("all", "own"),
+            live=True,
+        ),
+        Setting(
+            "rival",
+            "safe",
+            "",
+            "reaction to another publisher of command: go to the safe value (safe), publish nothing (silent), or only warn (warn)",
+            choices=("safe", "silent", "warn"),
+            live=True,
+        ),
+        Setting("rival_time", 0.5, "s", "time for which such a publisher must be silent until that is over", 0.05, 1e6, live=True),
+        Setting(
+            "takeover_time",
+            2.0,
+            "s",
+            "longest time for which a starting node waits for the present command if somebody publishes applied, 0 for not at all",
+            0.0,
+            1e3,
         ),
         Setting(
             "recovery",
@@ -121,21 +157,22 @@ class PiFeedback(SignalNode):
             raise InputError(f"{self.get_name()}: parameter {error}") from None
         if len(given.safe_command) not in (1, axes):
             raise InputError(f"{self.get_name()}: parameter safe_command: {len(given.safe_command)} values, {axes} axes")
-        self._safe = np.clip(np.broadcast_to(np.array(given.safe_command), axes), given.lower, given.upper)
         try:
-            self._controller = CompiledPI(description, axes) if given.backend == C else description.start(axes)
+            controller = CompiledPI(description, axes) if given.backend == C else description.start(axes)
         except InputError as error:
             raise InputError(f"{self.get_name()}: parameter backend: {error}") from None
-        self._controller.step(*np.zeros((3, 1, axes)))  # compiled before the first tick
-        self._controller.pass_through(np.zeros((1, axes)))
-        self._watch = MeasurementWatch(
+        controller.step(*np.zeros((3, 1, axes)))  # compiled before the first tick
+        controller.pass_through(np.zeros((1, axes)))
+        watch = MeasurementWatch(
             given.measurement_lower,
             given.measurement_upper,
             self._ticks_in(given.frozen_time),
             MOTION * (given.upper - given.lower),
         )
+        self.loop = SafeLoop(controller, watch, self._safety())
         self._newest: tuple[int, Array, Array] | None = None
-        self._away = False
+        self._ending = False
+        self._reported = 0  # faults that were told
         self.command = self.output("command", "V")
         self.feedback = self.output("feedback", "V")
         self.feedforward = self.input("feedforward", "V")
@@ -145,6 +182,11 @@ class PiFeedback(SignalNode):
             self.reference = self.input("reference", self.unit)
             self.measurement = self.input("measurement", self.unit)
         self._paced_by = self.measurement or self.feedforward
+        self._takeover = Takeover(self)
+        self._rivals = RivalWatch(self, self.command, label_for(self.axes, "V"))
+        self._from = 0  # earliest tick that is computed, in lockstep
+        self._waiting = True  # for the command to take over
+        self._waking = self.every(TAKEOVER_INTERVAL, self._wake) if self.lockstep else None
         self.reset()
         self.start_timer(0.5)
 
@@ -152,45 +194,59 @@ class PiFeedback(SignalNode):
         rows = [signal.rows for signal in self.inputs]
         if any(not each.available for each in rows):
             return
-        first = max(each.start for each in rows)
+        first = max(self._from, *(each.start for each in rows))
+        if self._waiting and not self._begins(first):
+            return
+        first = max(self._from, first)
+        self._waiting = False
         if any(each.start != first for each in rows):  # one of them was restarted during a run
             for each in rows:
                 each.skip_to(first)
         count = min(each.available for each in rows)
         if not count:
             return
+        fault = self._fault_of_loop()
         ahead = rows[0].take(count)
         others = [each.take(count) for each in rows[1:]]
         if self.measurement is None:
-            if self._safe_now("", first, count):
-                self._open_loop(first, ahead)
-            return
-        if count == 1:
-            self._closed_loop(first, ahead, others[0], others[1])
-            return
-        for row in range(count):
-            now = slice(row, row + 1)
-            self._closed_loop(first + row, ahead[now], others[0][now], others[1][now])
+            self._publish(first, *self.loop.open(ahead, fault))
+        elif count == 1:
+            self._publish(first, *self.loop.closed(others[0], others[1], ahead, fault))
+        else:
+            for row in range(count):
+                now = slice(row, row + 1)
+                self._publish(first + row, *self.loop.closed(others[0][now], others[1][now], ahead[now], fault))
+        self._report()
 
     def tick(self, tick: int) -> None:
         self._fill(tick - self.tick_timer.missed)
-        fault, rows = self._timing_fault(), self.feedforward.rows
-        running = not np.isnan(self._controller.command).any()
+        rows = self.feedforward.rows
+        if self._waiting:
+            if any(signal.rows.end is None for signal in self.inputs) or not self._takes_over():
+                for signal in self.inputs:
+                    signal.rows.skip_to(tick)
+                return
+            self._waiting = False
         if self.measurement is None:
             out = self._newest[0] + 1 if self._newest else tick  # rows streamed ahead are already published
             first = max(tick, out)
-            if self._safe_now(fault, first, max(tick + self.settings.block - first, 0) if running else 0):
-                rows.skip_to(out)
-                if rows.available:
-                    self._open_loop(rows.start, rows.take(rows.available))
-            else:
+            fault = self._timing_fault(tick)
+            rows.skip_to(out)
+            if fault or not self.loop.enabled or self.loop.faults.any and not rows.available:
                 rows.skip_to(tick + 1)
-            return
-        newest = [row[None] for signal in self.inputs if (row := signal.rows.newest(tick)) is not None]
-        if len(newest) == len(self.inputs):
-            self._closed_loop(tick, newest[0], newest[1], newest[2], fault)
-        elif self._newest is not None:  # nothing came since a reset
-            self._to_safety(tick, 1)
+                if self._newest is not None and (count := max(tick + self.settings.block - first, 0)):
+                    self._publish(first, *self.loop.stopped_by(fault, count))
+            elif rows.available:
+                start = rows.start
+                self._publish(start, *self.loop.open(rows.take(rows.available)))
+        else:
+            newest = [row[None] for signal in self.inputs if (row := signal.rows.newest(tick)) is not None]
+            fault = self._timing_fault(tick)
+            if len(newest) == len(self.inputs):
+                self._publish(tick, *self.loop.closed(newest[1], newest[2], newest[0], fault))
+            elif self._newest is not None:  # nothing came since a reset
+                self._publish(tick, *self.loop.stopped_by(fault, 1))
+        self._report()
 
     def repeat(self, source: Input, tick: int) -> None:
         if source is self._paced_by:
@@ -200,102 +256,142 @@ class PiFeedback(SignalNode):
     def reset(self) -> None:
         """Start a run, or continue after a fault; a published command is never left with a jump."""
         timed = self.settings.schedule == TIMER
-        self._away = self._newest is not None and (timed or self._away)
-        if self._away:
-            self._controller.reset(self._controller.command)
+        if self._newest is not None and (timed or self.loop.away):
+            self.loop.restart(self.loop.controller.command, away=True)
         else:
-            self._controller.reset(np.zeros(len(self.axes)) if timed or self.settings.start == "rest" else None)
-            self._newest = None
-        self._fault, self._well_ticks = "", 0
-        self._saturated_ticks = self._longest_saturation = 0
+            self.loop.restart(np.zeros(len(self.axes)) if timed or self.settings.start == "rest" else None, away=False)
+            self._newest, self._from = None, 0
+        self.loop.enabled = self.enabled
+        self._saturated = self._saturated_ticks = self._longest_saturation = 0
         self.command.clear()
         self.feedback.clear()
+
+    def changed(self, name: str, value: Any) -> None:
+        self.loop.safety = self._safety()
+
+    def wind_down(self) -> None:
+        self._ending = True
+        if self.lockstep and self._newest is not None:  # no measurement will come any more
+            way = np.abs(self.loop.controller.command - self.loop.safety.command).max()
+            ticks = min(int(np.ceil(way / (self.loop.rate * self.period))) + 1, LONGEST_RAMP)
+            self._publish(self._newest[0] + 1, *self.loop.stopped_by(ENDING, ticks))
+
+    def close(self) -> None:
+        if self._ending and self._newest is not None:  # what was sent last must arrive, or the way to the safe value is cut short
+            self.command.publisher.wait_for_all_acked(Duration(seconds=1))
+
+    @property
+    def wound_down(self) -> bool:
+        return self._newest is None or self.lockstep or self.loop.at_safe_value
 
     def trouble(self) -> str:
         """Present fault, or "saturated" when the command was at its limits for too long since the last call."""
         longest, self._longest_saturation = self._longest_saturation, self._saturated_ticks
-        return self._fault or ("saturated" if longest >= self._ticks_in(self.settings.saturation_time) else "")
+        if fault := self._present_fault:
+            return fault
+        if self._rival_active:
+            return RIVAL
+        return "saturated" if longest >= self._ticks_in(self.settings.saturation_time) else ""
 
     def status(self) -> dict[str, Any]:
-        return {"saturated samples": self._controller.saturated, "fault": self._fault or "none"}
+        return {
+            "saturated samples": self.loop.controller.saturated,
+            "fault": self._present_fault or "none",
+            "axes with a fault": ", ".join(axis for axis, fault in zip(self.axes, self.loop.faults.present) if fault) or "none",
+        }
+
+    @property
+    def _present_fault(self) -> str:
+        """The faults that stop axes, each once; with the axes where it is not that of all."""
+        present = self.loop.faults.present
+        if len(set(present)) == 1:
+            return present[0]
+        named = [f"{axis}: {fault}" for axis, fault in zip(self.axes, present) if fault]
+        return ", ".join(named)
+
+    @property
+    def _rival_active(self) -> bool:
+        return bool(self.settings.rival != "warn" and self._rivals.silent_for < self.settings.rival_time)
+
+    def _safety(self) -> Safety:
+        given = self.settings
+        return Safety(
+            np.broadcast_to(np.array(given.safe_command, dtype=float), len(self.axes)),
+            given.safe_rate,
+            self._ticks_in(given.recovery_time),
+            given.recovery == "manual",
+            given.axis_fault == "all",
+        )
+
+    def _begins(self, first: int) -> bool:
+        """Whether the first rows are those of a new run, or the node has taken a run over, in lockstep.
+
+        The measurement that follows on a command is there only if somebody has sent that command.
+        """
+        if first == 0 and not self._rival_active:
+            if self.measurement is not None and (self.measurement.rows.end or 0) <= 1:
+                return True
+            if self.measurement is None and self._takeover.ready(0.0) and self._takeover.command is None:
+                return True
+        return self._takes_over()
+
+    def _takes_over(self) -> bool:
+        """Begin from what is on the actuator, once that was heard or listened for long enough; False while the node has to wait."""
+        ready = self._takeover.ready(self.settings.takeover_time)
+        if self._rival_active or not ready:
+            return False
+        command = self._takeover.command
+        if command is None:
+            command = self._rivals.newest
+        if command is not None:
+            self.loop.restart(command, away=True)
+            if self.lockstep:
+                self._from = self._takeover.tick + 1
+        return True
+
+    def _wake(self) -> None:
+        """Look again whether the present command was heard, in lockstep, until the node computes."""
+        if self._waiting:
+            self.advance()
+        elif self._waking is not None:
+            self._waking.cancel()
+
+    def _fault_of_loop(self) -> str:
+        """Fault of the loop as a whole; "" when there is none."""
+        self.loop.enabled = self.enabled
+        if self._ending:
+            return ENDING
+        return RIVAL if self._rival_active else ""
 
     def _ticks_in(self, seconds: float) -> int:
         return int(np.ceil(seconds / self.period - 1e-9))
 
-    def _timing_fault(self) -> str:
-        """Fault of the inputs or of the timing, under the timer; "" when there is none."""
-        stale = [signal.topic for signal in self.inputs if signal.age > self.settings.timeout]
+    def _timing_fault(self, tick: int) -> str:
+        """Fault of the loop as a whole, of its inputs or of the timing, under the timer; "" when there is none."""
+        fault, longest = self._fault_of_loop(), self.longest_age
+        if fault:
+            return fault
+        stale = [signal.topic for signal in self.inputs if signal.age > longest]
         if stale:
-            return f"no {' and no '.join(stale)} for {self.settings.timeout:g} s"
+            return f"no {' and no '.join(stale)} for {longest:g} s"
+        old = [signal.topic for signal in self.inputs if signal.rows.behind(tick) * self.period > longest]
+        if old:
+            return f"{' and '.join(old)} older than {longest:g} s"
         now = time.monotonic()
-        contradictory = [signal.topic for signal in self.inputs if now - signal.rows.conflicted < self.settings.timeout]
+        contradictory = [signal.topic for signal in self.inputs if now - signal.rows.conflicted < longest]
         if contradictory:
             return f"two sources of {' and '.join(contradictory)}"
         if 0 < self.settings.overrun_ticks <= self.tick_timer.overrun_streak:
             return "ticks take longer than their time"
         return ""
 
-    def _safe_now(self, fault: str, tick: int, count: int) -> bool:
-        """Return True when the loop may run; otherwise move the command towards its safe value for `count` ticks."""
-        if fault and fault != self._fault:
+    def _report(self) -> None:
+        """Count and log the faults that have begun."""
+        raised = self.loop.faults.raised
+        if raised != self._reported:
             self.counts["faults"] += 1
-            self.warn(fault, f"{fault}: the command goes to its safe value")
-        self._well_ticks = 0 if fault else self._well_ticks + max(count, 1)
-        if fault or self.settings.recovery == "automatic" and self._well_ticks >= self._ticks_in(self.settings.recovery_time):
-            self._fault = fault
-        if not self._fault and self.enabled:
-            return True
-        if count:
-            self._to_safety(tick, count)
-        return False
-
-    def _to_safety(self, tick: int, count: int) -> None:
-        self._away = True
-        command = self._controller.ramp(self._safe, self._safe_rate, count)
-        self._publish(tick, command, np.zeros_like(command))
-
-    def _closed_loop(self, tick: int, ahead: Array, reference: Array, measurement: Array, fault: str = "") -> None:
-        """Compute one tick with feedback; the arrays are (1, A)."""
-        last = self._controller.command
-        wrong = self._watch.check(measurement[0], last)
-        if not self._safe_now(fault or wrong, tick, 1):
-            return
-        if self._away:
-            self._controller.resume(last, reference[0], measurement[0], ahead[0])
-        saturated = self._controller.saturated
-        command, feedback = self._controller.step(reference, measurement, ahead)
-        self._note_saturation(1 if self._controller.saturated > saturated else 0)
-        if self._away and not self.settings.ki:  # no integral action to lead back
-            wanted = command
-            self._controller.resume(last, reference[0], measurement[0], ahead[0])
-            command = self._controller.ramp(wanted[0], self._safe_rate)
-            self._away = not np.array_equal(command, wanted)
-        else:
-            self._away = False
-        self._publish(tick, command, feedback)
-
-    def _open_loop(self, first: int, ahead: Array) -> None:
-        """Publish feedforward rows (N, A) within the limits; after a fault, return to them at the safe rate."""
-        while self._away and len(ahead):
-            target = np.clip(ahead[0], self.settings.lower, self.settings.upper)
-            command = self._controller.ramp(target, self._safe_rate)
-            self._away = not np.array_equal(command[0], target)
-            self._publish(first, command, np.zeros_like(command))
-            first, ahead = first + 1, ahead[1:]
-        if len(ahead):
-            saturated = self._controller.saturated
-            command, feedback = self._controller.pass_through(ahead)
-            self._note_saturation(len(ahead) if self._controller.saturated > saturated else 0)
-            self._publish(first, command, feedback)
-
-    def _note_saturation(self, ticks: int) -> None:
-        self._saturated_ticks = self._saturated_ticks + ticks if ticks else 0
-        self._longest_saturation = max(self._longest_saturation, self._saturated_ticks)
-
-    @property
-    def _safe_rate(self) -> float:
-        """V/s; never above the slew limit."""
-        return float(min(self.settings.safe_rate, self.settings.slew_limit or np.inf))
+            self._reported = raised
+            self.warn(self._present_fault, f"{self._present_fault}: the command goes to its safe value")
 
     def _fill(self, first: int) -> None:
         """Publish the command that was held during missed ticks, so that the record is complete, under the timer."""
@@ -305,9 +401,28 @@ class PiFeedback(SignalNode):
             self._publish(first, np.repeat(command, missed, axis=0), np.repeat(feedback, missed, axis=0))
 
     def _publish(self, first: int, command: Array, feedback: Array) -> None:
+        count = len(command)
+        saturated = self.loop.controller.saturated
+        if saturated != self._saturated:
+            self._saturated, self._saturated_ticks = saturated, self._saturated_ticks + count
+            self._longest_saturation = max(self._longest_saturation, self._saturated_ticks)
+        else:
+            self._saturated_ticks = 0
+        self._newest = first + count - 1, command[-1:], feedback[-1:]
+        if self._rivals.listening:
+            if self.settings.rival == "silent" and self._rival_active:
+                self._yield()
+                return
+            self._rivals.sent(self.command.with_times(first, command))
         self.feedback.send(first, feedback)  # first: a node killed after the command could not send it any more
         self.command.send(first, command)
-        self._newest = first + len(command) - 1, command[-1:], feedback[-1:]
+
+    def _yield(self) -> None:
+        """Publish nothing more until the other publisher is silent; then take over from what is applied."""
+        self._newest, self._waiting = None, True
+        self._takeover.forget()
+        if self._waking is not None:
+            self._waking.reset()
 
 
 def main() -> int:

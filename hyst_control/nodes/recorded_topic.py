@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hyst_control.errors import InputError
 from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.signal_ports import off_the_clock
+from hyst_control.records.foreign_rows import OFF_THE_CLOCK, off_the_clock
 from hyst_control.records.signal_message import Encoder
 from hyst_control.records.signal_rows import Missing, Receipt, successive_parts
 
@@ -90,10 +90,10 @@ class RecordedTopic:
                 self.close()
             self._encoder = encoder
         if not len(block):
-            self._node.drop(self.name, "off the clock", off_the_clock(self._node.period))
+            self._node.drop(self.name, OFF_THE_CLOCK, off_the_clock(self._node.period))
         for tick, part in successive_parts(block, self._node.period):
             if tick is None:
-                self._node.drop(self.name, "off the clock", off_the_clock(self._node.period))
+                self._node.drop(self.name, OFF_THE_CLOCK, off_the_clock(self._node.period))
                 continue
             if self._ticks:
                 part = part[: max(self._ticks - tick, 0)]
@@ -125,6 +125,10 @@ class RecordedTopic:
         self._count_missed(missed)
         if receipt is Receipt.ACCEPTED:
             self._collect()
+        elif receipt is Receipt.AHEAD:
+            self._node.drop(
+                self.name, "far ahead", f"tick {self.rows.end} is next, got {tick}: does its source use the same clock?"
+            )
         elif receipt is not Receipt.HELD:
             self._node.counts[f"{self.name}: duplicate"] += 1
             if self._node.lockstep:

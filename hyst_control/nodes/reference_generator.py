@@ -16,6 +16,7 @@ from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.signal_ports import Input
 from hyst_control.records import excitation
 from hyst_control.records.array_files import read_array
+from hyst_control.records.foreign_rows import LARGEST_VALUE
 from hyst_control.records.row_repetition import KEPT_ROWS
 from hyst_control.yaml_files import read_yaml
 
@@ -165,6 +166,11 @@ class ReferenceGenerator(SignalNode):
         if not np.isfinite(rows).all():
             row = np.argwhere(~np.isfinite(rows))[0, 0]
             raise InputError(f"{self.get_name()}: signal: contains NaN or infinity in row {row}")
+        if np.abs(rows).max() > LARGEST_VALUE:
+            row = np.argwhere(np.abs(rows) > LARGEST_VALUE)[0, 0]
+            raise InputError(
+                f"{self.get_name()}: signal: row {row} is beyond {LARGEST_VALUE:g} {self.unit}: give values in {self.unit}"
+            )
         if self.settings.model:
             limits = self.settings.limits
             try:

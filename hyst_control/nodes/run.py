@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -14,6 +15,7 @@ from rclpy.context import Context
 from rclpy.exceptions import NotInitializedException
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.experimental import EventsExecutor
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from hyst_control.errors import InputError
@@ -24,6 +26,11 @@ from hyst_control.nodes.intra_process import hand_over
 from hyst_control.processes import environment
 
 FOREVER = 1e6  # s
+SECURITY_REMEDY = (
+    "give a keystore with this enclave, and a ROS of a distribution: that of the wheels has no security (docs/safety.md)"
+)
+LONGEST_WIND_DOWN = 8.0
+"""s, for which an actuator is brought to its safe value after an interrupt; then its watchdog has to do so."""
 
 
 def spin(executor: Executor, future: Future, timeout: float = FOREVER) -> None:
@@ -84,8 +91,14 @@ def run(
         hand_over(nodes, executor, failed)
         gc.collect()
         gc.freeze()  # present objects stay: examining them again and again would cost ticks
-        spin(executor, ended, timeout)
-        return ended.result() if ended.done() else None
+        graceful = all(isinstance(node, SignalNode) for node in nodes)  # others compute for long in a callback
+        with interrupts.delivered(lambda: failed(KeyboardInterrupt()), graceful):
+            try:
+                spin(executor, ended, timeout)
+                return ended.result() if ended.done() else None
+            except KeyboardInterrupt:
+                wind_down(nodes, executor)
+                raise
     finally:
         expected = isinstance(sys.exc_info()[1], (type(None), KeyboardInterrupt, ExternalShutdownException))
         with interrupts.ignored():
@@ -93,6 +106,34 @@ def run(
             status = ended.result() if ended.done() and ended.exception() is None else 0
             close(nodes, lambda: on_closed(status) if expected else None)
             executor.shutdown()
+
+
+def wind_down(nodes: Sequence[EndingNode], executor: Executor) -> None:
+    """Spin nodes until each has left its actuator at the safe value, or a second interrupt comes.
+
+    Parameters
+    ----------
+    nodes : sequence of EndingNode
+        The nodes.
+    executor : Executor
+        Their executor.
+    """
+    for node in nodes:
+        node.wind_down()
+    over, end = Future(), time.monotonic() + LONGEST_WIND_DOWN
+
+    def look() -> None:
+        if not over.done() and (all(node.wound_down for node in nodes) or time.monotonic() > end):
+            over.set_result(None)
+
+    look()
+    if not over.done():
+        timer = nodes[0].every(0.01, look)
+        spin(executor, over)  # not for a short time again and again: an executor with events at hand does not look at the time
+        timer.cancel()
+    for node in nodes:
+        if not node.wound_down:
+            node.get_logger().warning(f"ended after {LONGEST_WIND_DOWN:g} s, before the command was at its safe value")
 
 
 def tick_together(nodes: Sequence[EndingNode]) -> None:
@@ -151,8 +192,12 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
     int
         Exit status: 0 when the nodes ended by themselves or were interrupted, 2 on bad input, which is printed in one line.
     """
+    exposed = environment.exposure()
+    if exposed:
+        print(exposed, file=sys.stderr)
     environment.prepare()
     interrupts.listen()
+    interrupts.end_with_parent()
     try:
         return _body(factories, args)
     except KeyboardInterrupt:
@@ -170,10 +215,28 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
 
 def _initialize(args: Sequence[str] | None) -> None:
     try:
-        rclpy.init(args=None if args is None else list(args))
+        rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy's own exceptions: arguments or parameter files that it cannot read
         text = " ".join(str(error).split()).removeprefix("failed to initialize rcl: ").partition(", at ")[0]
+        if _secured():
+            raise InputError(f"security: {text}: {SECURITY_REMEDY}") from None
         raise InputError(f"ROS arguments: {text}: in a parameter file quote texts such as 'y', 'on' or 'no'") from None
+
+
+def _secured() -> bool:
+    return os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true"
+
+
+def _made(factory: Callable[[], EndingNode]) -> EndingNode:
+    try:
+        return factory()
+    except InputError:
+        raise
+    except Exception as error:
+        if not _secured():
+            raise
+        text = " ".join(str(error).split()).removeprefix("error creating node: ").partition(", at ")[0]
+        raise InputError(f"security: {text}: {SECURITY_REMEDY}") from None
 
 
 def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | None) -> int:
@@ -181,7 +244,7 @@ def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | N
     try:
         _initialize(args)
         for factory in factories:
-            nodes.append(factory())
+            nodes.append(_made(factory))
         if interrupts.received():  # a library has suppressed the interrupt
             close(nodes, lambda: exit_within(0))
             return 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections import Counter
 from typing import Protocol
@@ -11,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.nodes.message_io import PolledSubscription, Sender
+from hyst_control.records.foreign_rows import Refusal, admit
 from hyst_control.records.row_repetition import SentRows
-from hyst_control.records.signal_rows import Receipt, SignalRows, first_tick, tick_at
+from hyst_control.records.signal_rows import Receipt, SignalRows
 
 Array = NDArray[np.float64]
 
@@ -26,6 +26,10 @@ class InputOwner(Protocol):
     counts: Counter[str]
     lockstep: bool
     period: float
+
+    @property
+    def latest_tick(self) -> float:
+        """Tick that no row may be beyond, under the timer."""
 
     def drop(self, topic: str, kind: str, reason: str) -> None:
         """Count a refused message of a `topic` by its `kind`, and log the `reason` at most once per interval."""
@@ -101,13 +105,16 @@ class Input:
             self._seen_label = label
         if not len(block):
             return
-        values = block.ravel().tolist()
-        if not all(map(math.isfinite, values)):
-            owner.drop(self.topic, "not finite", "it contains NaN or infinity")
+        tick = admit(block, owner.period)
+        if isinstance(tick, Refusal):
+            owner.drop(self.topic, tick.kind, tick.reason)
             return
-        tick = tick_at(values[0], owner.period) if len(block) == 1 else first_tick(block, owner.period)
-        if tick is None:
-            owner.drop(self.topic, "off the clock", off_the_clock(owner.period))
+        if not owner.lockstep and tick + len(block) > owner.latest_tick:
+            owner.drop(
+                self.topic,
+                "far ahead",
+                "its time is ahead of the clock by more than the parameter ahead: does its source use the same clock?",
+            )
             return
         missed = self.rows.missed
         receipt = self.rows.receive(tick, block[:, 1:].copy(), time.monotonic())  # the message is read-only
@@ -144,6 +151,8 @@ class Input:
                 f"{rows.available} rows are waiting to be used: has another input stopped, or is the time of this one ahead? "
                 "A longer lead needs a greater most_waiting",
             )
+        elif receipt is Receipt.AHEAD:
+            owner.drop(self.topic, "far ahead", f"tick {rows.end} is next, got {tick}: does its source use the same clock?")
         elif receipt is Receipt.CLOCK_RESET:
             owner.drop(
                 self.topic,
@@ -192,7 +201,7 @@ class Output:
         rows : ndarray, shape (N, A)
             Rows of successive ticks.
         """
-        block = self._with_times(tick, rows)
+        block = self.with_times(tick, rows)
         self.sender.send(block)
         self.sent.add(tick, block)
 
@@ -220,7 +229,7 @@ class Output:
         rows : ndarray, shape (N, A)
             Rows of successive ticks.
         """
-        self._send_in_parts(self._with_times(tick, rows))
+        self._send_in_parts(self.with_times(tick, rows))
 
     def repeat_newest(self) -> None:
         """Publish the newest message again."""
@@ -236,8 +245,21 @@ class Output:
         for begin in range(0, len(block), step):
             self.sender.send(block[begin : begin + step])
 
-    def _with_times(self, tick: int, rows: Array) -> Array:
-        """Rows (N, A) of the ticks from `tick` on with their times, (N, 1 + A)."""
+    def with_times(self, tick: int, rows: Array) -> Array:
+        """Rows of successive ticks with their times.
+
+        Parameters
+        ----------
+        tick : int
+            Tick of the first row.
+        rows : ndarray, shape (N, A)
+            The rows.
+
+        Returns
+        -------
+        ndarray, shape (N, 1 + A)
+            The rows behind a column of times in s.
+        """
         count, period = len(rows), self._period
         block = np.empty((count, self._columns))
         if count == 1:
@@ -246,19 +268,3 @@ class Output:
             block[:, 0] = np.arange(tick, tick + count) * period
         block[:, 1:] = rows
         return block
-
-
-def off_the_clock(period: float) -> str:
-    """Reason for refusing a message whose times are not ticks.
-
-    Parameters
-    ----------
-    period : float
-        Time in s between two ticks.
-
-    Returns
-    -------
-    str
-        The reason, with a remedy.
-    """
-    return f"its times are not successive multiples of the period {period:g} s: is rate_hz the same everywhere?"

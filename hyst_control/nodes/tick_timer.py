@@ -70,6 +70,11 @@ class TickTimer:
         """True when the node ticks on the steady clock."""
         return self._timer is not None and not self._simulated
 
+    @property
+    def now(self) -> float:
+        """Time in s of the clock that paces the node."""
+        return self._now()
+
     def start(self, node: Node, clock: Clock, phase: float, simulated: bool) -> None:
         """Start ticking.
 

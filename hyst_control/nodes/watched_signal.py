@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.signal_ports import off_the_clock
+from hyst_control.records.foreign_rows import OFF_THE_CLOCK, admissible, off_the_clock, refused_values
 from hyst_control.records.signal_message import label_for
 from hyst_control.records.signal_rows import Missing, Receipt, successive_parts
 
@@ -60,15 +60,15 @@ class WatchedSignal:
         """
         for tick, part in successive_parts(block, self._node.period):
             if tick is None:
-                self._node.drop(self._topic, "off the clock", off_the_clock(self._node.period))
+                self._node.drop(self._topic, OFF_THE_CLOCK, off_the_clock(self._node.period))
                 continue
-            finite = np.logical_and.reduce(np.isfinite(part), axis=1)
-            if finite.all():
+            usable = admissible(part)
+            if usable.all():
                 self._receive_rows(tick, part[:, 1:].copy())  # the message is read-only
             else:
-                self._node.drop(self._topic, "not finite", "it contains NaN or infinity")
-                for stretch in np.split(np.arange(len(part)), np.flatnonzero(np.diff(finite)) + 1):
-                    if finite[stretch[0]]:
+                self._node.drop(self._topic, *refused_values(part))
+                for stretch in np.split(np.arange(len(part)), np.flatnonzero(np.diff(usable)) + 1):
+                    if usable[stretch[0]]:
                         self._receive_rows(tick + int(stretch[0]), part[stretch, 1:])
 
     def _refused(self, reason: str) -> None:
@@ -82,6 +82,8 @@ class WatchedSignal:
             node.counts["time ran backwards"] += 1
             self._restarted()
             state.receive(tick, rows, now)
+        elif receipt is Receipt.AHEAD:
+            node.drop(self._topic, "far ahead", f"tick {state.end} is next, got {tick}: does its source use the same clock?")
         elif receipt is not Receipt.ACCEPTED:
             node.counts[f"{self._topic}: duplicate"] += 1
         elif state.missed > missed:

@@ -38,6 +38,8 @@ class Processes:
         environment.prepare()
         self._environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(self.folder), "PYTHONUNBUFFERED": "1"}
         self._lock = lock_of(domain)
+        self._lifeline = os.pipe()  # nodes end with this process, also when it is killed
+        self._environment[environment.LIFELINE] = str(self._lifeline[0])
         self.running: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self, node: str, parameters: Mapping[str, Any], name: str | None = None) -> subprocess.Popen[bytes]:
@@ -105,7 +107,7 @@ class Processes:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
-                pass_fds=self._lock,
+                pass_fds=(*self._lock, self._lifeline[0]),
                 start_new_session=True,
             )  # `stop` passes a Ctrl-C on, once
         self.running[name] = process
@@ -200,3 +202,5 @@ class Processes:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.stop()
+        for end in self._lifeline:
+            os.close(end)

@@ -41,6 +41,8 @@ GAP_PATIENCE = 5.0
 """s, for which rows that are missing are waited for with `HOLD`: the plant repeats what it sent long before that."""
 MAX_GAPS = 1024
 """Gaps that are remembered, to know their rows when they come late."""
+MAX_TICK = 2**53
+"""Largest tick: beyond it the time of a row, a double, cannot tell one tick from the next."""
 
 
 class Missing(Enum):
@@ -70,6 +72,8 @@ class Receipt(Enum):
     """Refused: the signal is heard from the middle of a run on, and may be sent again."""
     FULL = "full"
     """Refused: as many rows as may wait are waiting to be taken."""
+    AHEAD = "ahead"
+    """Refused: more than `max_queued_rows` lie between it and the row that is due; rows that continue it are taken."""
     CLOCK_RESET = "clock reset"
     """Refused: its time lies far before that of rows that were there; `forget` takes the new time."""
 
@@ -154,6 +158,7 @@ class SignalRows:
         self._gap_since = 0.0
         self._first_heard: int | None = None
         self._joining_since = 0.0
+        self._leap_end: int | None = None  # tick after rows that were refused because they lie far ahead
 
     def expect(self, tick: int) -> None:
         """Forget what waits: the next row is that of this tick, wherever the signal begins."""
@@ -198,6 +203,9 @@ class SignalRows:
                 first, new = end, rows[end - tick :]
             elif self.missing is Missing.REFUSE:
                 return Receipt.GAP
+            elif tick - end > self.max_queued_rows and tick != self._leap_end:  # a single one may come from anybody
+                self._leap_end = tick + len(rows)
+                return Receipt.AHEAD
             elif self.missing is Missing.HOLD:
                 self._hold(tick, rows, now)
                 return Receipt.HELD
@@ -292,6 +300,13 @@ class SignalRows:
         first, block = self._blocks[0]
         newest: Array = block[min(tick - first, len(block) - 1)]
         return newest
+
+    def behind(self, tick: int) -> int:
+        """Ticks from the newest row that is due at this tick to the tick; 0 when no row is known yet."""
+        if self._blocks and self._blocks[0][0] <= tick:
+            first, block = self._blocks[-1] if self._blocks[-1][0] <= tick else self._blocks[0]
+            return max(tick - (first + len(block) - 1), 0)
+        return max(tick - self.end + 1, 0) if self.end is not None and not self._blocks else 0
 
     def _join(self, tick: int, now: float) -> bool:
         """Judge rows that come while it is not known whether the first ones are heard; False when they are refused."""
@@ -394,7 +409,7 @@ def tick_at(time: float, period: float) -> int | None:
     if not math.isfinite(exact):
         return None
     tick = round(exact)
-    return tick if abs(exact - tick) <= CLOCK_TOLERANCE and tick >= 0 else None
+    return tick if abs(exact - tick) <= CLOCK_TOLERANCE and 0 <= tick <= MAX_TICK else None
 
 
 def first_tick(block: Array, period: float) -> int | None:

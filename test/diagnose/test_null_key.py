@@ -101,3 +101,15 @@ def test_records_of_one_command_share_a_threshold():
     one, other = linearised(seed=2), linearised(seed=3)
     assert one.problem.surroundings.measurement != other.problem.surroundings.measurement
     assert key(one) == key(other)
+
+
+@pytest.mark.parametrize("text", ["NaN", "Infinity", "-Infinity", "-3.0", '"x"', "[" * 100_000, "1e999", "null"])
+def test_a_spoilt_threshold_in_the_cache_is_computed_anew(text, tmp_path, monkeypatch):
+    """NaN and infinity are numbers to JSON; every verdict would follow from them."""
+    file = tmp_path / "threshold.json"
+    monkeypatch.setattr(null_distribution, "_cache_file", lambda _: file)
+    monkeypatch.setattr(null_distribution, "null_scores", lambda *_: np.array([1.0, 2.0, 3.0]))
+    one = linearised()
+    file.write_text(f'{{"threshold": {text}}}')
+    found = threshold(one, members(one), configuration=FEW)
+    assert 1.0 <= found <= 3.0 and threshold(one, members(one), configuration=FEW) == found

@@ -125,7 +125,7 @@ def test_a_feedforward_that_previews_meets_the_feedback_at_its_tick(preview):
 
 def test_the_watch_is_the_nodes_watch():
     pytest.importorskip("rclpy")
-    from hyst_control.nodes.sensor_watch import MOTION, MeasurementWatch
+    from hyst_control.control.sensor_watch import MOTION, MeasurementWatch
 
     loop = SafeLoop(measurement_lower=-10.0, measurement_upper=30.0, frozen_time=0.005)
     controller = Controller(LAWS["integral"], 2, loop)

@@ -55,7 +55,7 @@ def run(inputs: Any, reader: Callable[[Any], None], count: int) -> int:
     @given(inputs)
     def read(value):
         seen[0] += 1
-        signal.setitimer(signal.ITIMER_REAL, HANG)
+        signal.setitimer(signal.ITIMER_REAL, HANG, 1.0)  # again, where an exception is swallowed
         faulthandler.dump_traceback_later(2 * HANG, exit=True)
         try:
             reader(value)

@@ -28,9 +28,11 @@ from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.bag_writer import BagWriter
 from hyst_control.records.excitation import KINDS, build
 from hyst_control.records.excitation_files import read_description
+from hyst_control.records.foreign_rows import LARGEST_VALUE, Refusal, admit
 from hyst_control.records.importing import import_table, parse_columns
 from hyst_control.records.record import Record, Signal
 from hyst_control.records.signal_message import MESSAGE_TYPE, Decoder, Encoder, decode
+from hyst_control.records.signal_rows import MAX_TICK, Missing, SignalRows
 from hyst_control.yaml_files import parse_yaml
 
 MODELS = ("pea_hampi", "pea_hapi", "fsm_mhl", "fsm_mhl_inverse")
@@ -381,14 +383,12 @@ def excitation_file(data: bytes) -> None:
             )
 
 
-TIMES = st.lists(
-    st.one_of(
-        st.floats(),
-        st.integers(-5, 20).map(lambda k: k * 1e-3),
-        st.sampled_from([1e305, -1e305, 1e-320, 9e9, 1.7e9, 5e-324, 2.0**52]),
-    ),
-    max_size=6,
+TIME = st.one_of(
+    st.floats(),
+    st.integers(-5, 20).map(lambda k: k * 1e-3),
+    st.sampled_from([1e305, -1e305, 1e-320, 9e9, 1.7e9, 5e-324, 2.0**52]),
 )
+TIMES = st.lists(TIME, max_size=6)
 
 
 def times(given) -> None:
@@ -405,6 +405,25 @@ def times(given) -> None:
         one_line(error)
     else:
         assert all(len(part.time) == len(part.values["command"]) and np.isfinite(part.time).all() for part in parts)
+
+
+ROWS = st.lists(st.tuples(TIME, st.floats(), st.floats()), min_size=1, max_size=5)
+
+
+def rows(given) -> None:
+    """Rows of a message are admitted where they are finite ticks, or refused in one line; a receiver stays within its bounds."""
+    messages, missing = given
+    state = SignalRows(missing, 50, 0.0, 1e-3)
+    for number, message in enumerate(messages):
+        block = np.array(message)
+        found = admit(block, 1e-3)
+        if isinstance(found, Refusal):
+            assert found.kind and found.reason and "\n" not in found.reason
+        else:
+            assert np.abs(block).max() <= LARGEST_VALUE and 0 <= found <= MAX_TICK
+            state.receive(found, block[:, 1:], float(number))
+            state.newest(found)
+            assert state.behind(found) >= 0 and state.available <= 50 + len(block)
 
 
 def any_yaml(data: bytes) -> None:
@@ -466,7 +485,8 @@ YAML_WORDS = st.lists(
 TARGETS = {
     "model documents": (damaged_documents(), model_document, 0.1),
     "model files": (damaged_bytes(TEXTS), model_text, 0.05),
-    "messages": (damaged_bytes(MESSAGES), message, 0.3),
+    "messages": (damaged_bytes(MESSAGES), message, 0.25),
+    "rows": (st.tuples(st.lists(ROWS, max_size=6), st.sampled_from(Missing)), rows, 0.05),
     "bags": (damaged_bytes(BAGS), bag, 0.1),
     "finished bags": (damaged_bags(), finished_bag, 0.1),
     "databases": (CHANGES, database, 0.05),

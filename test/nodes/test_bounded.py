@@ -44,7 +44,7 @@ class Log:
 
 
 def test_inputs_of_a_loop_whose_reference_stands_still_stay_bounded(bench, monkeypatch):
-    node, log = bench.add(PiFeedback, most_waiting=MOST, upper=50, start="first_command"), Log()
+    node, log = bench.add(PiFeedback, most_waiting=MOST, upper=50, start="first_command", takeover_time=0.0), Log()
     bench.listen_to_diagnostics()
     monkeypatch.setattr(node, "get_logger", lambda: log)
     monkeypatch.setattr(node_diagnostics, "LOG_INTERVAL", 1e9)
@@ -64,10 +64,16 @@ def test_inputs_of_a_loop_whose_reference_stands_still_stay_bounded(bench, monke
 
 
 def test_rows_ahead_of_the_clock_stay_bounded(bench):
-    """A source whose clock is days ahead: on the wall clock its rows are never due."""
+    """A source whose clock is days ahead: on the wall clock its rows are never due, and refused unless `ahead` allows them."""
     node = bench.add(PlantNode, model=MODEL, schedule="timer", rate_hz=1000.0, most_waiting=MOST)
     bring(node.command, range(10**9, 10**9 + 10 * MOST))
-    assert node.command.rows.available == MOST and node.counts["command: too many waiting"] == 9 * MOST
+    assert node.command.rows.available == 0 and node.counts["command: far ahead"] == 10 * MOST
+    node.settings.ahead = 1e9
+    bring(node.command, range(10**9, 10**9 + 10 * MOST))
+    assert (
+        node.command.rows.available == MOST
+        and node.counts["command: too many waiting"] + node.counts["command: far ahead"] == 19 * MOST
+    )
 
 
 MAKES = {

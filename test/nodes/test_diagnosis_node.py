@@ -108,9 +108,9 @@ def stream(bench, ticks, commands, measured):
 
 
 @pytest.fixture
-def talking(bench):
+def talking(bench, tmp_path):
     """A bench whose probe stands in for the loop, with a diagnosis node under the timer."""
-    bench.node = bench.add(DiagnosisNode, schedule="timer", **SETTINGS)
+    bench.node = bench.add(DiagnosisNode, schedule="timer", output=str(tmp_path / "diagnosis"), **SETTINGS)
     bench.listen("gap", "residual")
     bench.senders = {"command": bench.sender("command", "t[s],x[V]"), "measurement": bench.sender("measurement", "t[s],x[um]")}
     return bench
@@ -179,14 +179,14 @@ def test_nothing_to_diagnose_and_a_model_of_another_plant_are_told_in_one_line(t
 
 def test_a_diagnosis_under_way_ends_with_the_node(talking, tmp_path):
     commands, measured = record(3000)
-    assert talking.node.set_parameters([Parameter("output", value=str(tmp_path / "out"))])[0].successful
+    assert not talking.node.set_parameters([Parameter("output", value="/elsewhere")])[0].successful  # no peer chooses where
     stream(talking, np.arange(3000) + 10**6, commands, measured)
     talking.until(lambda: len(talking.rows("residual")) == 3000)
     assert talking.call(Trigger, "/diagnosis/diagnose", Trigger.Request()).success
     assert talking.node._job.running
     talking.node.close()
     assert not talking.node._job.running
-    [folder] = (tmp_path / "out").iterdir()
+    [folder] = (tmp_path / "diagnosis").iterdir()
     found = read_bag(folder / "record").aligned(("command", "measurement"), allow_gaps=True)
     # cut from a run: what does not start at rest is behind a gap, which the diagnosis knows what to do with
     assert [len(stretch.time) for stretch in found] == [1, 2998]
@@ -195,8 +195,7 @@ def test_a_diagnosis_under_way_ends_with_the_node(talking, tmp_path):
 
 def test_a_folder_that_cannot_be_written_is_told(talking, tmp_path):
     commands, measured = record(300)
-    (tmp_path / "file").write_text("")
-    assert talking.node.set_parameters([Parameter("output", value=str(tmp_path / "file"))])[0].successful
+    (tmp_path / "diagnosis").write_text("")
     stream(talking, np.arange(300) + 10**6, commands, measured)
     talking.until(lambda: len(talking.rows("residual")) == 300)
     answer = talking.call(Trigger, "/diagnosis/diagnose", Trigger.Request())

@@ -34,10 +34,43 @@ def test_service_answers_with_the_reason(ros_context):
         node.destroy_node()
 
 
+def test_it_writes_within_its_folder_only(tmp_path, ros_context):
+    """Whoever reaches the node may set its parameters and call it: not by another path, nor up and out, nor through a link."""
+    write_record(tmp_path / "bag")
+    (tmp_path / "inside").mkdir()
+    (tmp_path / "inside" / "link").symlink_to(tmp_path)
+    (tmp_path / "inside" / "file").symlink_to(tmp_path / "victim")
+    before = sorted(tmp_path.rglob("*"))
+    node = Identification(context=ros_context, parameter_overrides=[Parameter("folder", value=str(tmp_path / "inside"))])
+    try:
+        [service] = [each for each in node.services if each.srv_name.endswith("/identify")]
+        assert not node.set_parameters([Parameter("folder", value="/")])[0].successful
+        common = [Parameter("bags", value=[str(tmp_path / "bag")]), Parameter("family", value="pi")]
+        for name, text in [
+            ("output", str(tmp_path / "victim")),
+            ("output", str(tmp_path / "inside" / ".." / "victim")),
+            ("output", str(tmp_path / "inside" / "link" / "victim")),
+            ("output", str(tmp_path / "inside" / "file")),
+            ("output", str(tmp_path / "inside")),
+            ("json", str(tmp_path / "victim")),
+        ]:
+            right = {"output": str(tmp_path / "inside" / "model.yaml"), "json": "", name: text}
+            assert all(each.successful for each in node.set_parameters(common + [Parameter(*each) for each in made(right)]))
+            answer = service.callback(Trigger.Request(), Trigger.Response())
+            assert not answer.success and f"parameter {name}: " in answer.message and "is not within" in answer.message
+        assert sorted(tmp_path.rglob("*")) == before
+    finally:
+        node.destroy_node()
+
+
+def made(values):
+    return [(name, Parameter.Type.STRING, text) for name, text in values.items()]
+
+
 def test_options_are_those_of_the_families(tmp_path, ros_context):
     """Numbers or their texts, as a parameter file has them; one that the family does not have is refused, and so is what none takes."""
     write_record(tmp_path / "bag")
-    node = Identification(context=ros_context)
+    node = Identification(context=ros_context, parameter_overrides=[Parameter("folder", value=str(tmp_path))])
     try:
         [service] = [each for each in node.services if each.srv_name.endswith("/identify")]
 

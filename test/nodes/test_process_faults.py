@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -250,3 +252,29 @@ def test_four_devices_run_side_by_side(tmp_path, ros_context):
 def signal(count, device):
     time = np.arange(count) / RATE
     return device * 2.0 * (1 - np.cos(2 * np.pi * 150.0 * time))[:, None]
+
+
+STARTER = """
+import sys, time
+from pathlib import Path
+from hyst_control.processes.node_processes import Processes
+
+processes = Processes(Path(sys.argv[1]), int(sys.argv[2]))
+for name in ("hampi_feedforward", "pi_feedback"):
+    print(processes.start(name, {"kind": "proportional"}).pid, flush=True)
+time.sleep(1000)
+"""
+
+
+def test_killed_starter_leaves_no_nodes(tmp_path, domain):
+    """kill -9 of what started the nodes, as of a demo: they end by themselves."""
+    starter = subprocess.Popen([sys.executable, "-c", STARTER, str(tmp_path), str(domain)], stdout=subprocess.PIPE, text=True)
+    nodes = {int(starter.stdout.readline()) for _ in range(2)}
+    assert nodes <= running().keys()
+    starter.kill()
+    starter.wait()
+    end = time.monotonic() + 60
+    while nodes & running().keys():
+        assert time.monotonic() < end, "a node outlives the process that started it"
+        time.sleep(0.05)
+    starter.stdout.close()

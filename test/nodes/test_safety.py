@@ -12,11 +12,11 @@ from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
+from hyst_control.control.sensor_watch import FROZEN, OUT_OF_RANGE, MeasurementWatch
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_control.nodes.run import spin
-from hyst_control.nodes.sensor_watch import MeasurementWatch
 from hyst_plant_sim.node import PlantNode
 
 RATE = 200.0
@@ -164,7 +164,8 @@ def test_fault_goes_to_safety_and_back_by_itself(bench, break_it):
 def test_ticks_that_take_too_long_are_a_fault(bench, monkeypatch):
     node = bench.add(PiFeedback, **SETTINGS, overrun_ticks=3, kp=0.5, ki=100.0)
     node.tick_by(None)  # ticked by hand: a node that takes longer than its time leaves none to the test
-    node._controller.reset(np.full(1, 30.0))
+    node.loop.restart(np.full(1, 30.0), away=False)
+    node._waiting = False
     senders = [
         bench.sender(topic, f"t[s],x[{unit}]") for topic, unit in [("reference", "um"), ("measurement", "um"), ("feedforward", "V")]
     ]
@@ -318,11 +319,17 @@ def test_watch_takes_a_resting_stage_for_well_and_a_hanging_sensor_for_frozen():
     stepped = [watch.check(np.array([1.0]), np.array([40.0])) for _ in range(4)] + [watch.check(np.array([1.1]), np.array([40.0]))]
     assert not any(stepped)  # a stage answers a step a little later
     found = [watch.check(np.array([2.0]), np.array([20.0 + 0.6 * k])) for k in range(12)]
-    assert found[:6] == [""] * 6 and found[6:] == ["measurement frozen"] * 6
-    assert watch.check(np.array([2.1]), np.array([23.0])) == ""
-    assert watch.check(np.array([10.1]), np.array([23.0])) == "measurement out of range"
-    both = MeasurementWatch(-10.0, 10.0, 5, 1.0)
-    assert not any(both.check(np.array([1.0, 0.1 * k]), np.array([k, k])) for k in range(20))
+    assert found[:6] == [()] * 6 and found[6:] == [(FROZEN,)] * 6
+    assert watch.check(np.array([2.1]), np.array([23.0])) == ()
+    assert watch.check(np.array([10.1]), np.array([23.0])) == (OUT_OF_RANGE,)
+
+
+def test_watch_names_the_axis_whose_sensor_hangs_beside_a_live_one():
+    watch = MeasurementWatch(-10.0, 10.0, 5, 1.0)
+    found = [watch.check(np.array([1.0, 0.1 * k]), np.array([k, k])) for k in range(20)]
+    assert found[:6] == [()] * 6 and found[6:] == [(FROZEN, "")] * 14
+    still = MeasurementWatch(-10.0, 10.0, 5, 1.0)  # the command of the axis at rest does not move
+    assert not any(still.check(np.array([1.0, 0.1 * k]), np.array([7.0, k])) for k in range(20))
 
 
 def test_rows_that_nobody_uses_are_not_kept(bench):

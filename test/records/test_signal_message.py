@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import struct
 
 import numpy as np
 import pytest
@@ -119,3 +120,36 @@ def test_labels_of_another_form_are_refused(label):
 def test_block_of_another_width_is_refused():
     with pytest.raises(InputError, match="2 columns"):
         Encoder("t[s],x[um],y[um]").encode(np.zeros((1, 2)))
+
+
+def packed(dimensions, values, tail=b"", number=None):
+    """A message as CDR by the rules of the format: dimensions (label, size, stride), then the values."""
+    body = bytearray(struct.pack("<I", len(dimensions) if number is None else number))
+    for label, size, stride in dimensions:
+        body += bytes(-len(body) % 4) + struct.pack("<I", len(label) + 1) + label.encode() + b"\0"
+        body += bytes(-len(body) % 4) + struct.pack("<II", size, stride)
+    body += struct.pack("<II", 0, len(values))
+    body += bytes(-len(body) % 8) if values else b""
+    return b"\0\1\0\0" + bytes(body) + struct.pack(f"<{len(values)}d", *values) + tail
+
+
+ROW, TWO = ("sample", 1, 2), ("t[s],x[um]", 2, 2)
+LONG = packed([ROW, TWO], [0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    "message, words",
+    [
+        (packed([ROW, TWO], [0.0, 1.0], b"\0" * 8), "8 bytes follow its 2 values"),
+        (packed([ROW, TWO, TWO], [0.0, 1.0]), "two dimensions, samples and columns, got 3"),
+        (packed([("sample", 2, 2), TWO], [0.0, 1.0]), "does not fit its 2 values"),
+        (packed([ROW, ("", 2, 2)], [0.0, 1.0]), "got none"),
+        (packed([ROW, ("t[s],x[um],y[um]", 2, 2)], [0.0, 1.0]), "names 3 columns, the layout has 2"),
+        (packed([], [], b"\0" * 400, number=17), "two dimensions, samples and columns, got 17"),
+        (LONG[:8] + struct.pack("<I", 1 << 20) + LONG[12:], "cut short within its layout"),
+    ],
+)
+def test_every_disagreement_of_a_layout_is_named(message, words):
+    with pytest.raises(InputError, match=words):
+        decode(message)
+    assert decode(LONG)[1].tolist() == [[0.0, 1.0]]

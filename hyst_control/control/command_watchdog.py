@@ -1,0 +1,79 @@
+"""Watchdog between the command and the actuator: the last link, which needs nobody else to be alive.
+
+Whoever drives an actuator puts every command through one. As long as commands are fresh they pass unchanged. Once the newest is too old,
+because the feedback was killed or its messages do not arrive, or while two sources contradict each other, the actuator goes to the
+watchdog's own safe value at its own rate. A command that comes back, or is the first one, is approached at that rate too and passes
+unchanged from where it is met: a restarted feedback cannot make the actuator jump, whatever it believes of the command before.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class CommandWatchdog:
+    """Watchdog that decides, tick by tick, which voltage the actuator gets.
+
+    Parameters
+    ----------
+    rest : ndarray, shape (A,)
+        What it has at the start, V.
+    safe : ndarray, shape (A,)
+        Safe value, V.
+    rate : float
+        Slope towards it and back, V/s.
+    period : float
+        Time in s between two ticks.
+    """
+
+    def __init__(self, rest: Array, safe: Array, rate: float, period: float) -> None:
+        self._rest, self._safe, self._step = np.array(rest, dtype=float), np.array(safe, dtype=float), rate * period
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to the start."""
+        self.applied = self._rest.copy()
+        """What the actuator has (A,), V."""
+        self._met = np.zeros(len(self._rest), bool)  # axes whose commands pass unchanged
+        self.armed = False
+        """Whether there was a command: until then there is nothing to bring to safety."""
+        self._below: NDArray[np.bool_] | None = None  # axes that were below the command that they approach
+
+    @property
+    def following(self) -> bool:
+        """True while commands pass unchanged."""
+        return bool(self._met.all())
+
+    def apply(self, command: Array | None, trusted: bool = True) -> Array:
+        """Voltage of the next tick.
+
+        Parameters
+        ----------
+        command : ndarray, shape (A,), optional
+            Newest command in V; None: there was none.
+        trusted : bool
+            False: it is too old, or contradicts another one.
+
+        Returns
+        -------
+        ndarray, shape (A,)
+            The voltage, V.
+        """
+        if command is None or not trusted or not np.isfinite(command).all():
+            self._met[:], self._below = False, None
+            if self.armed:
+                self.applied = self.applied + np.clip(self._safe - self.applied, -self._step, self._step)
+            return self.applied
+        self.armed = True
+        if not self._met.all():
+            way = command - self.applied
+            below = way > 0
+            crossed = below != self._below if self._below is not None else False  # by no more than the command moves itself
+            self._met |= (np.abs(way) <= self._step) | crossed
+            self._below = below
+            command = np.where(self._met, command, self.applied + np.clip(way, -self._step, self._step))
+        self.applied = command
+        return command

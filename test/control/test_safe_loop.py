@@ -1,0 +1,184 @@
+"""The fault state machine and the watchdog of the actuator, driven with anything: what comes out is finite, bounded and smooth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hyst_control.control.command_watchdog import CommandWatchdog
+from hyst_control.control.pi import PI
+from hyst_control.control.safe_loop import OVERFLOW, AxisFaults, SafeLoop, Safety
+from hyst_control.control.sensor_watch import OUT_OF_RANGE, MeasurementWatch
+
+PERIOD, LOWER, UPPER, SLEW, RATE, SAFE = 1e-2, -5.0, 20.0, 300.0, 100.0, 2.0
+STEP = SLEW * PERIOD * (1 + 1e-9)
+
+
+def made(axes=2, kp=1.0, ki=50.0, roll_off=0.0, start=0.0, **safety):
+    controller = PI(kp, ki, PERIOD, LOWER, UPPER, SLEW, roll_off=roll_off).start(axes)
+    watch = MeasurementWatch(-100.0, 100.0, 4, 0.5)
+    loop = SafeLoop(controller, watch, Safety(np.full(axes, SAFE), RATE, **{"recovery_ticks": 3, **safety}))
+    loop.restart(np.full(axes, start), away=False)
+    return loop
+
+
+ANY = st.one_of(st.floats(), st.floats(-30, 30), st.sampled_from([1.7e308, -1.7e308, math.nan, math.inf, 0.0, 1e12, 5e-324]))
+PAIR = st.tuples(ANY, ANY)
+EVENTS = st.lists(
+    st.one_of(
+        st.tuples(st.just("closed"), PAIR, PAIR, PAIR, st.sampled_from(["", "", "", "stale"])),
+        st.tuples(st.just("open"), st.lists(PAIR, min_size=1, max_size=4), st.sampled_from(["", "", "rival"])),
+        st.tuples(st.just("stopped"), st.integers(1, 4)),
+        st.tuples(st.just("enabled"), st.booleans()),
+        st.tuples(st.just("restart"), st.booleans()),
+        st.tuples(st.just("safety"), st.booleans(), st.booleans()),
+    ),
+    max_size=60,
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(EVENTS, st.sampled_from([0.0, 50.0, 1e12]), st.sampled_from([0.0, 1.0, 1e9]), st.sampled_from([0.0, 20.0]))
+def test_every_row_is_finite_within_the_limits_and_follows_on_the_last_one(events, ki, kp, roll_off):
+    loop, last = made(kp=kp, ki=ki, roll_off=roll_off), np.zeros(2)
+    for kind, *given_values in events:
+        rows = np.empty((0, 2))
+        with np.errstate(all="ignore"):
+            if kind == "closed":
+                *signals, fault = given_values
+                rows, feedback = loop.closed(*(np.array([signal]) for signal in signals), fault)
+                assert np.isfinite(feedback).all()
+            elif kind == "open":
+                rows, feedback = loop.open(np.array(given_values[0]), given_values[1])
+                assert not feedback.any() and len(rows) == len(given_values[0])
+            elif kind == "stopped":
+                rows, _ = loop.stopped_by("", given_values[0])
+            elif kind == "enabled":
+                loop.enabled = given_values[0]
+            elif kind == "restart":
+                loop.restart(loop.controller.command, away=given_values[0])
+            else:
+                loop.safety = replace(loop.safety, manual=given_values[0], stop_all=given_values[1])
+        for row in rows:
+            assert np.isfinite(row).all() and row.min() >= LOWER and row.max() <= UPPER
+            assert np.abs(row - last).max() <= STEP
+            last = row
+        assert np.isfinite(loop.controller._state).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.tuples(PAIR, PAIR, PAIR), max_size=20), st.booleans())
+def test_it_recovers_from_whatever_has_come(events, stop_all):
+    """However bad the inputs were, after the recovery time with sound ones the loop runs, and tracks."""
+    loop = made(stop_all=stop_all)
+    with np.errstate(all="ignore"):
+        for signals in events:
+            loop.closed(*(np.array([signal]) for signal in signals))
+    position = np.zeros((1, 2))
+    wanted = np.array([[1.0, 2.0]])
+    for k in range(2500):  # what an absurd feedforward left in the integral is halved from tick to tick
+        command, _ = loop.closed(wanted, position + 1e-6 * k, np.zeros((1, 2)))
+        position = command / 5.0
+    np.testing.assert_allclose(position, wanted, atol=0.01)
+    assert loop.faults.present == ["", ""] and not loop.away
+
+
+def test_without_a_fault_it_is_the_controller_to_the_last_bit():
+    random = np.random.default_rng(0)
+    loop, plain = made(), PI(1.0, 50.0, PERIOD, LOWER, UPPER, SLEW).start(2)
+    plain.reset(np.zeros(2))
+    for _ in range(500):
+        signals = random.normal(0, 5, (3, 1, 2))
+        for one, other in zip(loop.closed(*signals), plain.step(*signals)):
+            np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("stop_all", [True, False])
+def test_fault_of_one_axis_stops_it_and_the_others_only_if_told_so(stop_all):
+    loop = made(stop_all=stop_all)
+    one = np.ones((1, 2))
+    for k in range(50):
+        loop.closed(one * (1 + 0.01 * k), 0 * one + 0.001 * k, 10 * one)
+    for k in range(50):
+        loop.closed(one, np.array([[1000.0, 0.001 * k]]), 10 * one)
+    assert loop.faults.present == [OUT_OF_RANGE, ""] and loop.faults.raised == 1
+    command = loop.controller.command
+    assert command[0] == SAFE and (command[1] == SAFE if stop_all else command[1] > 10.0)
+    assert loop.at_safe_value == stop_all
+
+
+def test_overflow_holds_the_command_is_a_fault_and_ends():
+    loop = made(kp=10.0)
+    calm = np.full((1, 2), 1.0)
+    for k in range(20):
+        before, _ = loop.closed(calm, calm + 1e-3 * k, 10 * calm)
+    held, feedback = loop.closed(np.array([[1.7e308, 1.0]]), calm, 10 * calm)
+    assert held[0, 0] == before[0, 0] and feedback[0, 0] == 0.0
+    loop.closed(calm, calm, 10 * calm)
+    assert loop.faults.present == [OVERFLOW, ""]
+    for k in range(10):
+        loop.closed(calm, calm + 1e-3 * k, 10 * calm)
+    assert loop.faults.present == ["", ""]
+
+
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 4)), max_size=30), st.integers(1, 6))
+def test_a_fault_lasts_until_none_was_there_for_the_recovery_time(events, recovery):
+    faults, safety = AxisFaults(1), Safety(np.zeros(1), 1.0, recovery)
+    well, present = 0, False
+    for bad, ticks in events:
+        faults.update(["bad" if bad else ""], ticks, safety)
+        well = 0 if bad else well + max(ticks, 1)
+        present = bad or present and well < recovery
+        assert faults.any == present
+
+
+COMMANDS = st.lists(
+    st.one_of(
+        st.none(),
+        st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.booleans()),
+        st.tuples(st.just(math.nan), st.just(0.0), st.just(True)),
+    ),
+    max_size=80,
+)
+
+
+@given(COMMANDS)
+def test_watchdog_moves_the_actuator_no_faster_than_its_rate_or_its_command(commands):
+    """Without trust at its rate; while it follows as the command moves; and from the one to the other without a jump."""
+    watchdog = CommandWatchdog(np.zeros(2), np.full(2, SAFE), RATE, PERIOD)
+    last, before, step = np.zeros(2), None, RATE * PERIOD * (1 + 1e-9)
+    for given_command in commands:
+        command = None if given_command is None else np.array(given_command[:2])
+        trusted = given_command is not None and given_command[2] and np.isfinite(command).all()
+        applied = watchdog.apply(command, given_command is not None and given_command[2])
+        assert np.isfinite(applied).all()
+        moved = np.abs(before - command) if trusted and before is not None else np.zeros(2)
+        assert np.all(np.abs(applied - last) <= np.maximum(step, moved + 1e-9))
+        if watchdog.following:
+            np.testing.assert_array_equal(applied, command)
+        last, before = applied, command if trusted else None
+
+
+def test_watchdog_goes_to_its_safe_value_stays_there_and_meets_the_command_again():
+    watchdog = CommandWatchdog(np.zeros(1), np.array([SAFE]), RATE, PERIOD)
+    assert all(watchdog.apply(None)[0] == 0.0 for _ in range(5))  # nothing to bring to safety yet
+    rising = [watchdog.apply(np.array([10.0]))[0] for _ in range(15)]
+    np.testing.assert_allclose(np.diff(rising[:10]), RATE * PERIOD)
+    assert watchdog.following and rising[-1] == 10.0
+    falling = [watchdog.apply(np.array([10.0]), trusted=False)[0] for _ in range(20)]
+    np.testing.assert_allclose(falling[:8], 10.0 - RATE * PERIOD * np.arange(1, 9))
+    assert falling[-1] == SAFE
+    fast = [float(watchdog.apply(np.array([8.0 + 6.0 * np.sin(2.1 * k)]))[0]) for k in range(60)]
+    assert watchdog.following and fast[-1] == 8.0 + 6.0 * np.sin(2.1 * 59)
+
+
+def test_watchdog_passes_fresh_commands_unchanged():
+    watchdog, random = CommandWatchdog(np.zeros(1), np.zeros(1), RATE, PERIOD), np.random.default_rng(1)
+    watchdog.apply(np.zeros(1))
+    for row in random.normal(0, 30, (100, 1)):
+        assert watchdog.apply(row) is row

@@ -1,0 +1,89 @@
+"""An independent watcher of `command`: plain rclpy and nothing of the package, in a thread of its own."""
+
+from __future__ import annotations
+
+import math
+import threading
+from functools import partial
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Float64MultiArray
+
+
+class CommandWatcher:
+    """Records every row of `command`, and of `applied` what the actuator is said to have, as they arrive.
+
+    A row of `command` may differ by `step` at most from the row before it, or from what was said to be on the actuator since.
+    """
+
+    def __init__(self, domain, period, lower, upper, step):
+        self.period, self.lower, self.upper, self.step = period, lower, upper, step
+        self.rows = []  # (topic, tick, values), in order of arrival
+        self._sent = []  # times of sending: an executor does not keep the order of two topics
+        self.foreign = set()  # values of rivals
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self._node = rclpy.create_node("watcher", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        for topic in ("command", "applied"):
+            self._node.create_subscription(Float64MultiArray, topic, partial(self._note, topic), QoSProfile(depth=5000))
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def _spin(self):
+        while not self._over.is_set():
+            self._executor.spin_once(timeout_sec=0.1)
+
+    def _note(self, topic, message, information):
+        columns = message.layout.dim[1].size
+        data = list(message.data)
+        for begin in range(0, len(data), columns):
+            time, *values = data[begin : begin + columns]
+            tick = round(time / self.period) if math.isfinite(time) and abs(time) < 1e200 else None
+            self._sent.append(information["source_timestamp"])
+            self.rows.append((topic, tick, tuple(values)))
+
+    def command(self, since=0):
+        """Rows (tick, values) of `command` that are no rival's, from this one on in order of arrival."""
+        return [(tick, values) for topic, tick, values in self.rows if topic == "command" and values not in self.foreign][since:]
+
+    @property
+    def applied(self):
+        return [values for topic, _, values in list(self.rows) if topic == "applied"]
+
+    @property
+    def last(self):
+        command = self.command()
+        return command[-1][1] if command else None
+
+    def check(self):
+        """Every row to the last one: finite, within the limits, and no further from the actuator than the slew limit allows."""
+        known, newest, last, applied = {}, -1, None, None
+        for number in sorted(range(len(self.rows)), key=self._sent.__getitem__):
+            topic, tick, values = self.rows[number]
+            where = f"row {number}, {topic} of tick {tick}: {values} after {last}, applied {applied}"
+            assert all(math.isfinite(value) for value in values), where
+            if topic == "applied":
+                applied = values
+            elif values not in self.foreign:
+                assert tick is not None and all(self.lower - 1e-9 <= value <= self.upper + 1e-9 for value in values), where
+                if tick in known:
+                    assert known[tick] == values, f"{where}: was {known[tick]} before"
+                    continue
+                known[tick] = values
+                if tick > newest:
+                    assert last is None or self._follows(values, last) or applied and self._follows(values, applied), where
+                    newest, last, applied = tick, values, None
+
+    def _follows(self, values, last):
+        return all(abs(a - b) <= self.step * (1 + 1e-9) for a, b in zip(values, last))
+
+    def close(self):
+        self._over.set()
+        self._thread.join(5.0)
+        self._node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
