@@ -155,11 +155,11 @@ def stretches(windows: Sequence[Window], rows: int, length: float = 1.0) -> list
 
 
 def virgin_rows(command: Array) -> int:
-    """Rows (N,) of a command before it has first been at its top: there an actuator is on its virgin curve, if it was at rest before.
+    """Rows (N,) of a command before it has met both its ends: there an actuator is on its virgin curve, if it was at rest before.
 
     0 where less than half of the motion would be left.
     """
-    first = int(np.flatnonzero(command >= command.max() - 0.01 * np.ptp(command))[0])
+    first = memory_filled(command)
     moved = np.abs(np.diff(command))
     return first if float(moved[first:].sum()) > 0.5 * float(moved.sum()) else 0
 

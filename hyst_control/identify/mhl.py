@@ -22,17 +22,16 @@ from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.stage import Array
 from hyst_control.identify import paper_mhl
 from hyst_control.identify.coupling import Coupling, fit_coupling, without_coupling
-from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report
+from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report, check_records
 from hyst_control.identify.estimator import Estimator, register
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.fit_windows import virgin_rows, whole_records
 from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.madelung import (
     Curves,
-    check,
+    curve_ends,
     curve_errors,
     fit_axis,
-    full_scale,
     mean_offset,
     merged,
     range_notes,
@@ -63,7 +62,7 @@ class ModifiedHammersteinLike(Estimator[MhlOptions]):
     Options = MhlOptions
 
     def fit(self, datasets: Sequence[Dataset], options: MhlOptions) -> Fit:
-        check(datasets)
+        check_records(datasets)
         if options.method == "paper":
             return assemble(datasets, "paper", paper_mhl.fit_axes(datasets, options), None)
         axes: list[AxisFit] = []
@@ -156,13 +155,13 @@ def fit_joint(windows: Sequence[Window], options: MhlOptions, like: AxisFit | No
     """
     sign = response_sign(windows)
     turned = [replace(window, measurement=sign * window.measurement) for window in windows]
-    scale = full_scale(windows, options.input_scale)
+    ends = curve_ends(windows, options)
     few = short_stretches(turned, SELECTION_ROWS, STRETCH, SETTLE)
     # Where nothing creeps, the loops are bent by the dynamics: only the coarsest curves are to be had without them.
     creeping = any(thinned(window) is not window for window in windows)
     form = options.curves if creeping or options.curves.degree < 2 else Curves(2)
-    static = fit_axis(slowest(few), form, scale, options.nuisance, passes=8)
-    blank = Axis(options.curves, Structure(), scale, static.output_scale, sign, min(window.sample_time for window in windows))
+    static = fit_axis(slowest(few), form, ends, options.nuisance, passes=8)
+    blank = Axis(options.curves, Structure(), ends, static.output_scale, sign, min(window.sample_time for window in windows))
     curves = static.solution.parameters
     if like is not None and (options.structure is None or options.structure == like.axis.structure):
         axis = replace(blank, structure=like.axis.structure)

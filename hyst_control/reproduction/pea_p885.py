@@ -214,7 +214,7 @@ def other_branches(model: Model, record: Dataset, rule: str) -> Array:
     assert isinstance(stage, Madelung), f"{stage.name} has no branches"
     rising, falling = stage.curves(1)[0]
     full = float(rising(np.ones(1))[0])
-    normalised = np.clip(record.command[:, 0] / stage.input_scale, 0.0, 1.0)
+    normalised = np.clip((record.command[:, 0] - stage.input_offset) / stage.input_scale, 0.0, 1.0)
     turned = nested_branches(
         normalised, lambda x: float(rising(np.array([x]))[0]) / full, lambda x: float(falling(np.array([x]))[0]) / full, rule
     )

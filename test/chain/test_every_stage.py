@@ -180,6 +180,16 @@ VARIANTS = {
             "output_scale": 2.0,
         },
     ),
+    "madelung, bipolar": (
+        "madelung",
+        lambda n: {
+            "ascending": RISING,
+            "descending": FALLING,
+            "input_scale": 150.0,
+            "input_offset": spread(n, -80.0, -110.0),
+            "output_scale": 2.0,
+        },
+    ),
 }
 CASES = {**{name: (name, make) for name, make in EXAMPLES.items()}, **VARIANTS}
 
