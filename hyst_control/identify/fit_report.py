@@ -10,6 +10,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify.dataset import Dataset, RecordRow
 from hyst_control.identify.fit_windows import before
 from hyst_control.model_file import Model, simulate
+from hyst_control.records.session_zero import without_zero
 
 
 def residual(model: Model, data: Dataset) -> Array:
@@ -49,7 +50,8 @@ def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordR
     -------
     rows : list of RecordRow
         One row per record and axis: rmse in the measurement unit; nrmse and nme in % of the measured range (HAMPI paper Eq. 26, MHL
-        paper Eq. 10); nrmse_centered the same with the means removed.
+        paper Eq. 10); nrmse_centered the same with the means removed; nrmse_own_zero with the record's own zero, drift and curvature
+        removed, which stand beside it.
     residuals : list of Array
         Measured minus simulated (N, A) per record.
     """
@@ -58,6 +60,7 @@ def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordR
     for data in datasets:
         error = residual(model, data)
         residuals.append(error)
+        rest, own = without_zero(error)
         for axis, name in enumerate(data.axes):
             span = float(data.range[axis]) or 1.0
             e = error[:, axis]
@@ -69,6 +72,10 @@ def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordR
                     "rmse": float(np.sqrt(np.mean(e**2))),
                     "nrmse": 100.0 * float(np.sqrt(np.mean(e**2))) / span,
                     "nrmse_centered": 100.0 * float(np.std(e)) / span,
+                    "nrmse_own_zero": 100.0 * float(np.sqrt(np.mean(rest[:, axis] ** 2))) / span,
+                    "zero": float(own[axis, 0]),
+                    "drift": float(own[axis, 1]),
+                    "curvature": float(own[axis, 2]),
                     "nme": 100.0 * float(np.max(np.abs(e))) / span,
                     "unit": data.unit,
                     "whiteness": lag_one(e),

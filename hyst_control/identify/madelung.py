@@ -273,7 +273,7 @@ class MadelungOptions(CurveOptions):
         Offset or drift that each record may add.
     """
 
-    nuisance: str = nuisance_option("offset")
+    nuisance: str = nuisance_option("linear")
 
 
 @register

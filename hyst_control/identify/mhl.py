@@ -21,7 +21,7 @@ from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.stage import Array
 from hyst_control.identify import paper_mhl
-from hyst_control.identify.coupling import Coupling, fit_coupling, without_coupling
+from hyst_control.identify.coupling import Coupling, fit_coupling, simulated_rows, without_coupling
 from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report, check_records
 from hyst_control.identify.estimator import Estimator, register
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
@@ -41,7 +41,7 @@ from hyst_control.identify.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
 from hyst_control.identify.parted_pair import PAIR_DAMPINGS, WORTHWHILE, parted_pair, unexplained_frequency, with_numerator
 from hyst_control.identify.simulation_error import Parametrization, Solution, minimize_simulation_error, short_stretches, thinned
 from hyst_control.identify.stable_dynamics import TAU_UNIT, Structure
-from hyst_control.model_file import Model, simulate
+from hyst_control.model_file import Model
 from hyst_control.parallel import forked
 
 T = TypeVar("T")
@@ -439,7 +439,7 @@ def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: AxisFit, 
     axis, dynamics = found.axis, found.axis.split(found.vector)[2]
     signals = []
     for data in datasets:
-        error = data.measurement - simulate(model, data.command, data.sample_time, data.hold)
+        error = data.measurement - simulated_rows(model, data)
         begin = virgin_rows(data.command[:, index])
         signals.append((data.command[begin:, index], error[begin:, index]))
     frequency = unexplained_frequency(signals, axis.sample_time)

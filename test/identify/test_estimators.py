@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from hyst_control.chain import Chain, Parallel, Stage
+from hyst_control.chain.duhem import Duhem
 from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.memoryless import Offset
@@ -116,6 +117,14 @@ EXAMPLES = {
         {"output_scale": 2.0, "k1": -2e-5, "k2": 1e-3, "tau": 1.3e-4, **MECHANICS},
         {"degree": 3, "structure": "modes=1,delay", "nuisance": "offset"},
         scatter=("output_scale", "k1", "k2", "tau", "den[1]"),
+    ),
+    "duhem": Example(
+        (Delay(1.3e-4), Duhem(0.1, -0.03, 0.03, -0.008, 1.3, 4e-3), MODE),
+        FAST,
+        1e-4,
+        {"slope": 0.1, "alpha": -0.03, "beta": 0.03, "gamma": -0.008, "exponent": 1.3, "growth": 4e-3, "tau": 1.3e-4, **MECHANICS},
+        {"structure": "modes=1,delay", "creep": False, "nuisance": "offset"},
+        scatter=("slope", "alpha", "tau", "den[1]"),
     ),
     "linear": Example(
         (Delay(2e-4), TransferFunction([0.05 * W * W], [1.0, 0.1 * W, W * W])),
