@@ -4,8 +4,8 @@
 
 R. Bouc, Forced vibrations of a mechanical system with hysteresis, 1967; Y.-K. Wen, Method for random vibration of hysteretic systems, ASCE
 J. Eng. Mech. Div. 102, 1976. Unlike Prandtl-Ishlinskii and Madelung hysteresis it does not return to a turning point when an inner loop is
-left: its loops creep together. With alpha < 0 the memory holds the output back, as in a piezo; gamma bends either branch alike, `growth` makes
-the loop wider towards one end of the drive. It is rate-independent: dz/du is integrated along the way of the command, however fast.
+left: its loops creep together. With alpha < 0 the memory holds the output back, as in a piezo; gamma bends either branch alike,
+`growth` makes the loop wider towards one end of the drive. It is rate-independent: dz/du is integrated along the way of the command.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalar, per_axis_scalars, register
 
 STEP = 0.05
-"""Largest share of the way over which the memory saturates that one step of the integration takes; at the kink z = 0 it leaves 1e-5 of z."""
+"""Largest step of the integration, as a share of the way over which the memory saturates; at the kink z = 0 it leaves 1e-5 of z."""
 
 LOADING = 2000
 """Parts of the way from 0 V to the first command."""

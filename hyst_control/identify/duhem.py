@@ -27,7 +27,7 @@ from hyst_control.identify.madelung import response_sign
 from hyst_control.identify.options import TRUTH, Options, option
 from hyst_control.identify.shared_options import nuisance_option, structure_option
 from hyst_control.identify.simulation_error import Parametrization, Solution, minimize_simulation_error, short_stretches
-from hyst_control.identify.stable_dynamics import TAU_UNIT, Structure
+from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.model_file import Model
 from hyst_control.parallel import forked
 

@@ -47,7 +47,8 @@ class Result:
         for row in report["records"]:
             lines.append(
                 f"  {row['name']}  {row['axis']}: NRMSE {row['nrmse']:.3f} % of range ({row['nrmse_own_zero']:.3f} % without the "
-                f"record's own zero {row['zero']:.4g} and drift {row['drift']:.4g} {row['unit']}), NME {row['nme']:.3f} %, RMSE {row['rmse']:.4g} {row['unit']} over {row['samples']} samples"
+                f"record's own zero {row['zero']:.4g} and drift {row['drift']:.4g} {row['unit']}), NME {row['nme']:.3f} %, "
+                f"RMSE {row['rmse']:.4g} {row['unit']} over {row['samples']} samples"
             )
         lines += [
             f"  {row['name']} begins {row['assumed']}" + f", row {row['first_row']}" * bool(row["first_row"])

@@ -23,7 +23,7 @@ def output(stage: Stage, command: np.ndarray, sample_time: float = 1e-3, hold: s
 
 
 def test_it_solves_its_differential_equation():
-    """Along the way of the command, straight from one turn to the next: scipy integrates dz/du, each piece from sign change to sign change."""
+    """Along the way of the command, straight from one turn to the next: dz/du by scipy."""
     turns = np.array([[0.0, 0.0], [80.0, 40.0], [20.0, -30.0], [60.0, 35.0], [-40.0, -90.0], [90.0, 10.0]])
     found = output(STAGE, turns)
     for axis in range(2):
@@ -41,7 +41,7 @@ def test_it_solves_its_differential_equation():
 
 
 def test_with_exponent_one_it_is_dahls_exponential():
-    """beta = gamma / -1 … of exponent 1 and gamma 0: dz/du = alpha - beta |z|, which saturates at alpha / beta as 1 - exp(-beta u)."""
+    """With gamma 0 the memory saturates at alpha / beta as 1 - exp(-beta u)."""
     u = np.linspace(0.0, 100.0, 51)[:, None]
     found = output(Duhem(0.1, -0.04, 0.05), u)[:, 0]
     np.testing.assert_allclose(found, 0.1 * u[:, 0] - 0.8 * (1.0 - np.exp(-0.05 * u[:, 0])), atol=1e-6)

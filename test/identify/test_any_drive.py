@@ -1,7 +1,7 @@
 """Any drive, any beginning, any zero: what every family promises on records as laboratories have them.
 
-Records of a bipolar drive begin amid a motion, with a sensor's zero of 5 % of the range, a drift of 2 % and 12-bit rounding; each record has
-a zero and a drift of its own. The truth is a chain of the family's own stages, behind a drive of 5 V ± 40 V.
+Records of a bipolar drive begin amid a motion, with a sensor's zero of 5 % of the range, a drift of 2 % and 12-bit rounding; each
+record has a zero and a drift of its own. The truth is a chain of the family's own stages, behind a drive of 5 V ± 40 V.
 """
 
 from __future__ import annotations
