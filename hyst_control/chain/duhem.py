@@ -45,7 +45,8 @@ def memory_slope(
         Parameters of `Duhem`.
     """
     same = 1.0 if z * direction > 0.0 else -1.0
-    return alpha * (1.0 + growth * u) - (beta * same + gamma) * abs(z) ** exponent
+    slope: float = alpha * (1.0 + growth * u) - (beta * same + gamma) * abs(z) ** exponent
+    return slope
 
 
 @njit(cache=True, error_model="numpy")
@@ -111,7 +112,8 @@ class DuhemFilter(Filter):
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
-        duhem(block, *self.parameters, self.previous, self.memory, output)
+        slope, alpha, growth, beta, gamma, exponent = self.parameters
+        duhem(block, slope, alpha, growth, beta, gamma, exponent, self.previous, self.memory, output)
         return output
 
 
