@@ -31,7 +31,8 @@ from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.model_file import Model
 from hyst_control.parallel import forked
 
-NAMES = ("slope", "alpha", "beta", "gamma", "exponent", "growth")
+NAMES = tuple(declared(Duhem))
+"""Parameters of the hysteresis."""
 STARTS = ((-0.2, 2.0), (-0.4, 6.0), (0.1, 2.0))
 """Starts of the search: alpha relative to the mean slope, and beta relative to the drive."""
 MEMORY_SHARE = 0.2
@@ -200,7 +201,7 @@ def fit_axis(windows: Sequence[Window], options: DuhemOptions) -> AxisFit:
 
 
 def creep_times(windows: Sequence[Window]) -> tuple[float, ...]:
-    """Time constants of the creep operators: a grid from a few samples to a third of the longest record, s."""
+    """Time constants of the creep operators, s: a grid from a few samples to a third of the longest of the records in `windows`."""
     shortest = 5.0 * min(window.sample_time for window in windows)
     longest = max(len(window.command) * window.sample_time / window.share for window in windows) / 3.0
     count = max(int(PER_DECADE * np.log10(max(longest / shortest, 1.0))) + 1, 1)

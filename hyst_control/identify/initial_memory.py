@@ -190,7 +190,7 @@ def spread_rows(begin: int, end: int) -> NDArray[np.int64]:
 
 
 def play_states(turns: Array, thresholds: Array, rows: NDArray[np.int64]) -> Array:
-    """Outputs (R, n) of play operators at some rows of a sequence of turning points (M,), V, from rest at 0 V."""
+    """Outputs (R, n) of play operators of `thresholds` (n,) at some `rows` (R,) of a sequence of `turns` (M,), V, from rest at 0 V."""
     return followed(turns, thresholds, np.zeros(len(thresholds)), rows)
 
 

@@ -14,6 +14,8 @@ LAGS, ROWS = 64, 50_000
 """Taps of the response that stands for the plant, and rows at most to which it is fitted."""
 WORTHWHILE = 0.03
 """Share of what that response leaves of a record that the drift must explain to be removed."""
+DISTINCT = 0.2
+"""Share of a ramp that the command must not explain for a drift to be told from the plant's answer."""
 
 
 def without_drift(datasets: Sequence[Dataset]) -> list[Dataset]:
@@ -63,7 +65,10 @@ def drift(command: Array, measurement: Array) -> Array:
     left = np.hstack([time, measurement[rows]])
     left = left - plain @ np.linalg.lstsq(plain, left, rcond=1e-9)[0]
     ramp, rest = left[:, 0], left[:, 1:]
-    slope = ramp @ rest / float(ramp @ ramp)
-    explained = slope**2 * float(ramp @ ramp)
+    energy = float(ramp @ ramp)
+    if energy < DISTINCT * float(np.sum((time - time.mean()) ** 2)):
+        return np.zeros(measurement.shape[1])
+    slope = ramp @ rest / energy
+    explained = slope**2 * energy
     found: Array = np.where(explained > WORTHWHILE * np.sum(rest**2, axis=0), slope, 0.0)
     return found
