@@ -13,7 +13,7 @@ SAMPLE_TIME, TOP = 5e-5, 100.0
 
 
 def test_the_third_plant_is_identified_within_half_a_per_cent_of_its_stroke():
-    """From one diagnostic record and the loops for play operators, on a diagnostic record of another seed; noise is 0.01 % of the stroke."""
+    """From one diagnostic record and the loops for play operators, on a record of another seed; noise is 0.01 % of the stroke."""
     plant = load_plant({"plant": "third", "rating": [0.0, TOP]}, seed=1, sample_time=SAMPLE_TIME, noise=1e-3)
 
     def record(spec: dict) -> Dataset:
