@@ -69,6 +69,8 @@ def with_beginning(data: Dataset) -> Dataset:
     """
     if data.start != "auto":
         return data
+    if not (np.all(np.isfinite(data.command)) and np.all(np.isfinite(data.measurement))):
+        return replace(data, start="settled")  # who uses it refuses such a record, or shows it
     axes = range(data.command.shape[1])
     closed = closed_loop(data)
     memories = [estimated_memory(data.command[:, axis], data.measurement[:, axis], closed=closed) for axis in axes]

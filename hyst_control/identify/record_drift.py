@@ -56,7 +56,7 @@ def drift(command: Array, measurement: Array) -> Array:
     Array
         Drift (A,) from the middle of the record to its end, in the measurement's unit; 0 where it explains next to nothing.
     """
-    lags = min(LAGS, len(command) // 8)
+    lags = min(LAGS, max(len(command) // 8, 1))
     rows = np.unique(np.linspace(lags, len(command) - 1, min(ROWS, len(command) - lags)).astype(int))
     taps = [command[rows - lag] for lag in range(lags)]
     time = (2.0 * rows / (len(command) - 1) - 1.0)[:, None]

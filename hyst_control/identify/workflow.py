@@ -124,11 +124,10 @@ def identify_bags(
         datasets += datasets_of(record, hold, start, allow_gaps)
     if not force:
         refuse_invalid([Trial(each.name, each.command, each.measurement, each.sample_time, each.axes) for each in datasets])
-    datasets = [with_beginning(each) for each in datasets]
     fits = (identify(datasets, name, method, **given) for name in chosen)
     fit = next(fits) if family is not None else min(fits, key=lambda fit: max(fit.report["held_out_nrmse"]))
     fit = replace(fit, report={**fit.report, "bags": [str(bag) for bag in bags], "notes": [*notes, *fit.report["notes"]]})
-    fit = replace(fit, model=replace(fit.model, discrepancy=discrepancy(fit.model, datasets)))
+    fit = replace(fit, model=replace(fit.model, discrepancy=discrepancy(fit.model, [with_beginning(data) for data in datasets])))
     save_model(fit.model, output)
     if json_path is not None:
         write_json(json_path, fit.report)
