@@ -7,8 +7,10 @@ curves f0, g0 (MHL paper Eq. 1, 2) are moved to the turning point and scaled in 
     ascending from (a, y_a) towards (b, y_b):   y = y_a + (y_b - y_a) φ_up(u - a) / φ_up(b - a),   φ_up(d) = f0(d)
     descending from (b, y_b) towards (a, y_a):  y = y_b - (y_b - y_a) φ_dn(b - u) / φ_dn(b - a),   φ_dn(d) = F - g0(1 - d)
 
-with F = f0(1) = g0(1). Inputs are normalized to 0…1; beyond the ends of the major loop the curve continues straight, with its
-slope there, and remembers nothing. The first curve from rest is the ascending one.
+with F = f0(1) = g0(1). Inputs are normalized to 0…1, from `input_offset` to `input_offset + input_scale`; beyond the ends of the
+major loop the curve continues straight, with its slope there, and remembers nothing. Where the loop begins at 0 V or above, the
+first curve from rest is the ascending one, and where it ends at 0 V or below the descending one. Where 0 V lies inside the loop,
+rest at 0 V is what a drive that has died away leaves: turning points alternately above and below, ever closer to 0 V.
 """
 
 from __future__ import annotations
@@ -265,10 +267,18 @@ class MadelungFilter(Filter):
     """Streaming Madelung hysteresis, or its inverse, one stack per axis."""
 
     def __init__(
-        self, curves: list[tuple[Curve, Curve]], input_scale: Array, output_scale: Array, inverse: bool, hold: str
+        self,
+        curves: list[tuple[Curve, Curve]],
+        input_offset: Array,
+        input_scale: Array,
+        output_scale: Array,
+        inverse: bool,
+        hold: str,
     ) -> None:
         self.hold = hold
         self.inverse = inverse
+        self.input_offset = input_offset
+        self.rest = -input_offset / input_scale  # of 0 V, normalized
         self.to_inside = 1.0 / (output_scale if inverse else input_scale)
         self.to_outside = input_scale if inverse else output_scale
         self.rising = [(up.breaks, up.coefficients) for up, _ in curves]
@@ -283,37 +293,54 @@ class MadelungFilter(Filter):
 
     def settle(self, value: Array) -> Array:
         for axis, full in enumerate(self.full):
-            self.stack[axis][:2] = (1.0, full), (0.0, 0.0)
+            at_top = self.rest[axis] >= 1.0
+            self.stack[axis][:2] = ((0.0, 0.0), (1.0, full)) if at_top else ((1.0, full), (0.0, 0.0))
             self.stack_depth[axis][0] = 2
-            self.last[axis][:] = 0.0, 0.0, 1.0
+            self.last[axis][:] = (1.0, full, -1.0) if at_top else (0.0, 0.0, 1.0)
+            if 0.0 < self.rest[axis] < 1.0:
+                self._follow(axis, died_away(float(self.rest[axis])), inverse=False)
         first: Array = self.process(np.array(value, dtype=float).reshape(1, -1))[0]
         return first
 
     def process(self, block: Array) -> Array:
-        inside = block * self.to_inside
+        inside = (block if self.inverse else block - self.input_offset) * self.to_inside
         output = np.empty_like(inside)
         for axis in range(block.shape[1]):
-            column, result = np.ascontiguousarray(inside[:, axis]), np.empty(len(block))
-            row = 0
-            while True:
-                row = madelung_branches(
-                    column,
-                    self.inverse,
-                    *self.rising[axis],
-                    *self.falling[axis],
-                    self.full[axis],
-                    self.end_slope[axis],
-                    self.stack[axis],
-                    self.stack_depth[axis],
-                    self.last[axis],
-                    result,
-                    row,
-                )
-                if row == len(column):
-                    break
-                self.stack[axis] = np.concatenate([self.stack[axis], np.zeros_like(self.stack[axis])])
-            output[:, axis] = result
-        return output * self.to_outside
+            output[:, axis] = self._follow(axis, np.ascontiguousarray(inside[:, axis]), self.inverse)
+        output *= self.to_outside
+        return output + self.input_offset if self.inverse else output
+
+    def _follow(self, axis: int, column: Array, inverse: bool) -> Array:
+        """Normalized output (N,) of one axis for a normalized `column` (N,)."""
+        result, row = np.empty(len(column)), 0
+        while True:
+            row = madelung_branches(
+                column,
+                inverse,
+                *self.rising[axis],
+                *self.falling[axis],
+                self.full[axis],
+                self.end_slope[axis],
+                self.stack[axis],
+                self.stack_depth[axis],
+                self.last[axis],
+                result,
+                row,
+            )
+            if row == len(column):
+                return result
+            self.stack[axis] = np.concatenate([self.stack[axis], np.zeros_like(self.stack[axis])])
+
+
+SWINGS = 24
+"""Swings of the drive that dies away to 0 V."""
+
+
+def died_away(rest: float) -> Array:
+    """Normalized input (M,) that swings about `rest`, from the whole major loop down to nothing."""
+    amplitude = np.linspace(1.0, 0.0, SWINGS + 1)
+    swings = np.stack([rest + (1.0 - rest) * amplitude, rest - rest * (amplitude - 0.5 / SWINGS).clip(0.0)], axis=1)
+    return np.append(swings.ravel(), rest)
 
     def c_code(self) -> CCode:
         axes = len(self.full)
@@ -399,16 +426,20 @@ class Madelung(Stage):
 
     ascending, descending: coefficients p_n … p_1 of polynomials in the normalized input u / input_scale, or, with `knots`
     (increasing from 0 to 1), the values of monotone piecewise cubics there. input_scale V; output_scale measurement unit.
-    ascending(1) = descending(1). With `inverse` the stage runs from output to input.
+    ascending(1) = descending(1). With `inverse` the stage runs from output to input. The curves run from input_offset, V, where the
+    output is 0, to input_offset + input_scale.
     """
 
     name: ClassVar[str] = "madelung"
     ascending: VectorPerAxis = vector("", "polynomial p_n … p_1 of the ascending branch, or its values at the knots")
     descending: VectorPerAxis = vector("", "the descending branch likewise")
-    input_scale: ScalarPerAxis = scalar("V", "end of the major loop", above=0.0)
+    input_scale: ScalarPerAxis = scalar("V", "length of the major loop: its upper end, where `input_offset` is 0", above=0.0)
     output_scale: ScalarPerAxis = scalar("measurement unit", "of a branch's value 1", above=0.0)
     knots: AllAxes | None = all_axes("", "inputs of the branches' values, from 0 to 1", 1, default=None, scatter=Scattering.NONE)
     inverse: bool = flag("whether the stage runs from output to input")
+    input_offset: ScalarPerAxis = scalar(
+        "V", "lower end of the major loop, below 0 for a bipolar drive", default=0.0, scatter=Scattering.NONE
+    )
 
     @property
     def is_hysteresis(self) -> bool:
@@ -466,12 +497,12 @@ class Madelung(Stage):
     def mean_curve(self, axes: int) -> Callable[[Array], Array]:
         """Mean of the major branches of `axes` axes, straight beyond the loop's ends as the hysteresis is; V to the stage's output."""
         curves = self.curves(axes)
-        span, scale = per_axis_scalars(self, axes, "input_scale", "output_scale")
+        lower, span, scale = per_axis_scalars(self, axes, "input_offset", "input_scale", "output_scale")
 
         def mean(u: Array) -> Array:
             output = np.empty_like(u)
             for axis, (up, down) in enumerate(curves):
-                x = u[..., axis] / span[axis]
+                x = (u[..., axis] - lower[axis]) / span[axis]
                 inside = np.clip(x, 0.0, 1.0)
                 beyond = np.where(x > 1.0, end_slope(up, 1.0), end_slope(down, 0.0)) * (x - inside)
                 output[..., axis] = scale[axis] * (0.5 * (up(inside) + down(inside)) + beyond)
@@ -502,6 +533,7 @@ class Madelung(Stage):
         axes = sampling.axes
         return MadelungFilter(
             self.curves(axes),
+            per_axis_scalar(self.input_offset, axes, "input_offset"),
             per_axis_scalar(self.input_scale, axes, "input_scale"),
             per_axis_scalar(self.output_scale, axes, "output_scale"),
             self.inverse,

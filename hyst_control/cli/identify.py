@@ -35,9 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--start",
-        choices=("settled", "unknown"),
-        default="settled",
-        help="state at the start: settled at the first command, reached from 0 V (default), or unknown",
+        choices=("auto", "settled", "unknown"),
+        default="auto",
+        help="state at the start: settled at the first command, reached from 0 V on the virgin curve; unknown; or found from the "
+        "record (default)",
     )
     parser.add_argument(
         "--allow-gaps", action="store_true", help="accept records with lost samples, and use the stretches between them"

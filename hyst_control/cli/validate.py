@@ -40,9 +40,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--start",
-        choices=("settled", "unknown"),
-        default="settled",
-        help="state at the start: settled at the first command, reached from 0 V (default), or unknown",
+        choices=("auto", "settled", "unknown"),
+        default="auto",
+        help="state at the start: settled at the first command, reached from 0 V on the virgin curve; unknown; or found from the "
+        "record (default)",
     )
     parser.add_argument("--namespace", help="namespace of the topics")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")

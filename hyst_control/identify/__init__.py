@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from hyst_control import progress
-from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.errors import InputError
+from hyst_control.identify.dataset import Dataset, Fit, Report, check_records
 from hyst_control.identify.estimator import Estimator, estimator_of, estimators, register
+from hyst_control.identify.fit_report import record_rows
+from hyst_control.identify.initial_memory import beginning_rows, with_beginning
 from hyst_control.identify.options import Options, option
+from hyst_control.identify.record_drift import without_drift
+
+LEAST = 32
+"""Samples from which on the beginning and the drift of a record are looked for."""
 
 
 def identify(datasets: Sequence[Dataset], family: str, method: str = "joint", **options: object) -> Fit:
@@ -37,7 +45,17 @@ def identify(datasets: Sequence[Dataset], family: str, method: str = "joint", **
     estimator = estimator_of(family)
     chosen = estimator.options(method=method, **options)
     progress.step(f"identify {family} ({method}) from {sum(len(data.command) for data in datasets)} samples")
-    return estimator.fit(datasets, chosen)
+    try:
+        check_records(datasets, least=LEAST)
+    except InputError:
+        return estimator.fit(datasets, chosen)  # which says what it asks of records
+    known = [with_beginning(data) for data in datasets]
+    cleaned = known if estimator.has(["nuisance"]) else without_drift(known)
+    fit = estimator.fit(cleaned, chosen)
+    report: Report = {**fit.report, "beginnings": beginning_rows(known)}
+    if any(data is not other for data, other in zip(cleaned, known, strict=True)):
+        report["records"] = record_rows(fit.model, known)[0]
+    return replace(fit, report=report)
 
 
 __all__ = ["Dataset", "Estimator", "Fit", "Options", "estimator_of", "estimators", "identify", "option", "register"]

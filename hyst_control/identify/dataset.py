@@ -14,6 +14,25 @@ from hyst_control.model_file import Model
 
 
 @dataclass(frozen=True)
+class Beginning:
+    """Memory with which a record begins, other than rest at 0 V.
+
+    Parameters
+    ----------
+    assumed
+        In words.
+    memory
+        Commands (M, A) that precede the record, V; None where none are known.
+    row
+        First row that counts.
+    """
+
+    assumed: str
+    memory: Array | None
+    row: int
+
+
+@dataclass(frozen=True)
 class Dataset:
     """A gapless, uniformly sampled record of command and measurement.
 
@@ -34,8 +53,10 @@ class Dataset:
     hold
         Command between ticks: "zoh" (held) or "foh" (straight).
     start
-        "settled": the record begins at rest at its first command; "unknown": an identification lets the hysteresis memory fill
-        before it counts the error.
+        "settled": the record begins at rest at its first command, reached from 0 V on the virgin curve; "unknown": an identification
+        lets the hysteresis memory fill before it counts the error; "auto": found from the record by `identify`.
+    beginning
+        Memory at an unknown start, as found from the record.
     """
 
     name: str
@@ -46,6 +67,7 @@ class Dataset:
     unit: str
     hold: str = "zoh"
     start: str = "settled"
+    beginning: Beginning | None = None
 
     @property
     def range(self) -> Array:
@@ -75,6 +97,7 @@ class Dataset:
             self.unit,
             self.hold,
             self.start if begin == 0 else "unknown",
+            self.beginning if begin == 0 else None,
         )
 
 
@@ -133,6 +156,10 @@ class RecordRow(TypedDict):
         RMSE in % of the measured range.
     nrmse_centered
         The same, with the means removed.
+    nrmse_own_zero
+        The same, with the record's own zero, drift and curvature removed.
+    zero, drift, curvature
+        These: coefficients of the Legendre polynomials of degree 0, 1 and 2 over the rows compared, in `unit`.
     nme
         Largest error in % of the measured range.
     unit
@@ -147,9 +174,31 @@ class RecordRow(TypedDict):
     rmse: float
     nrmse: float
     nrmse_centered: float
+    nrmse_own_zero: float
+    zero: float
+    drift: float
+    curvature: float
     nme: float
     unit: str
     whiteness: float
+
+
+class BeginningRow(TypedDict):
+    """Beginning of a record.
+
+    Parameters
+    ----------
+    name
+        The record.
+    assumed
+        State that the identification took for its beginning, in words.
+    first_row
+        First row that counts.
+    """
+
+    name: str
+    assumed: str
+    first_row: int
 
 
 class _Parameter(TypedDict):
@@ -302,6 +351,8 @@ class Report(_Report, total=False):
         Number of states of the chosen linear model.
     bags
         Paths of the bags.
+    beginnings
+        State that was taken for the beginning of each record.
     family, method
         Model family, and "joint" or "paper".
     unit
@@ -322,6 +373,7 @@ class Report(_Report, total=False):
     orders: list[OrderRow]
     states: int
     bags: list[str]
+    beginnings: list[BeginningRow]
 
 
 @dataclass(frozen=True)

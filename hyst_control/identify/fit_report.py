@@ -12,6 +12,7 @@ from hyst_control.identify.fit_windows import before
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.quantization_step import quantization_step
 from hyst_control.records.row_store import blocks, largest_size, mean_square
+from hyst_control.records.session_zero import without_zero
 
 NOISE_ROWS, SPECTRUM_ROWS, PARTS = 2**22, 2**23, 16
 """Rows from which noise and bandwidth are taken: those of longer records in so many parts spread over them."""
@@ -56,7 +57,8 @@ def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordR
     -------
     rows : list of RecordRow
         One row per record and axis: rmse in the measurement unit; nrmse and nme in % of the measured range (HAMPI paper Eq. 26, MHL
-        paper Eq. 10); nrmse_centered the same with the means removed.
+        paper Eq. 10); nrmse_centered the same with the means removed; nrmse_own_zero with the record's own zero, drift and curvature
+        removed, which stand beside it.
     residuals : list of Array
         Measured minus simulated (N, A) per record.
     """
@@ -65,6 +67,7 @@ def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordR
     for data in datasets:
         error = residual(model, data)
         residuals.append(error)
+        rest, own = without_zero(error)
         for axis, name in enumerate(data.axes):
             span = float(data.range[axis]) or 1.0
             e = error[:, axis]
@@ -76,6 +79,10 @@ def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordR
                     "rmse": float(np.sqrt(mean_square(e))),
                     "nrmse": 100.0 * float(np.sqrt(mean_square(e))) / span,
                     "nrmse_centered": 100.0 * float(np.sqrt(mean_square(e, float(np.mean(e))))) / span,
+                    "nrmse_own_zero": 100.0 * float(np.sqrt(mean_square(rest[:, axis]))) / span,
+                    "zero": float(own[axis, 0]),
+                    "drift": float(own[axis, 1]),
+                    "curvature": float(own[axis, 2]),
                     "nme": 100.0 * largest_size(e) / span,
                     "unit": data.unit,
                     "whiteness": lag_one(e),

@@ -102,11 +102,29 @@ def before(data: Dataset) -> tuple[Array | None, int]:
     """
     if data.start != "unknown":
         return None, 0
-    gap = np.abs(np.stack([data.command[-1] - data.command[0], data.measurement[-1] - data.measurement[0]]))
-    span = np.stack([np.ptp(data.command, axis=0), np.ptp(data.measurement, axis=0)])
-    if np.all(gap < 0.03 * span):
+    if data.beginning is not None:
+        return data.beginning.memory, data.beginning.row
+    if closed_loop(data):
         return data.command, 0
     return None, max(memory_filled(data.command[:, axis]) for axis in range(data.command.shape[1]))
+
+
+def closed_loop(data: Dataset) -> bool:
+    """Report whether a record ends where it began, command and measurement alike.
+
+    Parameters
+    ----------
+    data
+        The record.
+
+    Returns
+    -------
+    bool
+        True if all axes do, within 3 % of their ranges.
+    """
+    gap = np.abs(np.stack([data.command[-1] - data.command[0], data.measurement[-1] - data.measurement[0]]))
+    span = np.stack([np.ptp(data.command, axis=0), np.ptp(data.measurement, axis=0)])
+    return bool(np.all(gap < 0.03 * span))
 
 
 def stretches(windows: Sequence[Window], rows: int, length: float = 1.0) -> list[Window]:
@@ -143,6 +161,9 @@ def stretches(windows: Sequence[Window], rows: int, length: float = 1.0) -> list
             settle = 0 if begin == 0 else int(SETTLE_TIME / window.sample_time)
             skip = min(max(settle, window.skip - begin), size - 1)
             memory = window.command[turning[turning < begin]] if begin else None
+            if window.memory is not None:
+                earlier = window.memory[turning_points(window.memory)]
+                memory = window.memory if memory is None else np.concatenate([earlier, memory])
             chosen.append(
                 Window(
                     window.command[begin:end],
@@ -161,11 +182,11 @@ def stretches(windows: Sequence[Window], rows: int, length: float = 1.0) -> list
 
 
 def virgin_rows(command: Array) -> int:
-    """Rows (N,) of a command before it has first been at its top: there an actuator is on its virgin curve, if it was at rest before.
+    """Rows (N,) of a command before it has met both its ends: there an actuator is on its virgin curve, if it was at rest before.
 
     0 where less than half of the motion would be left.
     """
-    first = int(np.flatnonzero(command >= command.max() - 0.01 * np.ptp(command))[0])
+    first = memory_filled(command)
     moved = np.abs(np.diff(command))
     return first if float(moved[first:].sum()) > 0.5 * float(moved.sum()) else 0
 

@@ -20,7 +20,7 @@ from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report, check_records
 from hyst_control.identify.estimator import Estimator, register
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
-from hyst_control.identify.fit_windows import whole_records
+from hyst_control.identify.fit_windows import virgin_rows, whole_records
 from hyst_control.identify.gram_sums import NUISANCES, Window
 from hyst_control.identify.options import INTEGER, NUMBER, NUMBERS, Options, option
 from hyst_control.identify.parameter_covariance import PRIOR, independent_axes
@@ -32,6 +32,29 @@ LEAST_SLOPE = 5e-3
 """Smallest slope of a curve relative to its mean slope: a curve that rises this much everywhere has an inverse."""
 GRID = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 65))
 """Points at which the smallest slope of a polynomial is enforced: closest together at the ends, as its turns are."""
+NEAR = 0.05
+"""Share of the upper end up to which a lowest command is near 0 V, and of the curves' range that no record need reach."""
+
+
+@dataclass(frozen=True)
+class Ends:
+    """Commands at the ends of the major loop's curves.
+
+    Parameters
+    ----------
+    lower
+        Command at the lower end, V.
+    length
+        Distance of the upper end, V.
+    """
+
+    lower: float
+    length: float
+
+    @property
+    def upper(self) -> float:
+        """Command at the upper end, V."""
+        return self.lower + self.length
 
 
 @dataclass(frozen=True)
@@ -109,15 +132,15 @@ class Curves:
             return up, down
         return np.concatenate([[0.0], up / full]), np.concatenate([[0.0], down / full, [1.0]])
 
-    def stage(self, vector: Array, input_scale: float, output_scale: float, inverse: bool = False) -> Madelung:
+    def stage(self, vector: Array, ends: Ends, output_scale: float, inverse: bool = False) -> Madelung:
         """Construct the stage of a parameter vector.
 
         Parameters
         ----------
         vector
             Parameters (P,).
-        input_scale
-            Command at the upper end, V.
+        ends
+            Commands at the ends of the curves.
         output_scale
             Measurement at which the vector's output is 1.
         inverse
@@ -129,7 +152,7 @@ class Curves:
             The stage.
         """
         up, down = self.pair(vector)
-        return Madelung(up, down, input_scale, output_scale * self.full(vector), self.knots, inverse)
+        return Madelung(up, down, ends.length, output_scale * self.full(vector), self.knots, inverse, ends.lower)
 
     def like(self, other: Curves, vector: Array) -> Array:
         """Convert the parameters of curves of another form: polynomials of no higher degree, or evaluated at the knots.
@@ -204,9 +227,11 @@ class CurveOptions(Options):
     degree
         Degree of the polynomials.
     knots
-        Knots of piecewise cubics in place of polynomials, from 0 to 1 of the input scale.
+        Knots of piecewise cubics in place of polynomials, from 0 to 1 of the curves' range.
     input_scale
         Command at the upper end, V; None: the largest of the records.
+    input_offset
+        Command at the lower end, V; None: the lowest of the records, or 0 V where they begin there.
     """
 
     degree: int = option(
@@ -215,12 +240,15 @@ class CurveOptions(Options):
     knots: tuple[float, ...] | None = option(
         None,
         NUMBERS,
-        "knots of piecewise cubics in place of polynomials, increasing from 0 to 1 of the input scale",
+        "knots of piecewise cubics in place of polynomials, increasing from 0 to 1 of the range of the curves",
         lower=0.0,
         upper=1.0,
     )
     input_scale: float | None = option(
         None, NUMBER, "command at the upper end of the curves, in place of the largest one of the records", unit="V", lower=0.0
+    )
+    input_offset: float | None = option(
+        None, NUMBER, "command at the lower end of the curves, in place of the lowest one of the records", unit="V"
     )
 
     @property
@@ -229,8 +257,10 @@ class CurveOptions(Options):
         return Curves(self.degree, self.knots)
 
     def check(self) -> None:
-        if self.input_scale == 0.0:
-            raise InputError("input_scale: must be > 0 V, got 0")
+        if self.input_scale is not None and self.input_scale <= (self.input_offset or 0.0):
+            raise InputError(
+                f"input_scale: must be > {self.input_offset or 0:g} V, the lower end of the curves, got {self.input_scale:g}"
+            )
         _ = self.curves
 
 
@@ -244,7 +274,7 @@ class MadelungOptions(CurveOptions):
         Offset or drift that each record may add.
     """
 
-    nuisance: str = nuisance_option("offset")
+    nuisance: str = nuisance_option("linear")
 
 
 @register
@@ -256,9 +286,8 @@ class MadelungCurves(Estimator[MadelungOptions]):
     Options = MadelungOptions
 
     def fit(self, datasets: Sequence[Dataset], options: MadelungOptions) -> Fit:
-        check(datasets)
-        windows = [whole_records(datasets, axis) for axis in range(len(datasets[0].axes))]
-        axes = [fit_axis(each, options.curves, options.input_scale, options.nuisance) for each in windows]
+        check_records(datasets)
+        axes = [fit_records(whole_records(datasets, axis), options) for axis in range(len(datasets[0].axes))]
         return assemble(datasets, axes, options.method)
 
 
@@ -272,8 +301,8 @@ class AxisFit:
         Form of the curves.
     solution
         Their parameters, in units of output_scale.
-    input_scale
-        Command at the upper end, V.
+    ends
+        Commands at the ends of the curves.
     output_scale
         Scale of the output (measurement unit).
     sign
@@ -284,7 +313,7 @@ class AxisFit:
 
     curves: Curves
     solution: Solution
-    input_scale: float
+    ends: Ends
     output_scale: float
     sign: float
     offset: float
@@ -292,13 +321,40 @@ class AxisFit:
     @property
     def stage(self) -> Madelung:
         """The axis' hysteresis."""
-        return self.curves.stage(self.solution.parameters, self.input_scale, self.output_scale)
+        return self.curves.stage(self.solution.parameters, self.ends, self.output_scale)
+
+
+def fit_records(windows: Sequence[Window], options: MadelungOptions) -> AxisFit:
+    """Identify the curves of one axis from whole records.
+
+    From 0 V at the lower end the first loading is the ascending branch. From anywhere else it is no branch of the major loop, and the
+    rows before the command has met both its extremes do not count.
+
+    Parameters
+    ----------
+    windows
+        The records.
+    options
+        Options of the fit.
+
+    Returns
+    -------
+    AxisFit
+        Curves, scales, sign and zero.
+    """
+    ends = curve_ends(windows, options)
+    if ends.lower != 0.0:
+        windows = [
+            window if window.memory is not None else replace(window, skip=max(window.skip, virgin_rows(window.command)))
+            for window in windows
+        ]
+    return fit_axis(windows, options.curves, ends, options.nuisance)
 
 
 def fit_axis(
     windows: Sequence[Window],
     curves: Curves,
-    input_scale: float | None,
+    ends: Ends,
     nuisance: str,
     *,
     inverse: bool = False,
@@ -312,8 +368,8 @@ def fit_axis(
         Stretches of its records.
     curves
         Form of the curves.
-    input_scale
-        Command (V) at their upper end; None: the largest one.
+    ends
+        Commands at their ends.
     nuisance
         Addition of each record: "none", "offset" or "linear".
     inverse
@@ -326,22 +382,21 @@ def fit_axis(
     AxisFit
         Curves, scales, sign and zero.
     """
-    scale = full_scale(windows, input_scale)
     sign = response_sign(windows)
     travel = (
         max(float(np.ptp(window.measurement)) / float(np.ptp(window.command)) for window in windows if np.ptp(window.command))
-        * scale
+        * ends.length
     )
     turned = [replace(window, measurement=sign * window.measurement) for window in windows]
 
     def stages(vector: Array) -> list[Stage]:
-        return [curves.stage(vector, scale, travel)]
+        return [curves.stage(vector, ends, travel)]
 
     lhs = curves.constraints()
     problem = Parametrization(stages, lhs, np.zeros(len(lhs)))
     start = curves.start(-0.15 if inverse else 0.15)
     solution = minimize_simulation_error(turned, problem, start, nuisance=nuisance, passes=passes, tolerance=1e-6, everything=True)
-    return AxisFit(curves, solution, scale, travel, sign, sign * mean_offset(solution, windows, nuisance))
+    return AxisFit(curves, solution, ends, travel, sign, sign * mean_offset(solution, windows, nuisance))
 
 
 def fit_inverse(stage: Madelung, curves: Curves | None = None) -> Madelung:
@@ -352,7 +407,7 @@ def fit_inverse(stage: Madelung, curves: Curves | None = None) -> Madelung:
     Parameters
     ----------
     stage
-        Hysteresis of one axis.
+        Hysteresis of one axis, whose curves begin at 0 V.
     curves
         Form of the inverse's curves; None: the default polynomials.
 
@@ -368,52 +423,42 @@ def fit_inverse(stage: Madelung, curves: Curves | None = None) -> Madelung:
     up, down = (output_scale * curve(x) for curve in stage.curves(1)[0])
     demand, command = np.concatenate([up, down[::-1]]), input_scale * np.concatenate([x, x[::-1]])
     window = Window(demand, command, 1.0, "foh", 0, 0)
-    found = fit_axis([window], curves, full, "none", inverse=True)
+    ends = Ends(0.0, full)
+    found = fit_axis([window], curves, ends, "none", inverse=True)
     vector = found.solution.parameters / curves.full(found.solution.parameters)
-    return curves.stage(vector, full, input_scale)
+    return curves.stage(vector, ends, input_scale)
 
 
-def check(datasets: Sequence[Dataset]) -> None:
-    """Check that records suit Madelung curves.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-
-    Raises
-    ------
-    InputError
-        They differ in axes or unit, nothing moves, or a command is negative.
-    """
-    check_records(datasets)
-    for data in datasets:
-        lowest = float(data.command.min())
-        if lowest < -0.01 * float(data.command.max()):
-            raise InputError(
-                f"{data.name}: command: must be >= 0 V for Madelung curves, goes down to {lowest:g} V: use a family of play operators"
-            )
-
-
-def full_scale(windows: Sequence[Window], given: float | None) -> float:
-    """Command at the upper end of the major loop.
+def curve_ends(windows: Sequence[Window], options: CurveOptions) -> Ends:
+    """Commands at the ends of the major loop.
 
     Parameters
     ----------
     windows
         Stretches of the records.
-    given
-        The command, V; None: the largest of the records.
+    options
+        Options of the fit, which may name the ends.
 
     Returns
     -------
-    float
-        Command, V.
+    Ends
+        From the options, else those of the records; records that begin near 0 V begin there.
+
+    Raises
+    ------
+    InputError
+        The options name an upper end that is not above the lower one.
     """
-    largest = max(float(window.command.max()) for window in windows)
-    if given is None:
-        return largest
-    return float(given)
+    upper = options.input_scale
+    if upper is None:
+        upper = max(float(window.command.max()) for window in windows)
+    lower = options.input_offset
+    if lower is None:
+        lower = min(float(window.command.min()) for window in windows)
+        lower = 0.0 if -0.01 * upper <= lower <= NEAR * upper else lower
+    if upper <= lower:
+        raise InputError(f"input_scale: must be > {lower:g} V, the lower end of the curves, got {upper:g}")
+    return Ends(lower, upper - lower)
 
 
 def response_sign(windows: Sequence[Window]) -> float:
@@ -480,6 +525,7 @@ def merged(stages: Sequence[Madelung]) -> Madelung:
         [cast(float, stage.input_scale) for stage in stages],
         [cast(float, stage.output_scale) for stage in stages],
         knots=stages[0].knots,
+        input_offset=[cast(float, stage.input_offset) for stage in stages] if any(stage.input_offset for stage in stages) else 0.0,
     )
 
 
@@ -602,11 +648,11 @@ def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) 
 
 
 class Scaled(Protocol):
-    """One axis whose curves end at some command."""
+    """One axis whose curves have ends."""
 
     @property
-    def input_scale(self) -> float:
-        """The command (V) at the end of the curves."""
+    def ends(self) -> Ends:
+        """Commands at the ends of the curves."""
 
 
 def range_notes(datasets: Sequence[Dataset], axes: Sequence[Scaled]) -> list[str]:
@@ -626,11 +672,11 @@ def range_notes(datasets: Sequence[Dataset], axes: Sequence[Scaled]) -> list[str
     """
     notes = []
     for index, (axis, name) in enumerate(zip(axes, datasets[0].axes, strict=True)):
-        low = min(float(data.command[:, index].min()) for data in datasets) / axis.input_scale
-        high = max(float(data.command[:, index].max()) for data in datasets) / axis.input_scale
-        if low > 0.05 or high < 0.95:
+        low = (min(float(data.command[:, index].min()) for data in datasets) - axis.ends.lower) / axis.ends.length
+        high = (max(float(data.command[:, index].max()) for data in datasets) - axis.ends.lower) / axis.ends.length
+        if low > NEAR or high < 1.0 - NEAR:
             notes.append(
-                f"axis {name}: the records span {100 * low:.0f} to {100 * high:.0f} % of 0 to {axis.input_scale:g} V: the curves "
-                "beyond are a continuation; record a slow loop over the whole drive"
+                f"axis {name}: the records span {100 * low:.0f} to {100 * high:.0f} % of {axis.ends.lower:g} to {axis.ends.upper:g} V: "
+                "the curves beyond are a continuation; record a slow loop over the whole drive"
             )
     return notes

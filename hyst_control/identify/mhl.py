@@ -21,18 +21,17 @@ from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.stage import Array
 from hyst_control.identify import paper_mhl
-from hyst_control.identify.coupling import Coupling, fit_coupling, without_coupling
-from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report
+from hyst_control.identify.coupling import Coupling, fit_coupling, simulated_rows, without_coupling
+from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report, check_records
 from hyst_control.identify.estimator import Estimator, register
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
 from hyst_control.identify.fit_windows import virgin_rows, whole_records
 from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.madelung import (
     Curves,
-    check,
+    curve_ends,
     curve_errors,
     fit_axis,
-    full_scale,
     mean_offset,
     merged,
     range_notes,
@@ -43,7 +42,7 @@ from hyst_control.identify.parameter_covariance import PRIOR, independent_axes
 from hyst_control.identify.parted_pair import PAIR_DAMPINGS, WORTHWHILE, parted_pair, unexplained_frequency, with_numerator
 from hyst_control.identify.simulation_error import Parametrization, Solution, minimize_simulation_error, short_stretches, thinned
 from hyst_control.identify.stable_dynamics import TAU_UNIT, Structure
-from hyst_control.model_file import Model, simulate
+from hyst_control.model_file import Model
 from hyst_control.parallel import forked
 
 T = TypeVar("T")
@@ -64,7 +63,7 @@ class ModifiedHammersteinLike(Estimator[MhlOptions]):
     Options = MhlOptions
 
     def fit(self, datasets: Sequence[Dataset], options: MhlOptions) -> Fit:
-        check(datasets)
+        check_records(datasets)
         if options.method == "paper":
             return assemble(datasets, "paper", paper_mhl.fit_axes(datasets, options), None)
         axes: list[AxisFit] = []
@@ -157,13 +156,13 @@ def fit_joint(windows: Sequence[Window], options: MhlOptions, like: AxisFit | No
     """
     sign = response_sign(windows)
     turned = [replace(window, measurement=sign * window.measurement) for window in windows]
-    scale = full_scale(windows, options.input_scale)
+    ends = curve_ends(windows, options)
     few = short_stretches(turned, SELECTION_ROWS, STRETCH, SETTLE)
     # Where nothing creeps, the loops are bent by the dynamics: only the coarsest curves are to be had without them.
     creeping = any(thinned(window) is not window for window in windows)
     form = options.curves if creeping or options.curves.degree < 2 else Curves(2)
-    static = fit_axis(slowest(few), form, scale, options.nuisance, passes=8)
-    blank = Axis(options.curves, Structure(), scale, static.output_scale, sign, min(window.sample_time for window in windows))
+    static = fit_axis(slowest(few), form, ends, options.nuisance, passes=8)
+    blank = Axis(options.curves, Structure(), ends, static.output_scale, sign, min(window.sample_time for window in windows))
     curves = static.solution.parameters
     if like is not None and (options.structure is None or options.structure == like.axis.structure):
         axis = replace(blank, structure=like.axis.structure)
@@ -441,7 +440,7 @@ def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: AxisFit, 
     axis, dynamics = found.axis, found.axis.split(found.vector)[2]
     signals = []
     for data in datasets:
-        error = data.measurement - simulate(model, data.command, data.sample_time, data.hold)
+        error = data.measurement - simulated_rows(model, data)
         begin = virgin_rows(data.command[:, index])
         signals.append((data.command[begin:, index], error[begin:, index]))
     frequency = unexplained_frequency(signals, axis.sample_time)

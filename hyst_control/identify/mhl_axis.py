@@ -11,7 +11,7 @@ import numpy as np
 from hyst_control.chain import Parallel, Stage
 from hyst_control.chain.linear import Delay, RateCorrection
 from hyst_control.chain.stage import Array
-from hyst_control.identify.madelung import CurveOptions, Curves
+from hyst_control.identify.madelung import CurveOptions, Curves, Ends
 from hyst_control.identify.options import TRUTH, methods_option, option
 from hyst_control.identify.shared_options import nuisance_option, structure_option
 from hyst_control.identify.simulation_error import Parametrization
@@ -53,8 +53,8 @@ class Axis:
         Form of the curves.
     structure
         Factors of G(s).
-    input_scale
-        Command at the upper end of the curves, V.
+    ends
+        Commands at the ends of the curves.
     output_scale
         Scale of the output (measurement unit).
     sign
@@ -65,7 +65,7 @@ class Axis:
 
     curves: Curves
     structure: Structure
-    input_scale: float
+    ends: Ends
     output_scale: float
     sign: float
     sample_time: float
@@ -112,7 +112,7 @@ class Axis:
         """
         share, log_k2 = self.split(vector)[1]
         k2 = K2_UNIT * float(np.exp(log_k2))
-        return float(share) * self.output_scale / self.input_scale * k2, k2
+        return float(share) * self.output_scale / self.ends.length * k2, k2
 
     def stages(self, vector: Array, b1: float = 0.0) -> list[Stage]:
         """Construct the chain: delay, hysteresis and rate correction in parallel, G(s), and the response's sign.
@@ -132,7 +132,7 @@ class Axis:
         curves, _, dynamics = self.split(vector)
         k1, k2 = self.rate(vector)
         linear = _dynamics_stages(self.structure, dynamics.tobytes())
-        core = _curve_stage(self.curves, curves.tobytes(), self.input_scale, self.output_scale)
+        core = _curve_stage(self.curves, curves.tobytes(), self.ends, self.output_scale)
         hysteresis = Parallel(((core,), (RateCorrection(k1=k1, k2=k2, b1=b1),)))
         delays = [stage for stage in linear if isinstance(stage, Delay)]
         return [*delays, hysteresis, *(stage for stage in linear if not isinstance(stage, Delay))]
@@ -163,8 +163,8 @@ class Axis:
 
 # A neighboring vector differs in one parameter: most stages of its chain have been constructed and checked before.
 @lru_cache(256)
-def _curve_stage(curves: Curves, vector: bytes, input_scale: float, output_scale: float) -> Stage:
-    return curves.stage(np.frombuffer(vector), input_scale, output_scale)
+def _curve_stage(curves: Curves, vector: bytes, ends: Ends, output_scale: float) -> Stage:
+    return curves.stage(np.frombuffer(vector), ends, output_scale)
 
 
 @lru_cache(256)
@@ -200,6 +200,6 @@ class AxisFit:
     extra: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
-    def input_scale(self) -> float:
-        """The command (V) at the end of the curves."""
-        return self.axis.input_scale
+    def ends(self) -> Ends:
+        """Commands at the ends of the curves."""
+        return self.axis.ends

@@ -26,11 +26,11 @@ from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import Array
 from hyst_control.chain.symmetric_filter import smooth_weights
 from hyst_control.errors import InputError
-from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.dataset import Dataset, check_records
 from hyst_control.identify.fit_report import command_bandwidth
 from hyst_control.identify.fit_windows import virgin_rows, whole_records
 from hyst_control.identify.gram_sums import Window
-from hyst_control.identify.madelung import check, fit_axis, fit_inverse, full_scale, merged, response_sign
+from hyst_control.identify.madelung import Ends, curve_ends, fit_axis, fit_inverse, merged, response_sign
 from hyst_control.identify.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
 from hyst_control.identify.parted_pair import PAIR_DAMPINGS, WORTHWHILE, parted_pair, unexplained_frequency
 from hyst_control.identify.reversal_points import turning_points
@@ -149,15 +149,15 @@ def inverse_model(
     InputError
         The records lack an experiment; the text names it.
     """
-    check(datasets)
+    check_records(datasets)
     options = options or MhlOptions()
     first, axes = datasets[0], range(len(datasets[0].axes))
     found = []
     for index in axes:
         sign = response_sign(whole_records(datasets, index))
         pieces = sorted_pieces(datasets, index, sign)
-        scale = full_scale(whole_records(datasets, index), options.input_scale)
-        static = fit_axis(pieces.slow, options.curves, scale, options.nuisance)
+        ends = from_zero(datasets, index, options)
+        static = fit_axis(pieces.slow, options.curves, ends, options.nuisance)
         found.append(
             fit_inverse_correction(datasets, index, sign, fit_inverse(static.stage, options.curves), static.offset, k2, smoothing)
         )
@@ -251,6 +251,32 @@ def _run(stages: Sequence[Stage], signal: Array, sampling: Sampling) -> Array:
     return np.asarray(running.process(np.ascontiguousarray(signal)))[:, 0]
 
 
+def from_zero(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> Ends:
+    """Commands at the ends of the curves, which begin at 0 V in the paper's sequence.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    index
+        Index of the axis.
+    options
+        Options of the fit.
+
+    Raises
+    ------
+    InputError
+        They begin elsewhere.
+    """
+    ends = curve_ends(whole_records(datasets, index), options)
+    if ends.lower != 0.0:
+        raise InputError(
+            f"{datasets[0].name}: command: the paper's sequence begins at 0 V, the records of axis {datasets[0].axes[index]} at "
+            f"{ends.lower:g} V: use the joint method"
+        )
+    return ends
+
+
 def _cut(data: Dataset, index: int, begin: int, end: int) -> Dataset:
     """A part of one axis."""
     return replace(
@@ -275,20 +301,20 @@ def _fit_axis(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> A
     everything = whole_records(datasets, index)
     sign = response_sign(everything)
     pieces = sorted_pieces(datasets, index, sign)
-    scale = full_scale(everything, options.input_scale)
+    ends = from_zero(datasets, index, options)
     structure = options.structure or PAPER_STRUCTURE
 
     # Step 1: the delay.
     tau, tau_error = step_delay(pieces.step)
 
     # Step 2: the curves, from loops so slow that nothing else matters.
-    static = fit_axis(pieces.slow, options.curves, scale, options.nuisance)
+    static = fit_axis(pieces.slow, options.curves, ends, options.nuisance)
     curves = static.solution.parameters
     inverse = fit_inverse_correction(datasets, index, sign, fit_inverse(static.stage, options.curves), sign * static.offset)
 
     # Steps 3 and 4: the rate correction without G, then G, everything before as it is.
     whole = replace(structure, delay=True)
-    axis = Axis(options.curves, whole, scale, static.output_scale, sign, everything[0].sample_time)
+    axis = Axis(options.curves, whole, ends, static.output_scale, sign, everything[0].sample_time)
     bare = replace(axis, structure=Structure(delay=True))
     late = np.array([tau / TAU_UNIT])
     medium = short_stretches(pieces.medium, ROWS, 0.3, 0.02)

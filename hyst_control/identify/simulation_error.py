@@ -433,14 +433,15 @@ def short_stretches(windows: Sequence[Window], rows: int, length: float, settle:
         n = len(window.command)
         size = min(int(length / window.sample_time), n)
         count = max(int(round(n * max(rows, total // 50) / total / size)), 3)
-        if count * size >= n or window.memory is not None:
+        if count * size >= n:
             chosen.append(window)
             continue
         turns = turning_points(window.command)
+        remembered = np.zeros(1) if window.memory is None else window.memory[turning_points(window.memory)]
         for begin in np.unique(np.linspace(0, n - size, count).astype(int)):
             end = begin + size
-            earlier = np.concatenate([[0.0], window.command[turns[turns < begin]]]) if begin else None
-            memory = None if earlier is None else earlier[surviving_turns(earlier)]
+            earlier = np.concatenate([remembered, window.command[turns[turns < begin]]]) if begin else None
+            memory = window.memory if earlier is None else earlier[surviving_turns(earlier)]
             skip = min(max(int(settle / window.sample_time) if begin else 0, window.skip - begin), size - 1)
             part = slice(begin, end)
             chosen.append(

@@ -11,11 +11,13 @@ from hyst_control import progress
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.fit_report import residual
+from hyst_control.identify.initial_memory import with_beginning
 from hyst_control.identify.record_segmentation import stretches_between_rests
 from hyst_control.identify.workflow import datasets_of
 from hyst_control.model_file import Model, load_model
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.row_store import blocks, largest_size, mean_square
+from hyst_control.records.session_zero import SHAPES, without_zero
 from hyst_control.reporting.tables import Table
 
 
@@ -24,7 +26,7 @@ def validate_bags(
     bags: Sequence[str | Path],
     source: str,
     hold: str | None = None,
-    start: str = "settled",
+    start: str = "auto",
     namespace: str | None = None,
     unit: str = "unknown",
 ) -> Table:
@@ -44,7 +46,8 @@ def validate_bags(
     Returns
     -------
     Table
-        NRMSE and NME in % of the record's range (HAMPI paper Eq. 26), RMSE in its unit.
+        NRMSE and NME in % of the record's range (HAMPI paper Eq. 26), RMSE in its unit: `nrmse` as it is, `nrmse_centered` without
+        the mean, `nrmse_own_zero` without the record's own zero, drift and curvature, which stand beside it.
 
     Raises
     ------
@@ -55,7 +58,7 @@ def validate_bags(
     table = Table(source)
     for bag in bags:
         progress.step(f"read {bag}")
-        for data in datasets_of(read_bag(bag, namespace, unit), hold, start, True):
+        for data in map(with_beginning, datasets_of(read_bag(bag, namespace, unit), hold, start, True)):
             for name, model in loaded.items():
                 progress.step(f"{name} on {data.name}")
                 check_pair(name, model, data)
@@ -103,6 +106,7 @@ def add_rows(table: Table, name: str, model: Model, data: Dataset) -> None:
     """
     error = residual(model, data)
     skipped = len(data.command) - len(error)
+    rest, own = without_zero(error)
     for axis, label in enumerate(data.axes):
         where = f"{data.name} {label}" if len(data.axes) > 1 else data.name
         span = float(data.range[axis]) or 1.0
@@ -111,6 +115,8 @@ def add_rows(table: Table, name: str, model: Model, data: Dataset) -> None:
         for quantity, value, symbol in (
             ("nrmse", 100 * rmse / span, "%"),
             ("nrmse_centered", 100 * float(np.sqrt(mean_square(e, float(np.mean(e))))) / span, "%"),
+            ("nrmse_own_zero", 100 * float(np.sqrt(mean_square(rest[:, axis]))) / span, "%"),
+            *((shape, float(own[axis, degree]), data.unit) for degree, shape in enumerate(SHAPES)),
             ("nme", 100 * largest_size(e) / span, "%"),
             ("rmse", rmse, data.unit),
         ):

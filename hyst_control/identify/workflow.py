@@ -14,9 +14,11 @@ from hyst_control.errors import InputError
 from hyst_control.files import check_writable, write_json
 from hyst_control.identify import estimator_of, estimators, identify
 from hyst_control.identify.dataset import Dataset, Fit, Report
+from hyst_control.identify.fit_report import residual
+from hyst_control.identify.initial_memory import with_beginning
 from hyst_control.identify.model_choice import best_family, choice_lines
 from hyst_control.identify.record_consistency import disagreements
-from hyst_control.model_file import COMMAND_UNITS, DISCREPANCY_VERSION, MEASUREMENT_UNITS, Model, save_model, simulate
+from hyst_control.model_file import COMMAND_UNITS, DISCREPANCY_VERSION, MEASUREMENT_UNITS, Model, save_model
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.record import Record
 from hyst_control.records.record_validity import Trial, refuse_invalid
@@ -51,9 +53,14 @@ class Result:
         lines = [", ".join([f"{report['family']} ({report['method']})", *report.get("structure", [])])]
         for row in report["records"]:
             lines.append(
-                f"  {row['name']}  {row['axis']}: NRMSE {row['nrmse']:.3f} % of range ({row['nrmse_centered']:.3f} % with the "
-                f"means removed), NME {row['nme']:.3f} %, RMSE {row['rmse']:.4g} {row['unit']} over {row['samples']} samples"
+                f"  {row['name']}  {row['axis']}: NRMSE {row['nrmse']:.3f} % of range ({row['nrmse_own_zero']:.3f} % without the "
+                f"record's own zero {row['zero']:.4g} and drift {row['drift']:.4g} {row['unit']}), NME {row['nme']:.3f} %, "
+                f"RMSE {row['rmse']:.4g} {row['unit']} over {row['samples']} samples"
             )
+        lines += [
+            f"  {row['name']} begins {row['assumed']}" + f", row {row['first_row']}" * bool(row["first_row"])
+            for row in report.get("beginnings", [])
+        ]
         if "held_out_nrmse" in report:
             lines.append("  held-out blocks: NRMSE " + ", ".join(f"{value:.3f} %" for value in report["held_out_nrmse"]))
         if "tried" in report:
@@ -74,7 +81,7 @@ def identify_bags(
     json_path: str | Path | None = None,
     method: str = "joint",
     hold: str | None = None,
-    start: str = "settled",
+    start: str = "auto",
     allow_gaps: bool = False,
     force: bool = False,
     namespace: str | None = None,
@@ -139,9 +146,10 @@ def identify_bags(
         fit = identify(datasets, chosen[0], method, **given)
     else:
         fit = best_family(chosen, lambda name: identify(datasets, name, method, **given))
-    notes += [each.text() for each in disagreements(fit.model, datasets)]
+    begun = [with_beginning(data) for data in datasets]
+    notes += [each.text() for each in disagreements(fit.model, begun)]
     fit = replace(fit, report={**fit.report, "bags": [str(bag) for bag in bags], "notes": [*notes, *fit.report["notes"]]})
-    fit = replace(fit, model=replace(fit.model, discrepancy=discrepancy(fit.model, datasets)))
+    fit = replace(fit, model=replace(fit.model, discrepancy=discrepancy(fit.model, begun)))
     save_model(fit.model, output)
     if json_path is not None:
         write_json(json_path, fit.report)
@@ -150,10 +158,6 @@ def identify_bags(
 
         write_choice(figure, fit.report["tried"])
     return Result(fit, Path(output))
-
-
-FILLING = 3
-"""Part of a record that begins amid a motion, by which the hysteresis' memory has filled."""
 
 
 def discrepancy(model: Model, datasets: Sequence[Dataset]) -> dict[str, Any]:
@@ -173,10 +177,7 @@ def discrepancy(model: Model, datasets: Sequence[Dataset]) -> dict[str, Any]:
     """
     left = []
     for data in datasets:
-        error = simulate(model, data.command, data.sample_time, data.hold)
-        np.subtract(data.measurement, error, out=error)
-        begin = 0 if data.start == "settled" else len(error) // FILLING  # the memory of the hysteresis has to fill first
-        left.append(without_zero(error[begin:]))
+        left.append(without_zero(residual(model, data)))
     zero = np.ptp([zeros for _, zeros in left], axis=0).tolist() if len(left) > 1 else None
     squares = sum(len(rest) * np.array([mean_square(rest[:, axis]) for axis in range(rest.shape[1])]) for rest, _ in left)
     rms = np.sqrt(squares / sum(len(rest) for rest, _ in left))
@@ -221,7 +222,7 @@ def chosen_families(family: str | None, method: str, options: Mapping[str, objec
     return having
 
 
-def datasets_of(record: Record, hold: str | None = None, start: str = "settled", allow_gaps: bool = False) -> list[Dataset]:
+def datasets_of(record: Record, hold: str | None = None, start: str = "auto", allow_gaps: bool = False) -> list[Dataset]:
     """Cut a record into its gapless stretches.
 
     Parameters
@@ -231,7 +232,8 @@ def datasets_of(record: Record, hold: str | None = None, start: str = "settled",
     hold
         "zoh" or "foh"; None: that of the record.
     start
-        "settled" at the first command, reached from 0 V on the virgin curve, or "unknown"; what follows a gap is unknown.
+        "settled" at the first command, reached from 0 V on the virgin curve, "unknown", or "auto", found from the record; what follows
+        a gap is unknown.
     allow_gaps
         Use the stretches between lost samples instead of raising an error.
 

@@ -24,7 +24,8 @@ from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
-from hyst_control.identify.fit_report import record_rows
+from hyst_control.identify.fit_report import record_rows, residual
+from hyst_control.identify.initial_memory import with_beginning
 from hyst_control.identify.reversal_points import turning_points
 from hyst_control.model_file import Model, simulate
 from hyst_control.reporting.tables import Table
@@ -34,6 +35,47 @@ SAMPLE_TIME = 5e-3
 SCORED = {"rows 7950-14150": slice(7950, 14150), "rows 7950-11950": slice(7950, 11950)}
 """Rows of the second file: loops whose amplitude shrinks and grows again, with and without the full loops that follow."""
 OPERATORS = 12
+CUT = 4700
+"""Rows cut off the second file's beginning, its first third."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """Change of a record as another amplifier or sensor would have it: command sign · u + shift (V), measurement factor · y + zero (um)."""
+
+    sign: float
+    shift: float
+    factor: float
+    zero: float
+
+    def of(self, record: Dataset, cut: int = 0) -> Dataset:
+        """Change a record and cut off its first rows; how it begins is for the identification to find.
+
+        Parameters
+        ----------
+        record : Dataset
+            Record to change.
+        cut : int
+            Rows to cut off.
+
+        Returns
+        -------
+        Dataset
+        """
+        command = self.sign * record.command[cut:] + self.shift
+        return replace(
+            record, command=command, measurement=self.factor * record.measurement[cut:] + self.zero, start="auto", beginning=None
+        )
+
+
+CHANGES = {
+    "bipolar drive": Change(1.0, -1.8, 1.0, 0.0),
+    "bipolar drive, other zero": Change(1.0, -1.8, 1.0, 5.0),
+    "negative drive": Change(-1.0, 0.0, 1.0, -3.0),
+    "inverted bipolar drive and sensor": Change(-1.0, 1.5, -1.0, 2.0),
+    "offset drive": Change(1.0, 2.5, 1.0, 0.0),
+}
+"""Other signs, offsets and beginnings of the same measurements; their first third is cut off besides."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +256,7 @@ def other_branches(model: Model, record: Dataset, rule: str) -> Array:
     assert isinstance(stage, Madelung), f"{stage.name} has no branches"
     rising, falling = stage.curves(1)[0]
     full = float(rising(np.ones(1))[0])
-    normalised = np.clip(record.command[:, 0] / stage.input_scale, 0.0, 1.0)
+    normalised = np.clip((record.command[:, 0] - stage.input_offset) / stage.input_scale, 0.0, 1.0)
     turned = nested_branches(
         normalised, lambda x: float(rising(np.array([x]))[0]) / full, lambda x: float(falling(np.array([x]))[0]) / full, rule
     )
@@ -390,6 +432,7 @@ def run(json_path: str | Path | None = None, figures_dir: str | Path | None = No
     table.add("P-885.91, lag", first.name, delayed.name, "delay", "s", delay)
     report_cycles(table, available, nested)
     report_fitted_there(table, nested)
+    report_changes(table, first, nested)
     if figures_dir is not None:
         draw(Path(figures_dir), [*found, delayed], nested)
     if json_path is not None:
@@ -461,6 +504,29 @@ def report_fitted_there(table: Table, nested: Dataset) -> None:
             "%",
             score(nested.measurement[rows, 0], predicted[rows]),
         )
+
+
+def report_changes(table: Table, cycle: Dataset, nested: Dataset) -> None:
+    """Add the held-out error when signs, offsets and beginnings of the records are others.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    cycle : Dataset
+        Cycle on which the model is fitted.
+    nested : Dataset
+        Second file, with the nested loops.
+    """
+    for name, change in CHANGES.items():
+        model = identify([change.of(cycle)], "madelung").model
+        record = with_beginning(change.of(nested, CUT))
+        error = residual(model, record)[:, 0]
+        for case, rows in SCORED.items():
+            behind = len(nested.command) - rows.stop
+            part = error[len(error) - behind - (rows.stop - rows.start) : len(error) - behind]
+            value = 100.0 * float(np.std(part)) / float(np.ptp(nested.measurement[rows, 0]))
+            table.add(f"P-885.91, {name}, first third cut off", case, "Madelung, quintic", "nrmse", "%", value)
 
 
 def draw(folder: Path, found: Sequence[Prediction], nested: Dataset) -> None:

@@ -65,6 +65,15 @@ EXAMPLES = {
         "input_scale": spread(n, 100.0, 80.0),
         "output_scale": spread(n, 2.0, 0.6),
     },
+    "duhem": lambda n: {
+        "slope": spread(n, 0.1, 0.12),
+        "alpha": spread(n, -0.03, -0.01),
+        "beta": 0.02,
+        "gamma": spread(n, -0.006, 0.004),
+        "exponent": spread(n, 1.0, 2.0),
+        "growth": 4e-3,
+    },
+    "creep_operators": lambda n: {"times": [2e-4, 1e-3], "shares": spread(n, [0.05, 0.02], [0.01, 0.03])},
     "softening_modal": lambda n: {
         "decay": [5.0, 6.0],
         "frequency": [2e3, 0.0],
@@ -197,6 +206,16 @@ VARIANTS = {
             "knots": [0.0, 0.4, 1.0],
             "descending": [0.0, 0.6, 1.0],
             "input_scale": 100.0,
+            "output_scale": 2.0,
+        },
+    ),
+    "madelung, bipolar": (
+        "madelung",
+        lambda n: {
+            "ascending": RISING,
+            "descending": FALLING,
+            "input_scale": 150.0,
+            "input_offset": spread(n, -80.0, -110.0),
             "output_scale": 2.0,
         },
     ),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
@@ -35,7 +37,7 @@ def run(stage, u) -> np.ndarray:
 
 
 def inverse_of(stage: Madelung) -> Madelung:
-    return Madelung(stage.ascending, stage.descending, stage.input_scale, stage.output_scale, stage.knots, inverse=True)
+    return replace(stage, inverse=True)
 
 
 def with_steps(turns, count: int = 7) -> np.ndarray:
@@ -229,3 +231,37 @@ def test_a_falling_curve_is_refused_with_its_interval():
 def test_curves_that_make_no_sense_are_refused_by_name(make, word):
     with pytest.raises(InputError, match=word):
         make()
+
+
+BIPOLAR = replace(STAGES["quintic"], input_scale=180.0, input_offset=-90.0)
+
+
+def test_curves_that_begin_elsewhere_are_those_of_a_shifted_command():
+    """Once both ends of the loop have been met, the stage is its unipolar twin behind a shift of the command."""
+    random = np.random.default_rng(3)
+    u = np.concatenate([[0.0, 90.0, -90.0], np.cumsum(random.normal(0.0, 15.0, 400)).clip(-100.0, 100.0)])
+    twin = replace(BIPOLAR, input_offset=0.0)
+    np.testing.assert_allclose(run(BIPOLAR, u)[2:], run(twin, u + 90.0)[2:], atol=1e-13)
+    np.testing.assert_allclose(run(inverse_of(BIPOLAR), run(BIPOLAR, u))[2:], u[2:], atol=1e-9)
+
+
+def test_rest_inside_the_loop_has_no_preferred_side():
+    """A symmetric pair of curves starts in the middle, rises as it falls, and lies inside the major loop all the way."""
+    f = np.array([0.2, 0.5, 0.3])
+    mirrored = np.array([0.2, -1.1, 1.9])  # 1 - f(1 - x)
+    stage = Madelung(f, mirrored, 2.0, 1.0, input_offset=-1.0)
+    half = np.linspace(0.0, 0.99, 100)
+    up, down = run(stage, half), run(stage, -half)
+    assert abs(up[0] - 0.5) < 0.01
+    np.testing.assert_allclose(up - up[0], -(down - down[0]), atol=0.01)
+    rising, falling = (curve((half + 1.0) / 2.0) for curve in stage.curves(1)[0])
+    assert np.all((rising - 1e-12 <= up) & (up <= falling + 1e-12)) and np.all(np.diff(up) > 0)
+
+
+def test_a_loop_below_zero_starts_at_its_top():
+    stage = replace(STAGES["quintic"], input_offset=-100.0)
+    u = with_steps([-30.0, -10.0, -90.0, 0.0])
+    full = RANGE["quintic"]
+    assert run(stage, u)[0] == pytest.approx(full)
+    falling = stage.output_scale * stage.curves(1)[0][1](1.0 + u[:8] / 100.0)
+    np.testing.assert_allclose(run(stage, u)[:8], falling, rtol=1e-12)

@@ -15,6 +15,7 @@ import pytest
 from hyst_control.chain import Chain, Parallel, Stage
 from hyst_control.chain.bouc_wen import BoucWen
 from hyst_control.chain.coordinates import chain_coordinates
+from hyst_control.chain.duhem import Duhem
 from hyst_control.chain.duhem_oscillator import DuhemOscillator
 from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.madelung import Madelung
@@ -136,6 +137,14 @@ EXAMPLES = {
         {"mass": 10.0 / W**2, "damping": 6.0 / W, "stiffness": 6.0, "rising[1]": 4.0, "falling[1]": 4.0},
         {"table_size": 3},
         scatter=("mass", "damping", "stiffness", "rising[1]"),
+    ),
+    "duhem": Example(
+        (Delay(1.3e-4), Duhem(0.1, -0.03, 0.03, -0.008, 1.3, 4e-3), MODE),
+        FAST,
+        1e-4,
+        {"slope": 0.1, "alpha": -0.03, "beta": 0.03, "gamma": -0.008, "exponent": 1.3, "growth": 4e-3, "tau": 1.3e-4, **MECHANICS},
+        {"structure": "modes=1,delay", "creep": False, "nuisance": "offset"},
+        scatter=("slope", "alpha", "tau", "den[1]"),
     ),
     "linear": Example(
         (Delay(2e-4), TransferFunction([0.05 * W * W], [1.0, 0.1 * W, W * W])),

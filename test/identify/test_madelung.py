@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -108,10 +110,25 @@ def test_what_the_records_do_not_reach_is_said():
     assert any("span 0 to 6" in note and "slow loop over the whole drive" in note for note in fit.report["notes"])
 
 
+@pytest.mark.parametrize("shift", [-100.0, -60.0, 30.0])
+@pytest.mark.parametrize("start", ["settled", "unknown"])
+def test_any_drive_has_curves(shift, start):
+    """Negative, bipolar and offset drives: the same curves between other ends, which the model file says."""
+    truth = replace(TRUTH, input_offset=shift)
+    whole = np.concatenate([loops(), loops()]) + shift
+    fit = identify(
+        [dataset([truth, Offset(0.3)], whole, start=start, rows=slice(1700 if start == "unknown" else 0, None))], "madelung"
+    )
+    stage = fit.model.chain.stages[0]
+    assert (stage.input_offset, stage.input_scale) == (pytest.approx(shift, abs=0.1), pytest.approx(100.0, rel=0.002))
+    assert deviation(stage, truth) < 1.5e-3
+
+
 @pytest.mark.parametrize(
     "change, options, word",
     [
-        (lambda u: u - 50.0, {}, "command: must be >= 0 V for Madelung curves"),
+        (lambda u: u, {"input_offset": 200.0}, "input_scale: must be > 200 V, the lower end of the curves"),
+        (lambda u: u, {"input_offset": 50.0, "input_scale": 40.0}, "input_scale: must be > 50 V"),
         (lambda u: 0 * u + 3.0, {}, "never moves"),
         (lambda u: u, {"degree": 0}, "degree: must be an integer from 1 to 12, got 0"),
         (lambda u: u, {"knots": [0.0, 1.0]}, "knots: must be at least three"),

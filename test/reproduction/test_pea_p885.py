@@ -49,6 +49,14 @@ def test_madelung_predicts_the_nested_loops(outcome, rows):
 
 
 @measured
+@pytest.mark.parametrize("rows", pea_p885.SCORED)
+def test_signs_offsets_and_beginnings_do_not_matter(outcome, rows):
+    """Bipolar, negative, offset and inverted drives whose record begins amid a motion: within 1 % of the range, held out."""
+    changed = [row for row in outcome[0].rows if row.table.endswith("first third cut off") and row.case == rows]
+    assert len(changed) == len(pea_p885.CHANGES) and max(row.value for row in changed) <= 1.0
+
+
+@measured
 def test_any_cycle_will_do(outcome):
     table, _ = outcome
     assert table.value("rows 7950-14150", "Madelung, quintic", "nrmse_greatest") <= 1.0
