@@ -58,8 +58,8 @@ def drift_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """
     length = around.duration
     return (
-        Parameter("tau", "s", length, (0.2 * length, length, 0.5 * length), 0.05 * length, 10.0 * length, 1.0, True),
-        Parameter("decades", "", 0.0, (0.0, 0.0, 1.5), 0.0, 3.0, 1.0, told=False),
+        Parameter("tau", "s", length, (0.2 * length, length), 0.05 * length, 10.0 * length, 1.0, True),
+        Parameter("decades", "", 0.0, (0.0, 1.5), 0.0, 3.0, 1.0, told=False),
         Parameter("initial", "", 0.0, (0.0,), -1.0, 0.0, 0.5, told=False),
     )
 
