@@ -41,8 +41,12 @@ class HysteresisRate(Modifier):
         factor = per_axis_scalar(self.factor, axes, "factor")
         asymmetry, lag = per_axis_scalars(self, axes, "asymmetry", "lag")
         rising, falling = (np.maximum(1.0 + (factor - 1.0) * (1.0 + sign * asymmetry), 0.0) for sign in (1.0, -1.0))
-        changed = None if lag.any() else replaced(before, lambda stage: stage.with_rate_parts(rising, falling))
-        changed = changed or replaced(before, lambda stage: _added(stage, factor, np.where(lag > 0.0, lag, ADDED_TIME)))
+        own = lag == 0.0
+        changed = replaced(before, lambda stage: stage.with_rate_parts(np.where(own, rising, 1.0), np.where(own, falling, 1.0)))
+        if changed is not None and not own.all():
+            changed = replaced(changed, lambda stage: _added(stage, np.where(own, 1.0, factor), np.where(own, ADDED_TIME, lag)))
+        elif changed is None:
+            changed = replaced(before, lambda stage: _added(stage, factor, np.where(own, ADDED_TIME, lag)))
         if changed is None:
             raise InputError("hysteresis_rate: no hysteresis before it whose rate part could change: put it behind one")
         return changed if np.any(factor != 1.0) else before

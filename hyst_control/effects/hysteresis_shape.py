@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from hyst_control.chain.memoryless import Memoryless
-from hyst_control.chain.parameter import Array, ScalarPerAxis, flag, scalar
+from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Modifier, Stage, per_axis_scalar, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.modifiers import beside, settled
@@ -41,7 +41,9 @@ class HysteresisShape(Modifier):
     stroke: ScalarPerAxis | None = scalar("output unit", "default that of the hysteresis", default=None)
     odd: ScalarPerAxis = scalar("", "of the stroke, a fifth from either end", default=0.0)
     tilt: ScalarPerAxis = scalar("", "of the stroke, from end to end", default=0.0)
-    behind: bool = flag("whether it is a curve of the output")
+    behind: ScalarPerAxis = scalar(
+        "", "1: a curve of the output", default=0.0, lower=0.0, upper=1.0, whole=True, scatter=Scattering.NONE
+    )
 
     def check(self) -> None:
         if np.any(np.array(self.lower) >= np.array(self.upper)):
@@ -58,14 +60,17 @@ class HysteresisShape(Modifier):
         span = settled(before[index], upper) - begin
         stroke = span if self.stroke is None else per_axis_scalar(self.stroke, axes, "stroke")
 
+        behind = per_axis_scalar(self.behind, axes, "behind")
+
         def curve(x: Array) -> Array:
             return stroke * (amount * 4.0 * x * (1.0 - x) + odd * CUBIC * x * (1.0 - x) * (x - 0.5) + tilt * (x - 0.5))
 
-        if self.behind:
-            bent = Memoryless(lambda y: y + curve((y - begin) / np.where(span, span, 1.0)))
-            return (*before[: index + 1], bent, *before[index + 1 :])
-        added = Memoryless(lambda u: curve((u - lower) / (upper - lower)))
-        return (*before[:index], beside(before[index], added), *before[index + 1 :])
+        stages: tuple[Stage, ...] = (before[index],)
+        if not behind.all():
+            stages = (beside(before[index], Memoryless(lambda u: (1.0 - behind) * curve((u - lower) / (upper - lower)))),)
+        if behind.any():
+            stages = (*stages, Memoryless(lambda y: y + behind * curve((y - begin) / np.where(span, span, 1.0))))
+        return (*before[:index], *stages, *before[index + 1 :])
 
 
 def peak(values: Values) -> dict[str, float]:
@@ -93,8 +98,7 @@ def shape(values: Values, around: Surroundings) -> HysteresisShape:
     """
     lower, upper = around.command
     even = values["even"] if "even" in values else values["amount"]
-    behind = bool(np.any(values.get("behind", 0.0)))
-    odd, tilt = values.get("odd", 0.0), values.get("tilt", 0.0)
+    odd, tilt, behind = values.get("odd", 0.0), values.get("tilt", 0.0), values.get("behind", 0.0)
     return HysteresisShape(even, lower, max(upper, lower + 1e-6), odd=odd, tilt=tilt, behind=behind)
 
 

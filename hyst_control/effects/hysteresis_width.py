@@ -50,9 +50,11 @@ class HysteresisWidth(Modifier):
         if what.any():
             thresholds, weights = (np.where(what == which, 1.0 + width, 1.0) for which in (1.0, 2.0))
             changed = replaced(before, lambda stage: stage.with_operators(thresholds, weights))
-            if changed is None or np.any((what == 0.0) & (width != 0.0)):
-                raise InputError("scaled: needs a hysteresis of play operators, on every axis alike: leave it out")
-            return changed
+            if changed is None:
+                raise InputError("scaled: needs a hysteresis of play operators: leave it out")
+            before, width = changed, np.where(what == 0.0, width, 0.0)
+            if not width.any():
+                return before
         changed = replaced(before, lambda stage: stage.with_loop_width(width))
         if changed is None and hysteresis_index(before) is None:
             span, centre = per_axis_scalars(self, axes, "span", "centre")

@@ -121,7 +121,7 @@ def test_a_single_valued_curve_is_bent_oddly_or_tilted():
 
 def test_a_curve_behind_the_hysteresis_is_one_of_its_output():
     hysteresis, u = PrandtlIshlinskii([0.0, 6.0], [0.6, 0.4]), walk(low=0.0, high=50.0)
-    y, bent = run([hysteresis], u), run([hysteresis, HysteresisShape(0.05, 0.0, 50.0, behind=True)], u)
+    y, bent = run([hysteresis], u), run([hysteresis, HysteresisShape(0.05, 0.0, 50.0, behind=1)], u)
     top = 0.6 * 50.0 + 0.4 * 44.0
     np.testing.assert_allclose(bent, y + 0.05 * top * 4.0 * (y / top) * (1.0 - y / top), rtol=1e-9)
 
@@ -215,3 +215,24 @@ def test_a_lowpass_of_order_two_is_an_ordinary_differential_equation():
     rise = solve_ivp(lambda t, x: [x[1], w * w * (1.0 - x[0]) - 2 * z * w * x[1]], (0, 0.02), [0, 0], rtol=1e-10, atol=1e-12,
                      t_eval=np.arange(1, 201) * STEP)  # fmt: skip
     np.testing.assert_allclose(run([SensorLowpass(300.0, 2, z)], steps)[5:], rise.y[0], atol=1e-7)
+
+
+def test_axes_may_have_realizations_of_their_own():
+    """Of width, rate and shape: each axis of a plant as if it were alone."""
+    u = np.stack([walk(low=0.0, high=50.0), walk(low=0.0, high=50.0, seed=8)], axis=1)
+    operators = ModifiedPrandtlIshlinskii([0.0, 3.0], [0.5, 0.3], m1=1e-5, m2=1e-5)
+    realizations = {
+        HysteresisWidth: ({"width": 0.2, "scaled": 0}, {"width": 0.3, "scaled": 1}),
+        HysteresisRate: ({"factor": 2.0, "lag": 0.0}, {"factor": 1.5, "lag": 3e-3}),
+        HysteresisShape: (
+            {"amount": 0.02, "lower": 0.0, "upper": 50.0, "behind": 0},
+            {"amount": 0.03, "lower": 0.0, "upper": 50.0, "behind": 1},
+        ),
+    }
+    for kind, each in realizations.items():
+        both = {name: [one[name] for one in each] for name in each[0]}
+        running = Chain((operators, kind(**both))).filter(Sampling(STEP, 2))
+        running.settle(u[0])
+        found = running.process(u)
+        for axis, values in enumerate(each):
+            np.testing.assert_allclose(found[:, axis], run([operators, kind(**values)], u[:, axis]), rtol=1e-9)
