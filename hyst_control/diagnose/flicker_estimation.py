@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import OptimizeResult, minimize
 from scipy.signal import butter, sosfiltfilt
 
 from hyst_control.chain.stage import Array
@@ -46,7 +46,7 @@ def flicker(residual: Array, command: Array, settings: FlickerSettings = CONFIGU
     white = float(np.median(level[-settings.bands_per_octave :]))
     mean = float(bins @ level / bins.sum())
     alone = float(np.sum(bins * (np.log(mean) + level / mean)))
-    fits = []
+    fits: list[tuple[OptimizeResult, float, Array]] = []
     for exponent in settings.exponents:
         falling = np.array([np.mean(k[a:b] ** -exponent) for a, b in bands])
         fits += [

@@ -375,7 +375,7 @@ def _refined(
     settings = configuration.search
     # Of every explanation the best realizations first: those of one effect are many, and would leave no room for its rivals.
     met: dict[tuple[object, ...], int] = {}
-    rank = []
+    rank: list[int] = []
     for candidate, _ in found:
         variant = tuple(member.variant for member in candidate.members)
         met[variant] = met.get(variant, 0) + 1

@@ -30,7 +30,9 @@ class Creep(LinearStage):
     place: ClassVar[str] = "piezo"
     gamma: ScalarPerAxis = scalar("1/decade", "share of a step by which the output grows on")
     begin: ScalarPerAxis = scalar("s", "shortest time", default=0.1, above=0.0)
-    decades: ScalarPerAxis = scalar("", "from the shortest time to the longest, decimal logarithm", default=4.0, above=0.0)
+    decades: ScalarPerAxis = scalar(
+        "", "from the shortest time to the longest, decimal logarithm", default=4.0, above=0.0, upper=20.0
+    )
 
     def systems(self, axes: int) -> list[LinearSystem]:
         steps = (np.arange(COUNT) + 0.5) / COUNT

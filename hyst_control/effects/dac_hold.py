@@ -33,7 +33,7 @@ class DacHold(Stage):
     place: ClassVar[str] = "dac"
     samples: ScalarPerAxis = scalar("", "for which a command is held", default=1, lower=1.0, whole=True, scatter=Scattering.NONE)
     step: ScalarPerAxis = scalar("V", "of the lattice; 0: none", default=0.0, lower=0.0)
-    phase: ScalarPerAxis = scalar("", "command taken first", default=0, lower=0.0, whole=True, scatter=Scattering.NONE)
+    phase: ScalarPerAxis = scalar("", "command taken first", default=0, lower=0.0, upper=1e9, whole=True, scatter=Scattering.NONE)
     rounding: ScalarPerAxis = scalar(
         "",
         "0 nearest, 1 down, 2 up, 3 toward zero, 4 midway",

@@ -24,7 +24,7 @@ class GainDrift(TimedStage):
     name: ClassVar[str] = "gain_drift"
     change: ScalarPerAxis = scalar("", "of the gain in the end")
     tau: ScalarPerAxis = scalar("s", "time constant, the geometric mean of several", above=0.0)
-    decades: ScalarPerAxis = scalar("", "over which several time constants are spread; 0: one", default=0.0, lower=0.0)
+    decades: ScalarPerAxis = scalar("", "over which several time constants are spread; 0: one", default=0.0, lower=0.0, upper=20.0)
     initial: ScalarPerAxis = scalar("", "part of the change that is there at the start", default=0.0)
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:

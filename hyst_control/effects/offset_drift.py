@@ -21,7 +21,7 @@ class OffsetDrift(TimedStage):
     name: ClassVar[str] = "offset_drift"
     change: ScalarPerAxis = scalar("measurement unit", "of the zero in the end", scatter=Scattering.ABSOLUTE)
     tau: ScalarPerAxis = scalar("s", "time constant, the geometric mean of several", above=0.0)
-    decades: ScalarPerAxis = scalar("", "over which several time constants are spread; 0: one", default=0.0, lower=0.0)
+    decades: ScalarPerAxis = scalar("", "over which several time constants are spread; 0: one", default=0.0, lower=0.0, upper=20.0)
     initial: ScalarPerAxis = scalar("", "part of the change that is there at the start", default=0.0)
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
