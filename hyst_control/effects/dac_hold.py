@@ -86,7 +86,7 @@ def take_and_hold(
     held: Array,
     output: Array,
 ) -> None:
-    """block, output (N, A); count of samples before the block; samples, phase, step, rounding (A,); held (A,), the last value, is updated."""
+    """block, output (N, A); count of samples before the block; samples, phase, step, rounding (A,); held (A,), updated."""
     for row in range(block.shape[0]):
         for axis in range(block.shape[1]):
             if (count + row - phase[axis]) % samples[axis] == 0:
