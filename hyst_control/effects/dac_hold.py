@@ -49,7 +49,8 @@ class DacHold(Stage):
         return False
 
     def filter(self, sampling: Sampling) -> Filter:
-        return DacHoldFilter(*per_axis_scalars(self, sampling.axes, "samples", "step", "phase", "rounding"), sampling.hold)
+        samples, step, phase, rounding = per_axis_scalars(self, sampling.axes, "samples", "step", "phase", "rounding")
+        return DacHoldFilter(samples, step, phase, rounding, sampling.hold)
 
 
 class DacHoldFilter(Filter):

@@ -15,7 +15,7 @@ from hyst_control.effects.modifiers import beside, settled
 from hyst_control.effects.placement import hysteresis_index
 from hyst_control.errors import InputError
 
-CUBIC = 12.0 * np.sqrt(3.0)
+CUBIC = 12.0 * float(np.sqrt(3.0))
 """Makes the cubic 1 at its greatest."""
 
 
@@ -63,7 +63,8 @@ class HysteresisShape(Modifier):
         behind = per_axis_scalar(self.behind, axes, "behind")
 
         def curve(x: Array) -> Array:
-            return stroke * (amount * 4.0 * x * (1.0 - x) + odd * CUBIC * x * (1.0 - x) * (x - 0.5) + tilt * (x - 0.5))
+            height: Array = amount * 4.0 * x * (1.0 - x) + odd * CUBIC * x * (1.0 - x) * (x - 0.5) + tilt * (x - 0.5)
+            return stroke * height
 
         stages: tuple[Stage, ...] = (before[index],)
         if not behind.all():
