@@ -38,6 +38,8 @@ class Case:
         Scatter of the plant's coefficients, times their tolerance.
     label
         The answer: kind, effects, true gap.
+    untuned
+        True with an effect in a realization that tuning seeds never draw.
     """
 
     name: str
@@ -49,6 +51,7 @@ class Case:
     effects: tuple[Mapping[str, Any], ...] = ()
     off: float = 1.0
     label: Mapping[str, Any] = field(default_factory=dict)
+    untuned: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:

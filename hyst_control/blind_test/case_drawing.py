@@ -2,7 +2,8 @@
 
 A case is a truth plant whose coefficients scatter, one of four excitations, one of two noise levels, and effects of drawn size:
 one, two, none, coefficients off by more than their tolerance, or an effect outside the catalogue; they act from the start or, where
-asked for, from a time within the record. Seeds 0 to 999 are for tuning, scoring seeds begin at 100000.
+asked for, from a time within the record. Seeds 0 to 999 are for tuning, scoring seeds begin at 100000; an effect has several
+realizations (place, phase, law, …), of which tuning seeds draw only some.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from hyst_control.blind_test.case import EXCITATIONS, NOISES, Case
 from hyst_control.blind_test.case_records import commands
-from hyst_control.blind_test.effect_sizes import NOISE_LIKE, OPEN_SET, SEVERITIES, draw_effect
+from hyst_control.blind_test.effect_sizes import NOISE_LIKE, OPEN_SET, SEVERITIES, draw_effect, draw_realization
 from hyst_control.blind_test.plant_setups import PLANTS, SETUPS
 
 KIND_FRACTIONS = {"single": 0.45, "none": 0.25, "pair": 0.12, "open_set": 0.1, "parameters": 0.08}
@@ -59,6 +60,7 @@ def draw(
         The cases.
     """
     random = np.random.default_rng(seed)
+    realizations = np.random.default_rng([seed, 5])  # separate, so that sizes and scatter do not depend on how many there are
     chosen = kinds or KIND_FRACTIONS
     shares = (
         dict(chosen) if isinstance(chosen, Mapping) else {kind: KIND_FRACTIONS[kind] for kind in KIND_FRACTIONS if kind in chosen}
@@ -76,7 +78,9 @@ def draw(
         noise = NOISES[(index // 4) % 2]
         off = float(random.uniform(*COEFFICIENT_DEVIATION)) if kind == "parameters" else 1.0
         case = Case("", plant, kind, excitation, noise, int(random.integers(1 << 31)), off=off)
-        cases.append(replace(case, effects=tuple(draw_effect(name, plant, noise, random) for name in names)))
+        realized = [draw_realization(name, plant, seed, realizations) for name in names]
+        effects = tuple({**draw_effect(name, plant, noise, random), **own} for name, (own, _) in zip(names, realized, strict=True))
+        cases.append(replace(case, effects=effects, untuned=any(untuned for _, untuned in realized)))
     random.shuffle(cases)
     times = np.random.default_rng([seed, 3])  # separate, so that the cases are the same with and without switching
     return [replace(case, name=f"case_{index:04d}", effects=_begun(case, switched, times)) for index, case in enumerate(cases)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,51 @@ OPEN_SET: dict[str, dict[str, Range | str]] = {
 
 EITHER_SIGN = ("width", "gain", "change", "amount", "offset", "second", "third", "coupling")
 
+Realization = Mapping[str, str | float]
+
+REALIZATIONS: dict[str, tuple[Realization, ...]] = {
+    "creep": ({}, {"law": 2, "begin": 0.2}),
+    "gain": ({}, {"at": "amplifier"}),
+    "gain_drift": ({}, {"law": 1}),
+    "offset_drift": ({}, {"law": 1}),
+    "hysteresis_shape": ({}, {"curve": 1}),
+    "delay": ({}, {"at": "sensor"}),
+    "amplifier_lowpass": ({}, {"order": 2}),
+    "sensor_lowpass": ({}, {"order": 2}),
+    "slew_limit": ({}, {"direction": 1}),
+    "dac_hold": ({}, {"phase": 1}, {"samples": 1, "step volt": 0.03}),
+    "resonance": ({}, {"velocity": 1.0}),
+    "backlash": ({}, {"side": -1}),
+    "vibration": ({}, {"second": 0.4}),
+    "flicker_noise": ({}, {"exponent": 0.8}),
+    "mains_hum": ({}, {"second": 0.4}),
+}
+"""Realizations of an effect that every seed draws: parameters beside those of `SEVERITIES`, or in their place; {} is the usual one."""
+
+UNTUNED: dict[str, tuple[Realization, ...]] = {
+    "creep": ({"law": 1, "begin": 0.02}, {"begin": 0.02}),
+    "gain": ({"at": "piezo"},),
+    "gain_drift": ({"law": 2}, {"law": 3}),
+    "offset_drift": ({"law": 2}, {"law": 3}),
+    "hysteresis_shape": ({"curve": 2}, {"curve": 3}),
+    "amplifier_lowpass": ({"damping": 0.7},),
+    "sensor_lowpass": ({"damping": 0.7},),
+    "slew_limit": ({"direction": -1},),
+    "saturation": ({"knee volt": 0.01},),
+    "dac_hold": ({"phase": 2}, {"samples": 1, "step volt": 0.03, "rounding": 1}, {"samples": 1, "step volt": 0.03, "rounding": 3}),
+    "resonance": ({"velocity": 0.5},),
+    "backlash": ({"side": 1},),
+    "vibration": ({"steadiness": 100.0},),
+    "flicker_noise": ({"exponent": 1.3},),
+    "mains_hum": ({"third": 0.0, "fifth": 0.0},),
+    "quantization": ({"rounding": 1},),
+    "held_samples": ({"run": 4},),
+}
+"""Realizations that only scoring seeds draw."""
+
+SCORING_SEEDS = 100_000
+"""First of the seeds for scoring; those for tuning are below 1000."""
+
 NOISE_LIKE = ("sensor_noise", "flicker_noise", "quantization", "held_samples", "mains_hum", "vibration", "outliers")
 
 
@@ -94,3 +140,34 @@ def draw_effect(name: str, plant: str, noise: float, random: np.random.Generator
     if plant.startswith("fsm") and random.random() < 0.7:
         effect["axis"] = str(random.choice(["x", "y"]))
     return effect
+
+
+def draw_realization(name: str, plant: str, seed: int, random: np.random.Generator) -> tuple[dict[str, Any], bool]:
+    """Draw a realization of an effect: of a seed for tuning one of those that tuning may see, else one of all.
+
+    Parameters
+    ----------
+    name
+        Name of the effect.
+    plant
+        Truth plant, whose scales the realization refers to.
+    seed
+        Seed of the drawing.
+    random
+        Random numbers.
+
+    Returns
+    -------
+    parameters : dict[str, Any]
+        Those that replace what was drawn.
+    untuned : bool
+        True for a realization that tuning never draws.
+    """
+    tuned = REALIZATIONS.get(name, ({},))
+    known = tuned + (UNTUNED.get(name, ()) if seed >= SCORING_SEEDS else ())
+    index = int(random.integers(len(known)))
+    span = SETUPS[plant].command[1] - SETUPS[plant].command[0]
+    parameters = {
+        key.removesuffix(" volt"): float(value) * span if key.endswith(" volt") else value for key, value in known[index].items()
+    }
+    return parameters, index >= len(tuned)

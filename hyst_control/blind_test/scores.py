@@ -125,6 +125,9 @@ def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric
     share("top-1, the same at noise 0.3 %", 0.85, loud, _first)
     for plant in sorted({_label(pair)["plant"] for pair in rich}):
         share(f"top-1, rich record, {plant}", 0.92, [pair for pair in rich if _label(pair)["plant"] == plant], _first)
+    untuned = [pair for pair in rich if pair[0].get("untuned")]
+    share("top-1, rich record, realizations that tuning never drew", 0.92, untuned, _first)
+    share("top-1, rich record, realizations that tuning drew", 0.97, [p for p in rich if not p[0].get("untuned")], _first)
     sine = [pair for pair in singles if _label(pair)["excitation"] == "sine"]
     share("single sine: wrong name", 0.05, sine, _wrong, False)
     share("single sine: truth among the candidates", 0.95, sine, lambda pair: _truth(pair)[0] in _candidates(pair))

@@ -81,13 +81,17 @@ class Offset(Stage):
 @register
 @dataclass(frozen=True)
 class Saturation(Stage):
-    """y = min(max(u, lower), upper), in the signal's own unit; an infinite limit is none."""
+    """y = min(max(u, lower), upper), in the signal's own unit; an infinite limit is none.
+
+    With `knee` a limit is reached gradually: y = upper - knee log(1 + exp((upper - u) / knee)), and alike at `lower`.
+    """
 
     name: ClassVar[str] = "saturation"
     place: ClassVar[str] = "drive"
     only_limits: ClassVar[bool] = True
     lower: ScalarPerAxis = scalar("signal unit", "least output", infinite=True)
     upper: ScalarPerAxis = scalar("signal unit", "greatest output", infinite=True)
+    knee: ScalarPerAxis = scalar("signal unit", "width over which a limit sets in; 0: at once", default=0.0, lower=0.0)
 
     def check(self) -> None:
         axes = max(len(value) if isinstance(value, tuple) else 1 for value in (self.lower, self.upper))
@@ -97,6 +101,17 @@ class Saturation(Stage):
     def filter(self, sampling: Sampling) -> Filter:
         lower = per_axis_scalar(self.lower, sampling.axes, "lower")
         upper = per_axis_scalar(self.upper, sampling.axes, "upper")
+        knee = per_axis_scalar(self.knee, sampling.axes, "knee")
+        if knee.any():
+            width, soft = np.where(knee > 0.0, knee, 1.0), knee > 0.0
+            least, most = (np.where(np.isfinite(limit), limit, 0.0) for limit in (lower, upper))
+
+            def gradual(u: Array) -> Array:
+                below = np.where(np.isfinite(upper), most - width * np.logaddexp(0.0, (most - u) / width), u)
+                both = np.where(np.isfinite(lower), least + width * np.logaddexp(0.0, (below - least) / width), below)
+                return np.where(soft, both, np.minimum(np.maximum(u, lower), upper))
+
+            return StaticFilter(gradual, sampling.hold)
         code = each_axis(
             "minimum_of(maximum_of(u, p->lower[i]), p->upper[i])",
             "limits",

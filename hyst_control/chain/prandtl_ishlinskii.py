@@ -292,6 +292,17 @@ class OperatorModel(Stage):
     def has_compensator(self) -> bool:
         return True
 
+    def with_operators(self, thresholds: Array, weights: Array) -> Stage:
+        """The stage with factors (A,) of its thresholds, and of its weights but for the first operator's."""
+        axes = len(weights)
+        own = per_axis(self.weights, axes, 1, "weights")
+        changed = [np.concatenate([row[:1], factor * row[1:]]) for row, factor in zip(own, weights, strict=True)]
+        values: dict[str, Any] = {
+            "thresholds": scaled(self.thresholds, thresholds, 1, "thresholds"),
+            "weights": frozen(changed if axes > 1 else changed[0]),
+        }
+        return replace(self, **values)
+
     def mean_slope(self, axes: int) -> Array:
         """Slope (A,) of a model in which every operator moves, on each of `axes` axes."""
         weights = per_axis(self.weights, axes, 1, "weights")
@@ -345,6 +356,11 @@ class ModifiedPrandtlIshlinskii(OperatorModel):
         if not any(np.any(values) for values in per_axis_scalars(self, len(factor), "m1", "m2")):
             return None
         return replace(self, **{name: scaled(getattr(self, name), factor, 0, name) for name in ("m1", "m2")})
+
+    def with_rate_parts(self, rising: Array, falling: Array) -> ModifiedPrandtlIshlinskii | None:
+        if not any(np.any(values) for values in per_axis_scalars(self, len(rising), "m1", "m2")):
+            return None
+        return replace(self, m1=scaled(self.m1, rising, 0, "m1"), m2=scaled(self.m2, falling, 0, "m2"))
 
     def _with_share(self, share: Array) -> ModifiedPrandtlIshlinskii:
         """The model's output times a share (A,)."""

@@ -319,6 +319,38 @@ class Stage:
         """
         return None
 
+    def with_rate_parts(self, rising: Array, falling: Array) -> Stage | None:
+        """The stage with another dependence on the command's rate, by the direction of motion.
+
+        Parameters
+        ----------
+        rising, falling
+            (A,), of the rate-dependent part; their mean where a stage makes no difference.
+
+        Returns
+        -------
+        Stage or None
+            None where the stage has no such part.
+        """
+        return self.with_rate_part(0.5 * (rising + falling))
+
+    def with_operators(self, thresholds: Array, weights: Array) -> Stage | None:
+        """The stage with other operators with memory.
+
+        Parameters
+        ----------
+        thresholds
+            (A,), factor of all thresholds.
+        weights
+            (A,), factor of the weights of all operators but the narrowest, which follows the command at once.
+
+        Returns
+        -------
+        Stage or None
+            None where the stage has no operators.
+        """
+        return None
+
     def mean_slope(self, axes: int) -> Array | None:
         """Mean slope of a hysteresis.
 

@@ -218,13 +218,16 @@ def _values(part: AxisDiagnosis, scored: Scored, index: int, settings: Attributi
     draws = np.clip(centre + random.standard_normal((settings.draws, member.size)) @ spread.T, lower, upper)
     drawn = [member.values(x) for x in draws]
     found = {}
-    hidden = [parameter.name for parameter in member.parameters if not parameter.told]
     for name, value in member.values(centre).items():
-        if name in hidden:
+        if name in member.untold:
             continue
         low, high = np.quantile([one[name] for one in drawn], [0.05, 0.95])
         least = settings.interval * abs(value)
-        found[name] = (float(value), (float(min(low, value - least)), float(max(high, value + least))), member.units()[name])
+        found[name] = (
+            float(value),
+            (float(min(low, value - least)), float(max(high, value + least))),
+            member.units().get(name, ""),
+        )
     return found
 
 

@@ -49,6 +49,9 @@ class Thresholds:
     strain_deviations: float = _setting(
         "standard deviations", "chi-square of the coefficients above its mean from which they are strained"
     )
+    many_tolerances: float = _setting(
+        "tolerances", "distance of a coefficient from which a known effect that does the same is named"
+    )
     repeats: float = _setting("samples", "repeated samples from which the record has held samples")
     repeated_share: float = _setting("1", "the same, as a share of the samples")
     repeated_share_on_lattice: float = _setting("1", "the same on a lattice, where neighbors coincide more often")
@@ -120,8 +123,17 @@ class CheckSettings:
         "bins", "the same on a short record, around the harmonics where no other line is suggested"
     )
     mains_harmonics: tuple[int, ...] = _setting("orders", "harmonics of the mains that are no other line")
+    truncation: float = _setting("steps", "distance of a mean error from half a step up to which a converter rounds down or up")
+    lattice_ratio: float = _setting(
+        "power of the spectrum around", "power over the command from which a lattice of it is suggested"
+    )
+    lattice_bins: int = _setting("bins", "bins of the command's range for that spectrum")
+    lattice_response: int = _setting("samples", "length of the plant's response that the record is filtered with for it")
+    lattice_least: float = _setting("steps", "fewest steps of a lattice over the command's range")
+    lattice_steps: int = _setting("steps", "most steps of a lattice that are suggested")
     lowest_line_bins: float = _setting("bins", "frequency from which a line is suggested")
     driven_share: float = _setting("share of the command's largest power", "power of the command from which it drives a frequency")
+    driven_ratio: float = _setting("power of the spectrum around", "the same, where it is a line of the command")
     fundamental_bins: float = _setting("bins", "frequency from which a fundamental of the command is resolved")
     harmonic_bins: float = _setting("bins", "distance from a harmonic of the command that belongs to it")
     harmonic_widths: tuple[float, ...] = _setting("fundamentals", "the same: the first that holds the command's power counts")
@@ -137,6 +149,8 @@ class FlickerSettings:
     """Estimation of 1/f noise."""
 
     segments: int = _setting("segments", "parts of the record compared between rest and motion")
+    exponents: tuple[float, ...] = _setting("1", "powers of the frequency with which it may fall, the usual one first")
+    exponent_margin: float = _setting("nats", "gain from which another power than the usual one counts")
     bands_per_octave: int = _setting("bands", "bands of the spectrum")
     shape_misfit: float = _setting("natural logarithm, rms", "most that bands may be off a + b/f beyond what chance does")
     colored_share: float = _setting("share of the power", "1/f part from which a band counts for the shape")
@@ -157,6 +171,10 @@ class SearchSettings:
     followed: int = _setting("starts", "starts of an effect that are fitted to the end")
     screened: int = _setting("starts", "starts of an effect that are looked at on top of another effect")
     scanned: int = _setting("values", "values of a parameter that are tried, and then as many between the best and its neighbors")
+    realizations: int = _setting(
+        "realizations", "realizations without a number to fit that go on: those that come closest to the record"
+    )
+    siblings: int = _setting("fits", "realizations of one effect among the best that go on with columns of their own")
     refined: int = _setting("fits", "best single effects that go on with columns of their own; of combinations half as many")
     reach: float = _setting("share of what the best takes off", "distance behind the best fit up to which another goes on")
     near: float = _setting("nats", "the same, at least")

@@ -13,7 +13,7 @@ import numpy as np
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.baseline import Baseline, no_model, with_baseline, with_discrepancy
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
-from hyst_control.diagnose.evidence import Evidence
+from hyst_control.diagnose.evidence import Evidence, Finding
 from hyst_control.diagnose.evidence_collection import (
     collect,
     companions,
@@ -343,6 +343,8 @@ def _axis(
     repeated = [finding.axis for finding in findings if finding.check is RecordCheck.REPEATED_VALUES]
     problem = _without_repeats(problem, repeated)
     linearised = Linearised(problem, scatter)
+    problem = _without_truncation(linearised, findings, configuration)
+    linearised = linearised if problem is linearised.problem else Linearised(problem, scatter)
     if repeated:
         problem = _with_noise(problem, problem.rows(fit(linearised).residual), configuration)
         linearised = Linearised(problem, scatter)
@@ -398,6 +400,24 @@ def _floor(problem: Problem, stated: Array, configuration: Configuration) -> flo
     measured = np.concatenate([piece.measurement for piece in problem.pieces])
     steps = np.array([lattice_of(column, configuration.checks) for column in measured.T])
     return practical_floor(np.ptp(measured, axis=0), steps, stated, problem.sigma, configuration.policy)
+
+
+def _without_truncation(linearised: Linearised, findings: Sequence[Finding], configuration: Configuration) -> Problem:
+    """The same problem, where a converter rounded down or up with the half step added that it took off or put on.
+
+    Only where the mean of what the coefficients leave is that half step: any other constant is an offset.
+    """
+    problem = linearised.problem
+    shift = np.zeros(len(problem.model.axes))
+    rows = problem.rows(linearised.unexplained(linearised.measured - linearised.nominal))
+    for finding in findings:
+        if finding.check is RecordCheck.VALUE_LATTICE:
+            steps = float(np.mean(rows[:, finding.axis])) / finding.value
+            if abs(abs(steps) - 0.5) < configuration.checks.truncation:
+                shift[finding.axis] = -0.5 * np.sign(steps) * finding.value
+    if not shift.any():
+        return problem
+    return replace(problem, pieces=tuple(replace(piece, measurement=piece.measurement + shift) for piece in problem.pieces))
 
 
 def _without_repeats(problem: Problem, axes: Sequence[int]) -> Problem:

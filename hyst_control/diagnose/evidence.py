@@ -161,6 +161,8 @@ class HypothesisEvidence:
         Part of the misfit that is the coefficients' distance from the nominal ones, nats.
     residual : ResidualEvidence or None
         Only of the hypotheses that the policy may choose.
+    farthest : float
+        Distance of the coefficient that is farthest from its nominal value, tolerances.
 
     """
 
@@ -171,6 +173,7 @@ class HypothesisEvidence:
     energy: float
     strain: float
     residual: ResidualEvidence | None = None
+    farthest: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -269,7 +269,10 @@ def white_noise(problem: Problem, residuals: Array, axis: int, settings: NoiseSe
 def _hypothesis(scored: Scored, size: int) -> HypothesisEvidence:
     solution = scored.solution
     energy = float(solution.residual @ solution.residual) / size
-    return HypothesisEvidence(scored.names, scored.inflated, scored.score, solution.misfit, energy, strain(solution))
+    farthest = float(np.max(np.abs(solution.z), initial=0.0)) * scored.tolerances
+    return HypothesisEvidence(
+        scored.names, scored.inflated, scored.score, solution.misfit, energy, strain(solution), farthest=farthest
+    )
 
 
 def _flicker(problem: Problem, scored: Scored, configuration: Configuration) -> FlickerEvidence | None:

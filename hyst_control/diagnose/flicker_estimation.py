@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import OptimizeResult, minimize
 from scipy.signal import butter, sosfiltfilt
 
 from hyst_control.chain.stage import Array
@@ -12,7 +12,7 @@ from hyst_control.diagnose.evidence import FlickerEvidence
 
 
 def flicker(residual: Array, command: Array, settings: FlickerSettings = CONFIGURATION.flicker) -> FlickerEvidence:
-    """Fit a + b/f to the periodogram of a residual by Whittle's likelihood over bands; a the white part, b the flicker.
+    """Fit a + b/f^p to the periodogram of a residual by Whittle's likelihood over bands; a the white part, b the flicker.
 
     Every band counts with its median, which lines in it do not move.
 
@@ -37,41 +37,50 @@ def flicker(residual: Array, command: Array, settings: FlickerSettings = CONFIGU
     edges = np.unique(np.rint(2.0 ** np.arange(1.0, np.log2(k[-1]), 1.0 / settings.bands_per_octave)).astype(int))
     bands = [(a - 2, b - 2) for a, b in zip(edges[:-1], edges[1:], strict=True) if b - a >= 3]
     level = np.array([np.median(power[a:b]) / np.log(2.0) for a, b in bands])
-    inverse = np.array([np.mean(1.0 / k[a:b]) for a, b in bands])
     bins = np.array([b - a for a, b in bands], dtype=float) / 1.5  # a median knows less than a mean
 
-    def misfit(logs: Array) -> float:
-        spectrum = np.exp(logs[0]) + np.exp(logs[1]) * inverse
+    def misfit(logs: Array, falling: Array) -> float:
+        spectrum = np.exp(logs[0]) + np.exp(logs[1]) * falling
         return float(np.sum(bins * (np.log(spectrum) + level / spectrum)))
 
     white = float(np.median(level[-settings.bands_per_octave :]))
     mean = float(bins @ level / bins.sum())
     alone = float(np.sum(bins * (np.log(mean) + level / mean)))
-    best = min(
-        (
-            minimize(
-                misfit,
-                [np.log(white), np.log(white * start)],
-                method="Nelder-Mead",
-                options={"xatol": 1e-3, "fatol": 1e-3, "maxiter": 400},
+    fits: list[tuple[OptimizeResult, float, Array]] = []
+    for exponent in settings.exponents:
+        falling = np.array([np.mean(k[a:b] ** -exponent) for a, b in bands])
+        fits += [
+            (
+                minimize(
+                    misfit,
+                    [np.log(white), np.log(white * start)],
+                    (falling,),
+                    method="Nelder-Mead",
+                    options={"xatol": 1e-3, "fatol": 1e-3, "maxiter": 400},
+                ),
+                exponent,
+                falling,
             )
             for start in (1e-1, 1e2)
-        ),
-        key=lambda found: found.fun,
-    )
+        ]
+    # The usual exponent stands first: another one has to explain clearly more.
+    usual = min(item[0].fun for item in fits[:2]) - settings.exponent_margin
+    best, exponent, inverse = min(fits, key=lambda item: item[0].fun)
+    if best.fun > usual:
+        best, exponent, inverse = min(fits[:2], key=lambda item: item[0].fun)
     a, b = np.exp(best.x)
-    rms = float(np.sqrt(2.0 * b * float(np.sum(1.0 / np.arange(1, count // 2))) / count))
+    rms = float(np.sqrt(2.0 * b * float(np.sum(np.arange(1, count // 2) ** -exponent)) / count))
     share = b * inverse / (a + b * inverse)
     spread = min(1.645 * 0.5 / np.sqrt(max(float(np.sum(bins * share**2)), 1e-9)), 3.0)
     colored = share > settings.colored_share
     scatter = np.log(level / (a + b * inverse))[colored] ** 2 - 1.0 / bins[colored]
-    fits = bool(colored.sum() >= settings.least_bands and np.mean(scatter) < settings.shape_misfit**2)
+    plausible = bool(colored.sum() >= settings.least_bands and np.mean(scatter) < settings.shape_misfit**2)
     return FlickerEvidence(
         rms,
         (rms * float(np.exp(-spread)), rms * float(np.exp(spread))),
         float(np.sqrt(a)),
         alone - float(best.fun),
-        fits and _stationary(residual, command, settings),
+        plausible and _stationary(residual, command, settings),
         float(share[-1]),
     )
 

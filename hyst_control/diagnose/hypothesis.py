@@ -32,7 +32,9 @@ class Member:
     frequency: float = 0.0
     """Hz, of a line."""
     fixed: tuple[tuple[str, float], ...] = ()
-    """Parameters that are counts, and so are tried instead of fitted."""
+    """Parameters of the variant, which are tried instead of fitted."""
+    shape: Line | None = None
+    """Shape of a line, where it is not the effect's usual one."""
     elsewhere: str = ""
     """Place, where it is not the effect's usual one."""
 
@@ -47,10 +49,16 @@ class Member:
         return self.effect.line is not None
 
     @property
+    def is_suggested(self) -> bool:
+        """True where a parameter starts at what a check of the record suggests: with no slope of the misfit around."""
+        return any(parameter.suggested for parameter in self.parameters)
+
+    @property
     def line(self) -> Line:
         """Shape of the line in the spectrum; only for an effect that is a line."""
-        assert self.effect.line is not None, f"{self.name} is no line"
-        return self.effect.line
+        shape = self.shape or self.effect.line
+        assert shape is not None, f"{self.name} is no line"
+        return shape
 
     @property
     def is_extra(self) -> bool:
@@ -137,6 +145,11 @@ class Member:
             return {"amplitude": unit, "frequency": "Hz"}
         return {p.name: unit if p.unit == "unit" else p.unit for p in self.effect.parameters(self.problem.surroundings)}
 
+    @property
+    def untold(self) -> set[str]:
+        """Names of parameters that the gap report does not have."""
+        return {p.name for p in (*self.parameters, *self.effect.parameters(self.problem.surroundings)) if not p.told}
+
     def stage(self, x: Array) -> Stage:
         """Build the effect's stage for scaled parameters.
 
@@ -154,7 +167,9 @@ class Member:
         count = len(self.problem.model.axes)
         if self.axis is not None and count > 1:
             absent = {p.name: p.absent for p in self.effect.parameters(self.problem.surroundings)}
-            values = {name: [value if i == self.axis else absent[name] for i in range(count)] for name, value in values.items()}
+            values = {
+                name: [value if i == self.axis else absent.get(name, 0.0) for i in range(count)] for name, value in values.items()
+            }
         return self.effect.stage(values, self.problem.surroundings)
 
     def extra(self, x: Array) -> Array:
@@ -193,16 +208,16 @@ class Member:
 
     def _coupled(self, x: Array) -> Array:
         values = self.values(x)
-        keep = (
-            np.exp(-2 * np.pi * values["corner"] * self.problem.sample_time) if np.isfinite(values.get("corner", np.inf)) else 0.0
-        )
+        rate = 2 * np.pi * values.get("corner", np.inf) * self.problem.sample_time  # of the low-pass, per sample
         found = []
         for piece in self.problem.pieces:
             assert piece.others is not None, "a coupling without records of other axes"
             other = piece.others.sum(axis=1)
-            # The step-invariant low-pass with half a step of lag taken off: the mean of held and ahead.
-            slow, _ = lfilter([0.5 * (1 - keep), 0.5 * (1 - keep)], [1.0, -keep], other, zi=[other[0] * (keep + 0.5 * (1 - keep))])
-            found.append(piece.counted(values["coupling"] * (slow if keep else other)))
+            if np.isfinite(rate):  # exact for a motion that runs straight from sample to sample
+                keep = np.exp(-rate)
+                before, now = (1.0 - keep) / rate - keep, 1.0 - (1.0 - keep) / rate
+                other, _ = lfilter([now, before], [1.0, -keep], other, zi=[other[0] * (1.0 - now)])
+            found.append(piece.counted(values["coupling"] * other))
         return np.asarray(np.concatenate(found) / self.problem.sigma[0], dtype=np.float64)
 
     @cached_property
@@ -338,10 +353,21 @@ class Candidate:
         return Candidate(tuple(member for i, member in enumerate(self.members) if i != index))
 
 
-def catalogue(problem: Problem, lines: Mapping[str, Sequence[float]], without: Sequence[str] = ()) -> list[Member]:
-    """Every effect with a waveform that the record could show, on all axes of the problem alike and on every single one.
+def catalogue(problem: Problem, suggested: Mapping[str, Sequence[float]], without: Sequence[str] = ()) -> list[Member]:
+    """Every realization of every effect that the record could show, on all axes of the problem alike and on every single one.
 
-    lines: frequencies (Hz) of effects that are lines, by name, that the residual's spectrum suggests; without: names left out.
+    Parameters
+    ----------
+    problem : Problem
+        Records and model.
+    suggested : mapping of str to sequence of float
+        By the name of an effect: frequencies (Hz) of lines in the residual's spectrum, or starts of its suggested parameter.
+    without : sequence of str
+        Names of effects that are left out.
+
+    Returns
+    -------
+    list of Member
     """
     count = len(problem.model.axes)
     others = 0 if problem.pieces[0].others is None else problem.pieces[0].others.shape[1]
@@ -356,43 +382,33 @@ def catalogue(problem: Problem, lines: Mapping[str, Sequence[float]], without: S
         parameters = effect.parameters(surroundings)
         if effect.line is not None:
             found += [
-                Member(effect, parameters, problem, axis, frequency) for axis in axes[-count:] for frequency in lines.get(name, ())
+                Member(effect, parameters, problem, axis, frequency, shape=shape)
+                for axis in axes[-count:]
+                for frequency in suggested.get(name, ())
+                for shape in (None, *effect.further_lines)
             ]
-        elif any(parameter.counted for parameter in parameters):
-            found += _counted(effect, parameters, problem, axes)
-        else:
-            together = effect.coupled_parameters(problem.surroundings) if count > 1 and effect.coupled_parameters else parameters
-            found += [
-                Member(effect, together if axis is None else parameters, problem, axis)
-                for axis in ([None] if effect.shared else axes)
-            ]
-    if problem.slowest is not None:
-        found += [replace(member, elsewhere=place) for member in found for place in member.effect.also_at]
-    return found
+            continue
+        parameters = tuple(_suggested(parameter, suggested.get(name, ())) for parameter in parameters)
+        together = effect.coupled_parameters(problem.surroundings) if count > 1 and effect.coupled_parameters else parameters
+        for axis in [None] if effect.shared else axes:
+            own = together if axis is None else parameters
+            for fixed in effect.variants(surroundings):
+                fitted = tuple(parameter for parameter in own if parameter.name not in fixed)
+                if any(parameter.suggested for parameter in fitted) and not suggested.get(name):
+                    continue  # nothing of the kind in this record
+                found.append(Member(effect, fitted, problem, axis, fixed=tuple(fixed.items())))
+    beside_clean = problem.slowest is not None
+    return found + [
+        replace(member, elsewhere=place)
+        for member in found
+        for place in member.effect.also_at + (member.effect.also_beside_clean if beside_clean else ())
+    ]
 
 
-def _counted(effect: Effect, parameters: tuple[Parameter, ...], problem: Problem, axes: Sequence[int | None]) -> list[Member]:
-    """An effect with a parameter that is a count: every count tried by itself, and what is fitted without any.
-
-    Counts that only make sense beside the effect's other parameters are tried with these.
-    """
-    beside = [parameter for parameter in parameters if parameter.beside_others]
-    if beside:
-        (count,) = beside
-        others = tuple(parameter for parameter in parameters if parameter is not count)
-        return [Member(effect, others, problem, axis, fixed=((count.name, value),)) for axis in axes for value in count.starts]
-    absent = {parameter.name: parameter.absent for parameter in parameters}
-    counts = [parameter for parameter in parameters if parameter.counted]
-    fitted = tuple(replace(parameter, starts=_present(parameter)) for parameter in parameters if not parameter.counted)
-    tried = [(axis, {**absent, count.name: value}) for axis in axes for count in counts for value in _present(count)]
-    found = [Member(effect, (), problem, axis, fixed=tuple(values.items())) for axis, values in tried]
-    none = tuple((count.name, count.absent) for count in counts)
-    return [*found, *(Member(effect, fitted, problem, axis, fixed=none) for axis in axes if fitted)]
-
-
-def _present(parameter: Parameter) -> tuple[float, ...]:
-    """Starts at which the effect is there."""
-    return tuple(sorted({value for value in parameter.starts if value != parameter.absent}))
+def _suggested(parameter: Parameter, starts: Sequence[float]) -> Parameter:
+    """A parameter with the starts that a check of the record suggests, where it takes any."""
+    inside = tuple(start for start in starts if parameter.lower <= start <= parameter.upper)
+    return replace(parameter, starts=inside) if parameter.suggested and inside else parameter
 
 
 def _scaled(parameter: Parameter, value: float) -> float:

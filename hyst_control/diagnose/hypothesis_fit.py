@@ -25,6 +25,9 @@ from hyst_control.errors import InputError
 STEP = 0.05
 """Difference step for z: a twentieth of a standard deviation."""
 
+RAN_AWAY = 1e60
+"""Residual from which a chain is taken to be unstable."""
+
 LEAST_GAIN = 0.02
 """Misfit (nats) under which a step is not worth taking; a hundred thousandth of the misfit counts as little."""
 
@@ -71,6 +74,8 @@ class Linearised:
         self.measured = problem.measured()
         centre = np.zeros(self.count) if z is None else z
         self.nominal = self.simulate(centre, unknowns, x)
+        if not is_bounded(self.nominal):
+            raise InputError("model: its simulation of the record grows without limit: check its dynamics")
         self.columns = np.empty((len(self.nominal), self.count))
         for k in range(self.count):
             self.columns[:, k] = self._column(centre, k, unknowns, x)
@@ -78,14 +83,16 @@ class Linearised:
         self.factor = cho_factor(self.gram + np.eye(self.count)) if self.count else None
 
     def _column(self, centre: Array, k: int, unknowns: Unknowns | None, x: Array | None) -> Array:
-        """∂ŷ/∂z_k; 0 for a coefficient that can go neither way: a stage may refuse values next to those of the centre."""
+        """∂ŷ/∂z_k; 0 for a coefficient that can go neither way: a stage may refuse values next to those of the centre, or run away."""
         for step in (STEP, -STEP):
             moved = centre.copy()
             moved[k] += step
             try:
-                return (self.simulate(moved, unknowns, x) - self.nominal) / step
+                column = (self.simulate(moved, unknowns, x) - self.nominal) / step
             except InputError:
                 continue
+            if is_bounded(column):
+                return column
         return np.zeros_like(self.nominal)
 
     def unexplained(self, vectors: Array) -> Array:
@@ -123,13 +130,23 @@ class Linearised:
         -------
         ndarray, shape (M,)
             Output with the unknowns' effects, in units of the noise.
+
+        Raises
+        ------
+        InputError
+            Where a stage refuses the values.
         """
-        stages = self.scatter.at(z)
-        if unknowns is None:
-            return self.problem.simulate(stages)
-        assert x is not None, "unknowns without their values"
-        output = self.problem.simulate(unknowns.stages(stages, x))
-        return output if unknowns.extra is None else output + unknowns.extra(x)
+        try:
+            stages = self.scatter.at(z)
+            if unknowns is None:
+                return self.problem.simulate(stages)
+            assert x is not None, "unknowns without their values"
+            output = self.problem.simulate(unknowns.stages(stages, x))
+            return output if unknowns.extra is None else output + unknowns.extra(x)
+        except InputError:
+            raise
+        except (ArithmeticError, ValueError) as error:  # linear algebra of values beyond all bounds, among others
+            raise InputError(f"these values cannot be simulated ({error})") from None
 
 
 def fit(
@@ -186,7 +203,7 @@ def fit(
 
     def misfit_of(residual: Array, z: Array, x: Array) -> float:
         prior = x if fitted is None else x - fitted.centre
-        if not np.max(np.abs(residual), initial=0.0) < 1e100:  # an unstable chain
+        if not is_bounded(residual):
             return np.inf
         return 0.5 * float(residual @ residual + z @ z + prior @ prior)
 
@@ -197,7 +214,10 @@ def fit(
         if fitted is None:
             design, away = np.zeros((len(y), 0)), x
         else:
-            design, away = _effect_columns(linearised, fitted, z, x, y - residual, weight), x - fitted.centre
+            try:
+                design, away = _effect_columns(linearised, fitted, z, x, y - residual, weight), x - fitted.centre
+            except InputError:
+                break  # next to these values the chain cannot be simulated
         normal, right = _normal(columns, gram, design, residual, z, away)
         step = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
         if fitted is not None:
@@ -237,12 +257,31 @@ def _effect_columns(linearised: Linearised, unknowns: Unknowns, z: Array, x: Arr
     if unknowns.extra_columns is not None:
         added, columns = unknowns.extra_columns(x)
         found[:, added] = columns
+    counted = slice(None) if weight is None else weight > 0
     for p in sorted(set(range(len(x))) - set(added)):
         step = unknowns.step if x[p] + unknowns.step <= unknowns.upper[p] else -unknowns.step
         moved = x.copy()
         moved[p] += step
-        found[:, p] = (linearised.simulate(z, unknowns, moved) - base) / step
+        found[:, p] = 0.0
+        found[counted, p] = ((linearised.simulate(z, unknowns, moved) - base) / step)[counted]
+        if not is_bounded(found[:, p]):
+            raise InputError("the chain grows without limit next to these values")
     return found if weight is None else found * weight[:, None]
+
+
+def is_bounded(values: Array) -> bool:
+    """False for what an unstable chain gives.
+
+    Parameters
+    ----------
+    values : ndarray
+        In units of the noise.
+
+    Returns
+    -------
+    bool
+    """
+    return bool(np.max(np.abs(values), initial=0.0) < RAN_AWAY)
 
 
 def _normal(columns: Array, gram: Array, design: Array, residual: Array, z: Array, away: Array) -> tuple[Array, Array]:

@@ -22,7 +22,7 @@ from scipy.optimize import minimize_scalar
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, SearchSettings, Thresholds
 from hyst_control.diagnose.hypothesis import Candidate, Member
-from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, Unknowns, fit, refined
+from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, Unknowns, fit, is_bounded, refined
 from hyst_control.diagnose.policy import strained as are_strained
 from hyst_control.diagnose.problem import Problem
 from hyst_control.errors import InputError
@@ -157,17 +157,19 @@ def search(
     wide = inflated(linearised, settings.inflation)
     parameters = Scored(None, settled(wide, none.solution.z / settings.inflation), 0.0, True, settings.inflation)
     fits: list[tuple[Candidate, Solution]] = []
+    alternatives = np.log(max(len(members), 1))
+    members = _screened(linearised, members, settings.realizations)
     alone = [Candidate((member,)) for member in members]
     solutions = forked(lambda i: _fitted(linearised, alone[i], alone[i].starts(), settings), len(alone))
     for candidate, found in zip(alone, solutions, strict=True):
         progress(candidate.names[0])
         if found is not None:
             fits.append((candidate, found))
-    fits = _freed(linearised, fits, none.solution.misfit, settings)
+    fits = _freed(linearised, fits, none.solution.misfit, configuration)
     fits = _refined(linearised, fits, settings.refined, none.solution.misfit, configuration)
     best = min([none.solution.misfit, *(solution.misfit for _, solution in fits)])
     combinations: list[tuple[Candidate, Solution]] = []
-    parents = sorted(fits, key=lambda item: item[1].misfit)[:beam]
+    parents = _leading(fits)[:beam]
     size = len(linearised.measured)
     for size_reached in range(1, depth):
         excess = max(leaves - 1.0 + leaves * settings.spent * size_reached**2, settings.spent_floor * floor**2)
@@ -182,12 +184,11 @@ def search(
             break
         best = grown[0][1].misfit
         combinations += grown[: settings.kept_beams * beam]
-        parents = grown[:beam]
+        parents = _leading(grown)[:beam]
     for candidate, solution in _pruned(linearised, combinations):
         (combinations if len(candidate.members) > 1 else fits).append((candidate, solution))
     everything = [solution for _, solution in fits + combinations] + [none.solution]
     temper = _temper(linearised.problem, min(everything, key=lambda solution: solution.misfit).residual)
-    alternatives = np.log(max(len(members), 1))
 
     def scored(candidate: Candidate, solution: Solution) -> Scored:
         count = len(candidate.members)
@@ -209,6 +210,33 @@ def search(
     )
     parameters = replace(parameters, score=temper * (none.solution.misfit - parameters.solution.misfit) - wider - alternatives)
     return Found(linearised, none, parameters, ranked(fits), ranked(combinations), temper)
+
+
+def _screened(linearised: Linearised, members: Sequence[Member], most: int) -> list[Member]:
+    """The members, of those of an effect without anything to fit only the `most` that come closest to the record."""
+    ready = [member for member in members if not member.size]
+    if len(ready) <= most:
+        return list(members)
+    nominal = np.zeros(linearised.count)
+
+    def left(i: int) -> float:
+        try:
+            simulated = linearised.simulate(nominal, Candidate((ready[i],)).unknowns(), np.zeros(0))
+        except InputError:
+            return np.inf
+        return _misfit(linearised, linearised.measured - simulated)
+
+    order = np.argsort(list(forked(left, len(ready))))
+    kept = {id(ready[i]) for i in order[:most]}
+    return [member for member in members if member.size or id(member) in kept]
+
+
+def _leading(found: Sequence[tuple[Candidate, Solution]]) -> list[tuple[Candidate, Solution]]:
+    """The best realization of every explanation, best first."""
+    best: dict[tuple[object, ...], tuple[Candidate, Solution]] = {}
+    for candidate, solution in sorted(found, key=lambda item: item[1].misfit):
+        best.setdefault(tuple(member.variant for member in candidate.members), (candidate, solution))
+    return list(best.values())
 
 
 def _beyond_noise(solution: Solution) -> float:
@@ -345,6 +373,16 @@ def _refined(
     if not found:
         return found
     settings = configuration.search
+    # Of every explanation the best realizations first: those of one effect are many, and would leave no room for its rivals.
+    met: dict[tuple[object, ...], int] = {}
+    rank: list[int] = []
+    for candidate, _ in found:
+        variant = tuple(member.variant for member in candidate.members)
+        met[variant] = met.get(variant, 0) + 1
+        rank.append(met[variant])
+    found = [
+        item for _, item in sorted(zip(rank, found, strict=True), key=lambda one: (one[0] > settings.siblings, one[1][1].misfit))
+    ]
     within = found[0][1].misfit + max(settings.reach * (before - found[0][1].misfit), settings.near)
     near = sum(solution.misfit <= within for _, solution in found[:count])
     better = forked(lambda i: _finished(linearised, *found[i], configuration.policy), near)
@@ -375,6 +413,9 @@ def _held(linearised: Linearised) -> Linearised:
 def _fitted(linearised: Linearised, candidate: Candidate, starts: Sequence[Array], settings: SearchSettings) -> Solution | None:
     """The best fit over the starts of a single effect; only those that a first linear step makes most of are followed."""
     unknowns = candidate.unknowns()
+    starts = (
+        _nearby(linearised, unknowns, candidate.members[0], starts, settings.scanned) if len(candidate.members) == 1 else starts
+    )
     if len(starts) > settings.followed:
         ranked: list[tuple[float, int, Array]] = []
         for start in starts:
@@ -394,14 +435,18 @@ def _fitted(linearised: Linearised, candidate: Candidate, starts: Sequence[Array
 
 
 def _freed(
-    linearised: Linearised, fits: list[tuple[Candidate, Solution]], without: float, settings: SearchSettings
+    linearised: Linearised, fits: list[tuple[Candidate, Solution]], without: float, configuration: Configuration
 ) -> list[tuple[Candidate, Solution]]:
-    """The fits, of which those of one parameter that are worse than no effect at all begin again, where it alone does best.
+    """The fits, of which some of one parameter begin again, where it alone does best.
 
-    Beside a great gap the columns of the coefficients promise too much: a step in all of them leads astray, and the fit ends there.
+    Beside a great gap the columns of the coefficients promise too much: a step in all of them leads astray, and the fit ends there,
+    worse than without the effect or with strained coefficients.
     """
+    settings = configuration.search
     stuck = [
-        i for i, (candidate, solution) in enumerate(fits) if solution.misfit > without and len(candidate.unknowns().lower) == 1
+        i
+        for i, (candidate, solution) in enumerate(fits)
+        if len(candidate.unknowns().lower) == 1 and (solution.misfit > without or _strained(solution, configuration.policy))
     ]
 
     def begun_again(i: int) -> Solution | None:
@@ -414,6 +459,43 @@ def _freed(
         (candidate, min((solution, freed.get(i) or solution), key=lambda one: one.misfit))
         for i, (candidate, solution) in enumerate(fits)
     ]
+
+
+def _nearby(linearised: Linearised, unknowns: Unknowns, member: Member, starts: Sequence[Array], count: int) -> Sequence[Array]:
+    """Starts of a member, of a suggested parameter replaced by the value near them that comes closest to the record.
+
+    The misfit of such a parameter has a narrow minimum without a slope around it: a scan over the width that a spectrum leaves, and two
+    more around its best value.
+    """
+    index = next((i for i, parameter in enumerate(member.parameters) if parameter.suggested), None)
+    if index is None:
+        return starts
+    lower, upper = unknowns.lower[index], unknowns.upper[index]
+    nominal = np.zeros(linearised.count)
+    span = np.ptp(np.concatenate([piece.command for piece in member.problem.pieces])) / member.parameters[index].scale
+
+    def left(start: Array, value: float) -> float:
+        x = start.copy()
+        x[index] = np.clip(value, lower, upper)
+        try:
+            return _misfit(linearised, linearised.measured - linearised.simulate(nominal, unknowns, x))
+        except InputError:
+            return np.inf
+
+    scanned = [
+        (left(start, value), value, start)
+        for start in starts
+        for value in start[index] + 0.75 * start[index] ** 2 / span * np.linspace(-1.0, 1.0, 2 * count + 1)
+    ]
+    _, best, start = min(scanned, key=lambda item: item[0])
+    width = 0.75 * start[index] ** 2 / span / count
+    for _ in range(2):
+        values = best + width * np.linspace(-1.0, 1.0, count + 1)
+        best = float(values[int(np.argmin([left(start, value) for value in values]))])
+        width *= 2.0 / count
+    nearest = start.copy()
+    nearest[index] = np.clip(best, lower, upper)
+    return [nearest]
 
 
 def _best_alone(linearised: Linearised, candidate: Candidate, count: int) -> Array:
@@ -443,7 +525,7 @@ def _promising(
     settings: SearchSettings,
 ) -> list[tuple[int, Array]]:
     """The effects (by index) that a linear step on top of a candidate makes most of, at least so much, and from which start."""
-    found = []
+    found: dict[tuple[object, ...], tuple[float, int, Array]] = {}
     nominal = np.zeros(linearised.count)
     before = _misfit(linearised, linearised.measured - linearised.simulate(nominal, candidate.unknowns(), solution.x))
     for index, member in enumerate(members):
@@ -462,9 +544,9 @@ def _promising(
                 continue
             if best is None or gain > best[0]:
                 best = gain, there[next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)]
-        if best is not None and best[0] > least:
-            found.append((best[0], index, best[1]))
-    return [(index, start) for _, index, start in sorted(found, key=lambda item: -item[0])[: settings.promising]]
+        if best is not None and best[0] > max(least, found.get(member.variant, (-np.inf,))[0]):
+            found[member.variant] = best[0], index, best[1]
+    return [(index, start) for _, index, start in sorted(found.values(), key=lambda item: -item[0])[: settings.promising]]
 
 
 def _after_step(
@@ -485,6 +567,8 @@ def _after_step(
         moved = x.copy()
         moved[i] += unknowns.step if x[i] + unknowns.step <= unknowns.upper[i] else -unknowns.step
         design[:, column] = (linearised.simulate(nominal, unknowns, moved) - simulated) / (moved[i] - x[i])
+    if not (is_bounded(residual) and is_bounded(design)):
+        raise InputError("the chain grows without limit next to these values")
     known = linearised.unexplained(design)
     right = known.T @ residual
     there = x.copy()
@@ -496,7 +580,9 @@ def _after_step(
 
 
 def _misfit(linearised: Linearised, residual: Array) -> float:
-    """½ of a residual's squared size, coefficients marginalized."""
+    """½ of a residual's squared size, coefficients marginalized; infinite where a chain ran away."""
+    if not is_bounded(residual):
+        return np.inf
     return 0.5 * float(residual @ linearised.unexplained(residual))
 
 

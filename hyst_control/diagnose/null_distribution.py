@@ -23,7 +23,7 @@ from platformdirs import user_cache_path
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NullSettings
 from hyst_control.diagnose.hypothesis import Candidate, Member
-from hyst_control.diagnose.hypothesis_fit import Linearised, fit
+from hyst_control.diagnose.hypothesis_fit import Linearised, fit, is_bounded
 from hyst_control.effects.effect import Surroundings
 from hyst_control.errors import InputError
 from hyst_control.model_file import model_to_document
@@ -149,8 +149,8 @@ def tangents(linearised: Linearised, members: Sequence[Member], count: int) -> l
     found = []
     z = np.zeros(linearised.count)
     for member in members:
-        if not member.size:
-            continue  # a count: there or not, with no small first step
+        if not member.size or member.is_suggested:
+            continue  # there or not, with no small first step
         unknowns, starts = Candidate((member,)).unknowns(), member.starts()
         for x in starts[:: max(len(starts) // count, 1)]:
             try:
@@ -162,7 +162,9 @@ def tangents(linearised: Linearised, members: Sequence[Member], count: int) -> l
                     columns.append((linearised.simulate(z, unknowns, moved) - base) / (moved[p] - x[p]))
             except InputError:
                 continue
-            found.append(np.stack(columns, axis=1))
+            design = np.stack(columns, axis=1)
+            if is_bounded(design):
+                found.append(design)
     return found
 
 
@@ -206,7 +208,7 @@ def cache_key(linearised: Linearised, members: Sequence[Member], seed: int, conf
         # A noise that is a little different has the same threshold.
         "noise": [float(f"{value:.1g}") for value in problem.sigma],
         "seed": seed,
-        "members": [_member(member, around) for member in members],
+        "members": [_member(member, around) for member in members if not member.is_suggested],
     }
     digest.update(json.dumps(document, sort_keys=True, default=str).encode())
     return digest.hexdigest()
@@ -217,7 +219,7 @@ def _member(member: Member, around: Surroundings) -> list[object]:
     effect = member.effect
     makers = [effect.parameters, *([effect.coupled_parameters] if effect.coupled_parameters else [])]
     parameters = [asdict(parameter) for maker in makers for parameter in maker(around)]
-    return [member.name, member.axis, round(member.frequency), member.fixed, parameters]
+    return [member.name, member.axis, member.place, round(member.frequency), member.fixed, parameters]
 
 
 def _version() -> str:

@@ -343,7 +343,11 @@ def _claims(evidence: Evidence, thresholds: Thresholds, with_effects: bool = Tru
         and _worth_naming(one, evidence, thresholds)
     ]
     found.sort(key=lambda index: -evidence.hypotheses[index].score)
-    return tuple(index for index in found if not _idle(index, found, evidence, thresholds))
+    return tuple(
+        index
+        for index in found
+        if not _idle(index, found, evidence, thresholds) and not _is_known_effect(index, found, evidence, thresholds)
+    )
 
 
 def _first(claims: Sequence[int]) -> int:
@@ -368,6 +372,24 @@ def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thres
         return False
     relief = evidence.temper * (evidence.hypotheses[0].strain - one.strain)
     return one.coefficients_alone or relief > evidence.null + thresholds.margin
+
+
+def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
+    """Whether coefficients go many tolerances away only to do what one known effect does with coefficients within theirs.
+
+    A rate part, loops or a gain scaled by one factor moves several coefficients together, or one of them far away.
+    """
+    one = evidence.hypotheses[index]
+    if not one.coefficients_alone or one.farthest < thresholds.many_tolerances:
+        return False
+    size = 0.5 * evidence.temper * evidence.rows * len(evidence.noise)  # nats of a noise energy
+    taken_off = size * (evidence.hypotheses[0].energy - one.energy)
+    return any(
+        len(other.names) == 1
+        and size * (other.energy - one.energy) <= max(thresholds.added_share * taken_off, evidence.null + thresholds.margin)
+        and not strained(other.strain, evidence.coefficients, thresholds)
+        for other in (evidence.hypotheses[i] for i in claims)
+    )
 
 
 def _idle(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:

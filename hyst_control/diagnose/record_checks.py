@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import periodogram
+from scipy.signal import fftconvolve, periodogram
 
-from hyst_control.chain.stage import Array
+from hyst_control.chain.stage import Array, Sampling
 from hyst_control.diagnose.configuration import CONFIGURATION, CheckSettings, NoiseSettings
 from hyst_control.diagnose.evidence import Finding, RecordEvidence
 from hyst_control.diagnose.noise_floor import noise_of
@@ -280,7 +280,8 @@ def lines(problem: Problem, unexplained: Array, settings: CheckSettings = CONFIG
     Returns
     -------
     dict of str to list of float
-        Frequencies (Hz) by the name of each effect that is fitted at lines: those of the mains, and others.
+        By the name of each effect that is fitted at lines, frequencies (Hz): those of the mains, and others; by the name of the one
+        that rounds commands, steps (V) of its lattice.
 
     """
     mains_effect, line_effect = effect_found_by(RecordCheck.MAINS_LINE), effect_found_by(RecordCheck.SPECTRAL_LINE)
@@ -304,10 +305,14 @@ def lines(problem: Problem, unexplained: Array, settings: CheckSettings = CONFIG
         mains = _mains(mains_effect, problem)
         for fundamental in mains:
             near = np.abs(frequency - fundamental) < max(settings.mains_width, settings.mains_bins * width)
+            near |= np.abs(frequency - 2.0 * fundamental) < max(settings.mains_width, settings.mains_bins * width)
             if near.any() and ratio[near].max(initial=0.0) > settings.mains_ratio:
                 of_mains.append(fundamental)
         sure = ratio > settings.line_ratio
-        sure &= (frequency > settings.lowest_line_bins * width) & ~(driven > settings.driven_share * driven.max())
+        # In a band that is driven evenly, as by a sweep, a line is none of the command's; where the command has lines, it may be.
+        of_command = driven > settings.driven_share * driven.max()
+        of_command &= driven > settings.driven_ratio * _background(driven, settings.background_bins)
+        sure &= (frequency > settings.lowest_line_bins * width) & ~np.convolve(of_command, np.ones(3), "same").astype(bool)
         sure &= ~_harmonics(frequency, driven, settings)
         for fundamental in mains:
             for harmonic in settings.mains_harmonics:
@@ -318,7 +323,74 @@ def lines(problem: Problem, unexplained: Array, settings: CheckSettings = CONFIG
             others.append(_peak(frequency, power, top))
     apart = settings.same_line_bins / (count * problem.sample_time)
     suggested = ((mains_effect, of_mains), (line_effect, others))
-    return {effect.name: _distinct(values, apart) for effect, values in suggested if effect is not None}
+    found = {effect.name: _distinct(values, apart) for effect, values in suggested if effect is not None}
+    lattice_effect = effect_found_by(RecordCheck.COMMAND_LATTICE)
+    if lattice_effect is not None:
+        steps = [
+            command_lattice(
+                longest[:, axis], rows[begin : begin + count, axis], _response(problem, axis, settings.lattice_response), settings
+            )
+            for axis in range(rows.shape[1])
+        ]
+        found[lattice_effect.name] = [step for of_axis in steps for step in of_axis]
+    return found
+
+
+def command_lattice(
+    command: Array, unexplained: Array, response: Array, settings: CheckSettings = CONFIGURATION.checks
+) -> list[float]:
+    """Steps of a lattice that the command may have been rounded to.
+
+    The error of rounding is periodic over the command: what the residual holds of it, by a filter matched to the plant's response, has
+    as a function of the command a line at one over the step. Differences in time take off what is slow, as most other gaps are.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N,)
+        V.
+    unexplained : ndarray, shape (N,)
+        Residual without what the scattered coefficients explain, any unit.
+    response : ndarray, shape (K,)
+        Change of the measurement 1, 2, … samples after a change of the command.
+    settings : CheckSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    list of float
+        V, the most likely first; none where no line stands out.
+    """
+    low, span = float(command.min()), float(np.ptp(command))
+    bins, padded = settings.lattice_bins, 4
+    if not (span > 0.0 and np.any(response)):
+        return []
+    later = np.append(np.diff(unexplained), 0.0)
+    matched = fftconvolve(later, np.diff(response, prepend=0.0)[::-1])[len(response) - 1 :][: len(command)]
+    place = np.rint((command - low) / span * (bins - 1)).astype(np.int64)
+    sums = np.bincount(place, weights=matched, minlength=bins)
+    counts = np.bincount(place, minlength=bins)
+    window = np.ones(bins // 16)
+    smooth = np.convolve(sums, window, "same") / np.maximum(np.convolve(counts, window, "same"), 1.0)
+    power = np.abs(np.fft.rfft(sums - smooth * counts, padded * bins)) ** 2
+    ratio = power / np.maximum(_background(power, padded * settings.background_bins), 1e-300)
+    cycles = np.arange(len(power)) / padded
+    ratio[(cycles < settings.lattice_least) | (cycles > 0.2 * bins)] = 0.0
+    found: list[float] = []
+    for top in np.argsort(ratio)[::-1][: 4 * padded * settings.lattice_steps]:
+        if ratio[top] > settings.lattice_ratio and all(abs(cycles[top] - other) > 1.0 for other in found):
+            found.append(_peak(cycles, power, int(top)))
+    return [span / one for one in found[: settings.lattice_steps]]
+
+
+def _response(problem: Problem, axis: int, count: int) -> Array:
+    """Change of the nominal measurement 1, 2, … `count` samples after the command of an axis has gone up by a quarter of its span."""
+    commands = np.concatenate([piece.command for piece in problem.pieces])
+    lower, upper = commands.min(axis=0), commands.max(axis=0)
+    running = problem.model.chain.filter(Sampling(problem.sample_time, len(lower), problem.hold))
+    first = running.settle(0.75 * lower + 0.25 * upper)[axis]
+    raised = 0.75 * lower + 0.25 * upper
+    raised[axis] += 0.25 * (upper - lower)[axis]
+    return np.diff(running.process(np.repeat(raised[None], count, axis=0))[:, axis], prepend=first)
 
 
 def _mains(effect: Effect | None, problem: Problem) -> tuple[float, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hyst_control.chain.linear import LinearStage, LinearSystem, stacked, transfer_function_system
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
-from hyst_control.chain.stage import Modifier, Stage, per_axis_scalar, register
+from hyst_control.chain.stage import Modifier, Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter
 from hyst_control.effects.modifiers import Changed
 from hyst_control.effects.placement import mechanics_index
@@ -22,7 +22,9 @@ SEEN = 0.1
 @register
 @dataclass(frozen=True)
 class AddedMass(Modifier):
-    """Gives the main mode of the mechanics before it the mass 1 + mass_ratio; stiffness, damping constant, static gain stay.
+    """Gives the main mode of the mechanics before it the mass 1 + mass_ratio; stiffness and static gain stay.
+
+    The damping constant grows by the share `damping`.
 
     The main mode s² + d s + k of an axis is its complex pair of poles of lowest frequency that carries a tenth of what the
     strongest one does, or where none is complex the two fastest real ones; d and k are divided by 1 + mass_ratio. Where
@@ -32,30 +34,33 @@ class AddedMass(Modifier):
     name: ClassVar[str] = "added_mass"
     place: ClassVar[str] = "mechanics"
     mass_ratio: ScalarPerAxis = scalar("", "mass that is added, in that of the mode", above=-1.0)
+    damping: ScalarPerAxis = scalar("", "growth of the damping constant", default=0.0, above=-1.0)
 
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
         index = mechanics_index(before)
         if index is None:
             raise InputError("added_mass: no mechanics before it (transfer function or continuous state space): put it behind them")
-        if not np.any(per_axis_scalar(self.mass_ratio, axes, "mass_ratio")):
+        if not any(values.any() for values in per_axis_scalars(self, axes, "mass_ratio", "damping")):
             return before
         return (*before[:index], Changed(cast(LinearStage, before[index]), self._heavier, self.name), *before[index + 1 :])
 
     def _heavier(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
-        ratio = per_axis_scalar(self.mass_ratio, axes, "mass_ratio")
+        ratio, growth = per_axis_scalars(self, axes, "mass_ratio", "damping")
         if len(systems) == axes:
-            return [_heavier(system, ratio[i : i + 1]) for i, system in enumerate(systems)]
-        return [_heavier(systems[0], ratio)]
+            return [_heavier(system, ratio[i : i + 1], growth[i : i + 1]) for i, system in enumerate(systems)]
+        return [_heavier(systems[0], ratio, growth)]
 
 
-def _heavier(system: LinearSystem, ratio: Array) -> LinearSystem:
+def _heavier(system: LinearSystem, ratio: Array, growth: Array) -> LinearSystem:
     """The old mode cancelled and the new one put in its place, behind the system, output by output."""
     ratios = []
-    for output, share in enumerate(ratio):
-        damping, stiffness = main_mode(system, output) if share else (1.0, 1.0)
+    for output, (share, more) in enumerate(zip(ratio, growth, strict=True)):
+        if not (share or more):
+            ratios.append(_nothing())
+            continue
+        damping, stiffness = main_mode(system, output)
         mode = np.array([1.0, damping, stiffness])
-        heavier = np.array([1.0 + share, damping, stiffness])
-        ratios.append(transfer_function_system(mode, heavier) if share else _nothing())
+        ratios.append(transfer_function_system(mode, np.array([1.0 + share, (1.0 + more) * damping, stiffness])))
     return system.then(stacked(ratios))
 
 
@@ -88,7 +93,10 @@ def main_mode(system: LinearSystem, output: int) -> tuple[float, float]:
 EFFECT = Effect(
     "added_mass",
     "mechanics",
-    "The moved mass is another one: the main mode is slower or faster, its stiffness and damping constant kept.",
-    lambda around: (Parameter("mass_ratio", "", 0.0, (0.02, 0.2, -0.15), -0.4, 1.0, 0.15),),
-    lambda values, around: AddedMass(values["mass_ratio"]),
+    "The moved mass is another one: the main mode is slower or faster, its stiffness kept.",
+    lambda around: (
+        Parameter("mass_ratio", "", 0.0, (0.02, 0.2, -0.15), -0.4, 1.0, 0.15),
+        Parameter("damping", "", 0.0, (0.0,), -0.6, 1.0, 0.1, told=False),
+    ),
+    lambda values, around: AddedMass(values["mass_ratio"], values.get("damping", 0.0)),
 )

@@ -10,7 +10,7 @@ import numpy as np
 from hyst_control.chain.chain import Averaged
 from hyst_control.chain.stage import Stage, frozen, register
 from hyst_control.effects.effect import Effect
-from hyst_control.effects.lowpass import AtSamples, Lowpass, Rebuilt, cutoff_parameters
+from hyst_control.effects.lowpass import AtSamples, Lowpass, Rebuilt, lowpass_parameters, lowpass_values, lowpass_variants
 
 
 @register
@@ -19,8 +19,9 @@ class AmplifierLowpass(Lowpass, Averaged):
     """A low-pass (see `Lowpass`) of a held command.
 
     A hysteresis behind it is followed at the samples, exactly; in between its output is taken to bend as the voltage does, like
-    one first-order lag of `order` times the time constant, until the next linear stage (`chain.arrange`). No half sample is
-    lost, and an infinite cutoff is the held command itself. A stage with dynamics of its own gets the mean over each interval.
+    one first-order lag of `order` times the time constant (of order 2 times the damping), until the next linear stage
+    (`chain.arrange`). No half sample
+    is lost, and an infinite cutoff is the held command itself. A stage with dynamics of its own gets the mean over each interval.
     """
 
     name: ClassVar[str] = "amplifier_lowpass"
@@ -33,15 +34,16 @@ class AmplifierLowpass(Lowpass, Averaged):
 
     def between_samples(self) -> tuple[Stage, ...]:
         """Stages that bend a signal known at the samples as this low-pass bends the voltage."""
-        cutoff = np.array(self.cutoff, dtype=float) / np.array(self.order)
+        cutoff = np.array(self.cutoff, dtype=float) / (np.array(self.order) * np.array(self.damping))
         return Rebuilt(frozen(cutoff)), AmplifierLowpass(frozen(cutoff))
 
 
 EFFECT = Effect(
     "amplifier_lowpass",
     "drive",
-    "The amplifier is slower than the model says: first-order low-passes, as many as `order`, before the hysteresis.",
-    cutoff_parameters,
-    lambda values, around: AmplifierLowpass(values["cutoff"], values.get("order", 1)),
+    "The amplifier is slower than the model says: a low-pass of first or second order before the hysteresis.",
+    lowpass_parameters,
+    lambda values, around: AmplifierLowpass(**lowpass_values(values)),
+    variants=lowpass_variants,
     separating_record="the amplifier's output voltage",
 )

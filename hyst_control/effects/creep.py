@@ -9,40 +9,62 @@ import numpy as np
 
 from hyst_control.chain.linear import LinearStage, LinearSystem
 from hyst_control.chain.parameter import ScalarPerAxis, scalar
-from hyst_control.chain.stage import per_axis_scalar, register
-from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.chain.stage import per_axis_scalars, register
+from hyst_control.effects.effect import Effect, Parameter, Surroundings
 
-BEGIN = 0.1
-DECADES = 4
-PER_DECADE = 3
+COUNT = 12
+"""Lags of the ladder."""
 
 
 @register
 @dataclass(frozen=True)
 class Creep(LinearStage):
-    """Logarithmic creep: after a step of u the output grows on by about gamma log10(1 + t / 0.1 s) of it; gamma share per decade.
+    """Logarithmic creep: after a step of u the output grows on by about gamma log10(1 + t / begin) of it; gamma share per decade.
 
-    A ladder of first-order lags, three per decade with time constants 0.1 s · 10^((i + 1/2)/3), i = 0 … 11, each gamma / 3: from
-    0.5 s on gamma (log10(t / 0.1 s) + 0.25) within 0.03 gamma, to 40 s, then slower, to 4 gamma in the end.
+    A ladder of 12 first-order lags of gamma · decades / 12 each, whose time constants begin · 10^((i + 1/2) decades / 12), i = 0 … 11,
+    lie evenly in `decades` decades: with four of them from 0.1 s on it is gamma (log10(t / 0.1 s) + 0.25) within 0.03 gamma from 0.5 s
+    to 40 s, then slower, to 4 gamma in the end. Half a decade is hardly wider than one relaxation.
     """
 
     name: ClassVar[str] = "creep"
     place: ClassVar[str] = "piezo"
     gamma: ScalarPerAxis = scalar("1/decade", "share of a step by which the output grows on")
+    begin: ScalarPerAxis = scalar("s", "shortest time", default=0.1, above=0.0)
+    decades: ScalarPerAxis = scalar(
+        "", "from the shortest time to the longest, decimal logarithm", default=4.0, above=0.0, upper=20.0
+    )
 
     def systems(self, axes: int) -> list[LinearSystem]:
-        count = DECADES * PER_DECADE
-        rates = 1.0 / (BEGIN * 10.0 ** ((np.arange(count) + 0.5) / PER_DECADE))
-        return [
-            LinearSystem(-np.diag(rates), rates[:, None], np.full((1, count), gamma / PER_DECADE), np.ones((1, 1)), np.zeros(1))
-            for gamma in per_axis_scalar(self.gamma, axes, "gamma")
-        ]
+        steps = (np.arange(COUNT) + 0.5) / COUNT
+        found = []
+        for gamma, begin, decades in zip(*per_axis_scalars(self, axes, "gamma", "begin", "decades"), strict=True):
+            rates = 1.0 / (begin * 10.0 ** (decades * steps))
+            output = np.full((1, COUNT), gamma * decades / COUNT)
+            found.append(LinearSystem(-np.diag(rates), rates[:, None], output, np.ones((1, 1)), np.zeros(1)))
+        return found
+
+
+def parameters(around: Surroundings) -> tuple[Parameter, ...]:
+    """Size, and the span of time constants: of no ladder the record shows more than its length and sampling.
+
+    Parameters
+    ----------
+    around
+        Record that the sizes are judged by.
+    """
+    least, most = 10.0 * around.sample_time, 2.0 * around.duration
+    starts = tuple(float(np.clip(begin, least, most)) for begin in (0.1, 0.01, 0.3 * around.duration))
+    return (
+        Parameter("gamma", "", 0.0, (0.01, 0.01, 0.03), -0.2, 0.2, 0.02),
+        Parameter("begin", "s", starts[0], starts, least, most, 1.5, True, told=False),
+        Parameter("decades", "", 4.0, (4.0, 4.0, 0.8), 0.4, 6.0, 2.0, told=False),
+    )
 
 
 EFFECT = Effect(
     "creep",
     "piezo",
-    "After every step the piezo grows on with the logarithm of time.",
-    lambda around: (Parameter("gamma", "", 0.0, (0.01,), -0.1, 0.1, 0.02),),
-    lambda values, around: Creep(values["gamma"]),
+    "After every step the piezo grows on, with the logarithm of time or with a few time constants.",
+    parameters,
+    lambda values, around: Creep(values["gamma"], values.get("begin", 0.1), values.get("decades", 4.0)),
 )

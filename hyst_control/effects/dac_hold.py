@@ -11,52 +11,68 @@ from numpy.typing import NDArray
 
 from hyst_control.chain.c_code import CCode, integers, reals
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
-from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalar, register
-from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
+from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalars, register
+from hyst_control.effects.effect import Effect, Parameter, RecordCheck, Surroundings, Values
+
+HELD = (2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)
+"""Numbers of samples that are tried."""
+
+ROUNDINGS = {"nearest": 0.0, "down": 1.0, "up": 2.0, "toward zero": 3.0, "midway": 4.0}
+"""Manners of rounding to a lattice, by the number that a model file has; midway: down, to half a step above the lattice."""
 
 
 @register
 @dataclass(frozen=True)
 class DacHold(Stage):
-    """Takes every `samples`-th command, the first of the record being the first taken, and holds it, rounded to a multiple of `step`.
+    """Takes every `samples`-th command and holds it, rounded to a multiple of `step`.
 
-    step V, 0: not rounded.
+    The record's first command is held until the command of index `phase` is taken, 0: it is the first one that is taken. step V,
+    0: not rounded. rounding: see `ROUNDINGS`.
     """
 
     name: ClassVar[str] = "dac_hold"
     place: ClassVar[str] = "dac"
     samples: ScalarPerAxis = scalar("", "for which a command is held", default=1, lower=1.0, whole=True, scatter=Scattering.NONE)
     step: ScalarPerAxis = scalar("V", "of the lattice; 0: none", default=0.0, lower=0.0)
+    phase: ScalarPerAxis = scalar("", "command taken first", default=0, lower=0.0, upper=1e9, whole=True, scatter=Scattering.NONE)
+    rounding: ScalarPerAxis = scalar(
+        "",
+        "0 nearest, 1 down, 2 up, 3 toward zero, 4 midway",
+        default=0,
+        lower=0.0,
+        upper=4.0,
+        whole=True,
+        scatter=Scattering.NONE,
+    )
 
     @property
     def commutes_with_delay(self) -> bool:
         return False
 
     def filter(self, sampling: Sampling) -> Filter:
-        axes = sampling.axes
-        return DacHoldFilter(
-            per_axis_scalar(self.samples, axes, "samples"), per_axis_scalar(self.step, axes, "step"), sampling.hold
-        )
+        samples, step, phase, rounding = per_axis_scalars(self, sampling.axes, "samples", "step", "phase", "rounding")
+        return DacHoldFilter(samples, step, phase, rounding, sampling.hold)
 
 
 class DacHoldFilter(Filter):
     """Streaming `DacHold`."""
 
-    def __init__(self, samples: Array, step: Array, hold: str) -> None:
+    def __init__(self, samples: Array, step: Array, phase: Array, rounding: Array, hold: str) -> None:
         self.hold = hold
         self.samples, self.step = samples.astype(np.int64), step
+        self.phase, self.rounding = phase.astype(np.int64), rounding.astype(np.int64)
         self.held, self.count = np.zeros(len(step)), 0
 
     def settle(self, value: Array) -> Array:
         self.count = 0
-        take_and_hold(
-            np.array(value, dtype=float).reshape(1, -1), 0, self.samples, self.step, self.held, np.empty((1, len(self.step)))
-        )
+        first = np.array(value, dtype=float).reshape(1, -1)
+        ones, zeros = np.ones_like(self.samples), np.zeros_like(self.phase)
+        take_and_hold(first, 0, ones, zeros, self.step, self.rounding, self.held, np.empty_like(first))
         return self.held.copy()
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
-        take_and_hold(block, self.count, self.samples, self.step, self.held, output)
+        take_and_hold(block, self.count, self.samples, self.phase, self.step, self.rounding, self.held, output)
         self.count += len(block)
         return output
 
@@ -103,18 +119,38 @@ for (int i = 0; i < AXES; i++) {
 
 
 @njit(cache=True, error_model="numpy")
-def take_and_hold(block: Array, count: int, samples: NDArray[np.int64], step: Array, held: Array, output: Array) -> None:
-    """block, output (N, A); count of samples before the block; samples, step, held (A,), of which the last is updated."""
+def take_and_hold(
+    block: Array,
+    count: int,
+    samples: NDArray[np.int64],
+    phase: NDArray[np.int64],
+    step: Array,
+    rounding: NDArray[np.int64],
+    held: Array,
+    output: Array,
+) -> None:
+    """block, output (N, A); count of samples before the block; samples, phase, step, rounding (A,); held (A,), updated."""
     for row in range(block.shape[0]):
         for axis in range(block.shape[1]):
-            if (count + row) % samples[axis] == 0:
+            if (count + row - phase[axis]) % samples[axis] == 0:
                 value = block[row, axis]
-                held[axis] = step[axis] * np.rint(value / step[axis]) if step[axis] > 0.0 else value
+                if step[axis] > 0.0:
+                    steps, manner = value / step[axis], rounding[axis]
+                    if manner == 0:
+                        steps = np.rint(steps)
+                    elif manner == 2:
+                        steps = np.ceil(steps)
+                    elif manner == 3:
+                        steps = np.trunc(steps)
+                    else:
+                        steps = np.floor(steps) + (0.5 if manner == 4 else 0.0)
+                    value = step[axis] * steps
+                held[axis] = value
             output[row, axis] = held[axis]
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Either several samples or a coarse lattice is where a fit begins.
+    """Samples, phase, step and manner of rounding; the lattice's steps are those that the record suggests.
 
     Parameters
     ----------
@@ -122,16 +158,34 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
         Record that the sizes are judged by.
     """
     reach = max(around.command[1] - around.command[0], 1e-9)
-    held = (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 16.0, 20.0)
-    steps = (0.002 * reach, 0.01 * reach, 0.05 * reach)
     return (
-        Parameter("samples", "", 1.0, (*held, *(1.0 for _ in steps)), 1.0, 20.0, 3.0, counted=True),
-        Parameter("step", "V", 0.0, (*(0.0 for _ in held), *steps), 0.0, 0.2 * reach, 0.01 * reach),
+        Parameter("samples", "", 1.0, tuple(float(held) for held in HELD), 1.0, 20.0, 3.0),
+        Parameter("phase", "", 0.0, (0.0,), 0.0, 20.0, 1.0, told=False),
+        Parameter("step", "V", 0.0, (0.002 * reach, 0.01 * reach, 0.05 * reach), 0.0, 0.25 * reach, 0.01 * reach, suggested=True),
+        Parameter("rounding", "", 0.0, (0.0,), 0.0, 4.0, 1.0, told=False),
     )
 
 
+def variants(around: Surroundings) -> tuple[Values, ...]:
+    """A hold over every number of samples, begun at every one of them; or a lattice, rounded to in every manner.
+
+    Parameters
+    ----------
+    around
+        Record that the sizes are judged by.
+    """
+    crosses = around.command[0] < 0.0 < around.command[1]
+    lattices = [
+        {"samples": 1.0, "phase": 0.0, "rounding": value} for name, value in ROUNDINGS.items() if crosses or name != "toward zero"
+    ]
+    holds = [
+        {"samples": float(held), "phase": float(phase), "step": 0.0, "rounding": 0.0} for held in HELD for phase in range(held)
+    ]
+    return (*lattices, *holds)
+
+
 def stage(values: Values, around: Surroundings) -> DacHold:
-    """The number of samples is rounded to a whole one.
+    """The numbers that count are rounded to whole ones.
 
     Parameters
     ----------
@@ -140,8 +194,11 @@ def stage(values: Values, around: Surroundings) -> DacHold:
     around
         Record that the sizes are judged by.
     """
-    samples = frozen(np.maximum(np.rint(np.array(values.get("samples", 1.0), dtype=float)), 1.0))
-    return DacHold(samples, values.get("step", 0.0))
+    samples, phase, rounding = (
+        frozen(np.maximum(np.rint(np.array(values.get(name, least), dtype=float)), least))
+        for name, least in (("samples", 1.0), ("phase", 0.0), ("rounding", 0.0))
+    )
+    return DacHold(samples, values.get("step", 0.0), phase, rounding)
 
 
 EFFECT = Effect(
@@ -150,5 +207,7 @@ EFFECT = Effect(
     "The command is held over several samples, or rounded to a coarse lattice.",
     parameters,
     stage,
+    variants=variants,
+    record_check=RecordCheck.COMMAND_LATTICE,
     exercised=lambda around: around.slew > 0,
 )

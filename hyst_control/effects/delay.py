@@ -24,5 +24,5 @@ EFFECT = Effect(
     parameters,
     lambda values, around: Delay(values["tau"]),
     separating_record="the amplifier's output voltage",
-    also_at=("sensor",),
+    also_beside_clean=("sensor",),
 )

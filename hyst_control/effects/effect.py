@@ -24,6 +24,7 @@ class RecordCheck(Enum):
     WHITE_SPECTRUM = "white_spectrum"
     FALLING_SPECTRUM = "falling_spectrum"
     MAINS_LINE = "mains_line"
+    COMMAND_LATTICE = "command_lattice"
     SPECTRAL_LINE = "spectral_line"
 
     @property
@@ -95,11 +96,9 @@ class Parameter:
         Whether its logarithm is what is fitted.
     told
         Whether the gap report has it; otherwise it only stands in the augmented model.
-    counted
-        Whether it is a number of things, whose starts are tried one by one instead of fitted, each with the effect's other
-        parameters absent.
-    beside_others
-        Whether such a number is tried with the effect's other parameters fitted.
+    suggested
+        Whether its starts are what the effect's record check suggests, where that suggests any; each then stands for values
+        nearby, of which the one that comes closest to the record is where a fit begins.
     """
 
     name: str
@@ -111,8 +110,7 @@ class Parameter:
     scale: float
     logarithmic: bool = False
     told: bool = True
-    counted: bool = False
-    beside_others: bool = False
+    suggested: bool = False
 
 
 @dataclass(frozen=True)
@@ -174,15 +172,22 @@ class Effect:
         What the gap report has of parameters that are not told.
     line
         Of an effect that is one in the spectrum.
+    further_lines
+        Other shapes that it may have there.
     record_check
         The check that finds an effect without a waveform, and measures its one parameter; of an effect with a waveform the check
-        that suggests its frequencies.
+        that suggests its frequencies, or the starts of its `suggested` parameter.
+    variants
+        Realizations that differ in numbers that are not fitted, such as an order, a phase or a manner of rounding: values of
+        these numbers, each tried with the effect's other parameters fitted. Values of all parameters leave nothing to fit.
     separating_record
         What to record besides where no excitation tells it from another effect; None: another sensor.
     companion
         Of an effect that differs from session to session, and so is free in every hypothesis where clean records are at hand.
     also_at
-        Further places that an engineer would call by the same name; beside clean records they differ.
+        Further places that an engineer would call by the same name.
+    also_beside_clean
+        The same, where the signatures differ only beside clean records, whose own error does not go through the drive.
     """
 
     name: str
@@ -195,9 +200,12 @@ class Effect:
     couples: bool = False
     shared: bool = False
     coupled_parameters: Callable[[Surroundings], tuple[Parameter, ...]] | None = None
+    variants: Callable[[Surroundings], tuple[Mapping[str, float], ...]] = lambda _: ({},)
     summary: Callable[[Values], dict[str, float]] = lambda _: {}
     line: Line | None = None
+    further_lines: tuple[Line, ...] = ()
     record_check: RecordCheck | None = None
     separating_record: str | None = None
     companion: Companion | None = None
     also_at: tuple[str, ...] = ()
+    also_beside_clean: tuple[str, ...] = ()

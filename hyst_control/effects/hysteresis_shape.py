@@ -9,17 +9,21 @@ import numpy as np
 
 from hyst_control.chain.c_code import each_axis
 from hyst_control.chain.memoryless import Memoryless
-from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Modifier, Stage, per_axis_scalar, per_axis_scalars, register
-from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.modifiers import beside, settled
 from hyst_control.effects.placement import hysteresis_index
 from hyst_control.errors import InputError
 
+CUBIC = 12.0 * float(np.sqrt(3.0))
+"""Makes the cubic 1 at its greatest."""
 BEND = """
-static real bend_value(real x, real height)
+static real bend_value(real x, real even, real odd, real tilt, real stroke)
 {
-    return (height * x) * (R(1.0) - x);
+    const real aside = x - R(0.5);
+    const real rest = R(1.0) - x;
+    return stroke * ((((even * x) * rest) + (((odd * x) * rest) * aside)) + (tilt * aside));
 }
 """
 
@@ -27,9 +31,15 @@ static real bend_value(real x, real height)
 @register
 @dataclass(frozen=True)
 class HysteresisShape(Modifier):
-    """Adds amount · stroke · 4 x (1 - x) with x = (u - lower) / (upper - lower) to the hysteresis before it, u its input.
+    """Adds a curve to the hysteresis before it, in shares of its stroke.
 
-    lower, upper V; stroke in the hysteresis' own output unit, by default what it settles at for `upper` less that for `lower`.
+    With x = (u - lower) / (upper - lower), u its input, it is
+
+        amount · 4 x (1 - x) + odd · 20.78 x (1 - x) (x - 1/2) + tilt · (x - 1/2)
+
+    where amount and odd are the greatest distance from 0, and tilt the change from end to end. lower, upper V; stroke in the
+    hysteresis' own output unit, by default what it settles at for `upper` less that for `lower`. With `behind` the curve is one of
+    the hysteresis' output, from what that settles at for `lower` to what it does for `upper`.
     """
 
     name: ClassVar[str] = "hysteresis_shape"
@@ -38,6 +48,11 @@ class HysteresisShape(Modifier):
     lower: ScalarPerAxis = scalar("V", "where the bend begins")
     upper: ScalarPerAxis = scalar("V", "where the bend ends")
     stroke: ScalarPerAxis | None = scalar("output unit", "default that of the hysteresis", default=None)
+    odd: ScalarPerAxis = scalar("", "of the stroke, a fifth from either end", default=0.0)
+    tilt: ScalarPerAxis = scalar("", "of the stroke, from end to end", default=0.0)
+    behind: ScalarPerAxis = scalar(
+        "", "1: a curve of the output", default=0.0, lower=0.0, upper=1.0, whole=True, scatter=Scattering.NONE
+    )
 
     def check(self) -> None:
         if np.any(np.array(self.lower) >= np.array(self.upper)):
@@ -47,36 +62,82 @@ class HysteresisShape(Modifier):
         index = hysteresis_index(before)
         if index is None:
             raise InputError("hysteresis_shape: no hysteresis before it that it could bend: put it behind one")
-        amount, lower, upper = per_axis_scalars(self, axes, "amount", "lower", "upper")
-        if not np.any(amount):
+        amount, odd, tilt, lower, upper = per_axis_scalars(self, axes, "amount", "odd", "tilt", "lower", "upper")
+        if not (amount.any() or odd.any() or tilt.any()):
             return before
-        if self.stroke is None:
-            stroke = settled(before[index], upper) - settled(before[index], lower)
-        else:
-            stroke = per_axis_scalar(self.stroke, axes, "stroke")
+        begin = settled(before[index], lower)
+        span = settled(before[index], upper) - begin
+        stroke = span if self.stroke is None else per_axis_scalar(self.stroke, axes, "stroke")
 
-        def bend(u: Array) -> Array:
-            x = (u - lower) / (upper - lower)
-            return amount * stroke * 4.0 * x * (1.0 - x)
+        behind = per_axis_scalar(self.behind, axes, "behind")
 
-        code = each_axis(
-            "bend_value((u - p->lower[i]) / p->span[i], p->height[i])",
-            "bend",
-            {
-                "lower": (lower, "V, where the bend begins"),
-                "span": (upper - lower, "V"),
-                "height": (amount * stroke * 4.0, "output unit, four times the bend midway"),
-            },
-            (BEND,),
-        )
-        return (*before[:index], beside(before[index], Memoryless(bend, code)), *before[index + 1 :])
+        def curve(x: Array) -> Array:
+            height: Array = amount * 4.0 * x * (1.0 - x) + odd * CUBIC * x * (1.0 - x) * (x - 0.5) + tilt * (x - 0.5)
+            return stroke * height
+
+        stages: tuple[Stage, ...] = (before[index],)
+        if not behind.all():
+            code = each_axis(
+                "bend_value((u - p->lower[i]) / p->span[i], p->even[i], p->odd[i], p->tilt[i], p->stroke[i])",
+                "bend",
+                {
+                    "lower": (lower, "V, where the bend begins"),
+                    "span": (upper - lower, "V"),
+                    "even": (amount * 4.0, "share of the stroke, four times the even bend midway"),
+                    "odd": (odd * CUBIC, "share of the stroke, of the cubic"),
+                    "tilt": (tilt, "share of the stroke, from end to end"),
+                    "stroke": (stroke, "output unit"),
+                },
+                (BEND,),
+            )
+            bend = Memoryless(lambda u: (1.0 - behind) * curve((u - lower) / (upper - lower)), None if behind.any() else code)
+            stages = (beside(before[index], bend),)
+        if behind.any():
+            stages = (*stages, Memoryless(lambda y: y + behind * curve((y - begin) / np.where(span, span, 1.0))))
+        return (*before[:index], *stages, *before[index + 1 :])
+
+
+def peak(values: Values) -> dict[str, float]:
+    """Amount of a curve: its greatest distance from 0, with its sign there, in shares of the stroke.
+
+    Parameters
+    ----------
+    values
+        Of the parameters, by name.
+    """
+    x = np.linspace(0.0, 1.0, 101)
+    curve = values["even"] * 4.0 * x * (1.0 - x) + values["odd"] * CUBIC * x * (1.0 - x) * (x - 0.5) + values["tilt"] * (x - 0.5)
+    return {"amount": float(curve[np.argmax(np.abs(curve))])}
+
+
+def shape(values: Values, around: Surroundings) -> HysteresisShape:
+    """The curve over the record's range of command; of `amount` alone the even one.
+
+    Parameters
+    ----------
+    values
+        Of the parameters, by name.
+    around
+        Record that the sizes are judged by.
+    """
+    lower, upper = around.command
+    even = values["even"] if "even" in values else values["amount"]
+    odd, tilt, behind = values.get("odd", 0.0), values.get("tilt", 0.0), values.get("behind", 0.0)
+    return HysteresisShape(even, lower, max(upper, lower + 1e-6), odd=odd, tilt=tilt, behind=behind)
 
 
 EFFECT = Effect(
     "hysteresis_shape",
     "hysteresis",
-    "The single-valued curve under the loops is bent.",
-    lambda around: (Parameter("amount", "", 0.0, (0.005,), -0.1, 0.1, 0.02),),
-    lambda values, around: HysteresisShape(values["amount"], around.command[0], max(around.command[1], around.command[0] + 1e-6)),
+    "The single-valued curve under the loops is bent, evenly or oddly, or tilted.",
+    lambda around: (
+        Parameter("even", "", 0.0, (0.005,), -0.1, 0.1, 0.02, told=False),
+        Parameter("odd", "", 0.0, (0.0,), -0.1, 0.1, 0.02, told=False),
+        Parameter("tilt", "", 0.0, (0.0,), -0.2, 0.2, 0.03, told=False),
+        Parameter("behind", "", 0.0, (0.0, 1.0), 0.0, 1.0, 1.0, told=False),
+    ),
+    shape,
+    variants=lambda around: ({"behind": 0.0}, {"tilt": 0.0, "behind": 1.0}),
+    summary=peak,
     exercised=lambda around: around.command[1] > around.command[0],
 )

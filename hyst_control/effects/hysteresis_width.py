@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from hyst_control.chain.memoryless import Offset
-from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.chain.stage import Modifier, Stage, frozen, per_axis_scalar, per_axis_scalars, register, replaced
 from hyst_control.effects.effect import Effect, Parameter
@@ -22,6 +22,8 @@ OPERATORS, DENSER = 8, 1.5  # the exponent: a measured stack's nested loops, see
 @dataclass(frozen=True)
 class HysteresisWidth(Modifier):
     """Scales the memory of the hysteresis before it by 1 + width; its mean curve stays.
+
+    Of play operators `scaled` may be 1: their thresholds, or 2: the weights of all but the narrowest, with which the mean curve goes.
 
     The mean curve of a play operator H[u] is u, also under the dynamic weights of the modified Prandtl-Ishlinskii model; that of
     Madelung hysteresis is the mean of the two major branches.
@@ -38,9 +40,21 @@ class HysteresisWidth(Modifier):
     width: ScalarPerAxis = scalar("", "growth of the loop's width")
     span: ScalarPerAxis = scalar("V", "of the drive, where a chain has no hysteresis", default=100.0, above=0.0)
     centre: ScalarPerAxis = scalar("V", "middle of the span", default=0.0)
+    scaled: ScalarPerAxis = scalar(
+        "", "0 the memory, 1 thresholds, 2 weights", default=0.0, lower=0.0, upper=2.0, whole=True, scatter=Scattering.NONE
+    )
 
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
         width = per_axis_scalar(self.width, axes, "width")
+        (what,) = per_axis_scalars(self, axes, "scaled")
+        if what.any():
+            thresholds, weights = (np.where(what == which, 1.0 + width, 1.0) for which in (1.0, 2.0))
+            changed = replaced(before, lambda stage: stage.with_operators(thresholds, weights))
+            if changed is None:
+                raise InputError("scaled: needs a hysteresis of play operators: leave it out")
+            before, width = changed, np.where(what == 0.0, width, 0.0)
+            if not width.any():
+                return before
         changed = replaced(before, lambda stage: stage.with_loop_width(width))
         if changed is None and hysteresis_index(before) is None:
             span, centre = per_axis_scalars(self, axes, "span", "centre")
@@ -66,8 +80,15 @@ EFFECT = Effect(
     "hysteresis_width",
     "hysteresis",
     "The loops are wider or narrower than the model's, about the same mean curve.",
-    lambda around: (Parameter("width", "", 0.0, (0.02,), -0.6, 0.6, 0.1),),
-    lambda values, around: HysteresisWidth(
-        values["width"], max(around.command[1] - around.command[0], 1e-300), sum(around.command) / 2
+    lambda around: (
+        Parameter("width", "", 0.0, (0.02,), -0.6, 0.6, 0.1),
+        Parameter("scaled", "", 0.0, (0.0, 1.0, 2.0), 0.0, 2.0, 1.0, told=False),
     ),
+    lambda values, around: HysteresisWidth(
+        values["width"],
+        max(around.command[1] - around.command[0], 1e-300),
+        sum(around.command) / 2,
+        values.get("scaled", 0.0),
+    ),
+    variants=lambda around: ({"scaled": 0.0}, {"scaled": 1.0}, {"scaled": 2.0}),
 )

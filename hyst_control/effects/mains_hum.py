@@ -58,7 +58,7 @@ class MainsHum(TimedStage):
 EFFECT = Effect(
     "mains_hum",
     "sensor",
-    "The mains and its third and fifth harmonic come into the measurement.",
+    "The mains and its harmonics come into the measurement.",
     lambda around: (
         Parameter(
             "amplitude", "unit", 0.0, (0.005 * around.stroke,), -0.2 * around.stroke, 0.2 * around.stroke, 0.01 * around.stroke
@@ -67,6 +67,6 @@ EFFECT = Effect(
     ),
     lambda values, around: MainsHum(values["amplitude"], values["frequency"], values.get("phase", 0.0)),
     exercised=lambda around: 0.5 / around.sample_time > 65.0,
-    line=Line(harmonics=(1, 3, 5)),
+    line=Line(harmonics=(1, 2, 3, 5, 7)),
     record_check=RecordCheck.MAINS_LINE,
 )

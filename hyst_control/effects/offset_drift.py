@@ -8,27 +8,31 @@ from typing import ClassVar
 
 from hyst_control.chain.c_code import CCode, each_axis
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
-from hyst_control.chain.stage import per_axis_scalar, register
+from hyst_control.chain.stage import per_axis_scalars, register
 from hyst_control.effects.effect import Companion, Effect, Parameter
-from hyst_control.effects.gain_drift import tau_parameter
-from hyst_control.effects.time_dependent import TimedStage, relaxed
+from hyst_control.effects.gain_drift import arrived, drift_parameters
+from hyst_control.effects.time_dependent import TimedStage
 
 
 @register
 @dataclass(frozen=True)
 class OffsetDrift(TimedStage):
-    """y = u + change (1 - exp(-t / tau)), t from the start of the record; change in the measurement unit, tau s."""
+    """y = u + change (initial + a(t)), t from the start of the record; a: see `arrived`; initial -1: settles at the model's zero."""
 
     name: ClassVar[str] = "offset_drift"
     change: ScalarPerAxis = scalar("measurement unit", "of the zero in the end", scatter=Scattering.ABSOLUTE)
-    tau: ScalarPerAxis = scalar("s", "time constant", above=0.0)
+    tau: ScalarPerAxis = scalar("s", "time constant, the geometric mean of several", above=0.0)
+    decades: ScalarPerAxis = scalar("", "over which several time constants are spread; 0: one", default=0.0, lower=0.0, upper=20.0)
+    initial: ScalarPerAxis = scalar("", "part of the change that is there at the start", default=0.0)
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
-        change, tau = per_axis_scalar(self.change, axes, "change"), per_axis_scalar(self.tau, axes, "tau")
-        return lambda u, t: u - change * relaxed(-t / tau)
+        change, tau, decades, initial = per_axis_scalars(self, axes, "change", "tau", "decades", "initial")
+        return lambda u, t: u + change * (initial + arrived(t, tau, decades))
 
-    def function_in_c(self, axes: int) -> CCode:
-        change, tau = per_axis_scalar(self.change, axes, "change"), per_axis_scalar(self.tau, axes, "tau")
+    def function_in_c(self, axes: int) -> CCode | None:
+        change, tau, decades, initial = per_axis_scalars(self, axes, "change", "tau", "decades", "initial")
+        if decades.any() or initial.any():
+            return None
         return each_axis(
             "u - (p->change[i] * (real)expm1(-t / (double)p->tau[i]))",
             "offset drift",
@@ -42,8 +46,8 @@ EFFECT = Effect(
     "The zero changes over the record.",
     lambda around: (
         Parameter("change", "unit", 0.0, (0.01 * around.stroke,), -0.5 * around.stroke, 0.5 * around.stroke, 0.03 * around.stroke),
-        tau_parameter(around),
+        *drift_parameters(around),
     ),
-    lambda values, around: OffsetDrift(values["change"], values["tau"]),
+    lambda values, around: OffsetDrift(values["change"], values["tau"], values.get("decades", 0.0), values.get("initial", 0.0)),
     companion=Companion(1, "change", 2.0),
 )

@@ -20,9 +20,10 @@ from hyst_control.effects.placement import with_mechanics
 @register
 @dataclass(frozen=True)
 class Resonance(Modifier):
-    """Adds gain · G(0) · ω² / (s² + 2 damping ω s + ω²) to the mechanics G before it, fed alike; ω = 2π frequency (Hz).
+    """Adds G(0) ((gain ω² + quadrature ω s) / (s² + 2 damping ω s + ω²) + static) to the mechanics G before it; ω = 2π frequency (Hz).
 
-    A chain without mechanics has G = 1 behind what it has.
+    quadrature is what a mode has whose drive and sensor are not in phase; static -gain is a mode without static deflection. A
+    chain without mechanics has G = 1 behind what it has.
     """
 
     name: ClassVar[str] = "resonance"
@@ -30,6 +31,8 @@ class Resonance(Modifier):
     frequency: ScalarPerAxis = scalar("Hz", "of the mode", above=0.0)
     damping: ScalarPerAxis = scalar("", "of the mode", above=0.0)
     gain: ScalarPerAxis = scalar("", "of the mode, in the static gain of the mechanics")
+    quadrature: ScalarPerAxis = scalar("", "of the mode's velocity / ω, likewise", default=0.0)
+    static: ScalarPerAxis = scalar("", "direct part beside it, likewise", default=0.0)
 
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
         before, index = with_mechanics(before)
@@ -37,6 +40,7 @@ class Resonance(Modifier):
 
     def _with_mode(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
         frequency, damping, gain = per_axis_scalars(self, axes, "frequency", "damping", "gain")
+        quadrature, static = per_axis_scalars(self, axes, "quadrature", "static")
         changed = []
         first = 0
         for system in systems:
@@ -47,13 +51,13 @@ class Resonance(Modifier):
             c = np.zeros((len(own), 2 * len(own)))
             for row, i in enumerate(own):
                 b[2 * row + 1, row] = 2 * np.pi * frequency[i]
-                c[row, 2 * row] = gain[i]
+                c[row, 2 * row : 2 * row + 2] = gain[i], quadrature[i]
             changed.append(
                 LinearSystem(
                     block_diag(system.A, *blocks),
                     np.vstack([system.B, b @ system.static_gain()]),
                     np.hstack([system.C, c]),
-                    system.D,
+                    system.D + np.diag(static[list(own)]) @ system.static_gain(),
                     system.bias,
                 )
             )
@@ -80,6 +84,8 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
         Parameter("frequency", "Hz", starts[30], starts, lower, upper, 1.0, True),
         Parameter("damping", "", 0.02, (0.03,), 0.002, 0.2, 1.0, True),
         Parameter("gain", "", 0.0, (0.01,), -1.0, 1.0, 0.1),
+        Parameter("quadrature", "", 0.0, (0.0,), -1.0, 1.0, 0.03, told=False),
+        Parameter("static", "", 0.0, (0.0,), -0.3, 0.3, 0.03, told=False),
     )
 
 
@@ -93,7 +99,7 @@ def coupled_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     around
         Record that the sizes are judged by.
     """
-    frequency, damping, _ = parameters(around)
+    frequency, damping, *_ = parameters(around)
     return (
         frequency,
         damping,
@@ -125,7 +131,9 @@ def stage(values: Values, around: Surroundings) -> Stage:
         Record that the sizes are judged by.
     """
     if f"{PARTS[0]}_0_0" not in values:
-        return Resonance(values["frequency"], values["damping"], values["gain"])
+        return Resonance(
+            values["frequency"], values["damping"], values["gain"], values.get("quadrature", 0.0), values.get("static", 0.0)
+        )
     size = around.stroke / max(around.command[1] - around.command[0], 1e-300)
     matrices = [[[size * values[name] for name in row] for row in names(part, around.axes)] for part in PARTS]
     return CoupledResonance(values["frequency"], values["damping"], *matrices)

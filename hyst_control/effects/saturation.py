@@ -9,7 +9,7 @@ from hyst_control.effects.effect import Effect, Parameter, Surroundings
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Limits inside the record's range of command: at its end a limit does nothing.
+    """Limits inside the record's range of command: at its end a limit does nothing. They set in at once or over a knee.
 
     Parameters
     ----------
@@ -22,6 +22,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     return (
         Parameter("lower", "V", -np.inf, (low, low + inside, low + inside), low - beyond, low + most, inside),
         Parameter("upper", "V", np.inf, (high - inside, high, high - inside), high - most, high + beyond, inside),
+        Parameter("knee", "V", 0.0, (0.02 * reach,), 0.002 * reach, 0.2 * reach, 1.0, True, told=False),
     )
 
 
@@ -30,6 +31,7 @@ EFFECT = Effect(
     "drive",
     "The driver clips the command.",
     parameters,
-    lambda values, around: Saturation(values["lower"], values["upper"]),
+    lambda values, around: Saturation(values["lower"], values["upper"], values.get("knee", 0.0)),
+    variants=lambda around: ({"knee": 0.0}, {}),
     exercised=lambda around: around.command[1] > around.command[0],
 )

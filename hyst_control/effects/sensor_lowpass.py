@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from hyst_control.chain.stage import register
 from hyst_control.effects.effect import Effect
-from hyst_control.effects.lowpass import Lowpass, cutoff_parameters
+from hyst_control.effects.lowpass import Lowpass, lowpass_parameters, lowpass_values, lowpass_variants
 
 
 @register
@@ -21,8 +21,9 @@ class SensorLowpass(Lowpass):
 EFFECT = Effect(
     "sensor_lowpass",
     "sensor",
-    "The sensor is slower than the model says: first-order low-passes, as many as `order`, after the mechanics.",
-    cutoff_parameters,
-    lambda values, around: SensorLowpass(values["cutoff"], values.get("order", 1)),
+    "The sensor is slower than the model says: a low-pass of first or second order after the mechanics.",
+    lowpass_parameters,
+    lambda values, around: SensorLowpass(**lowpass_values(values)),
+    variants=lowpass_variants,
     separating_record="the amplifier's output voltage",
 )

@@ -27,7 +27,7 @@ static real bent_value(real u, real lower, real upper, real second, real third)
 @register
 @dataclass(frozen=True)
 class SensorNonlinearity(Stage):
-    """y = u + second P2(x) + third P3(x) + zero, Legendre polynomials of x = 2 (u - lower) / (upper - lower) - 1; measurement unit."""
+    """y = u + second P2(x) + … + fifth P5(x) + zero, Legendre polynomials of x = 2 (u - lower) / (upper - lower) - 1; measurement unit."""
 
     name: ClassVar[str] = "sensor_nonlinearity"
     second: ScalarPerAxis = scalar("measurement unit", "factor of P2")
@@ -35,6 +35,8 @@ class SensorNonlinearity(Stage):
     lower: ScalarPerAxis = scalar("measurement unit", "where x is -1")
     upper: ScalarPerAxis = scalar("measurement unit", "where x is 1")
     zero: ScalarPerAxis = scalar("measurement unit", "constant", default=0.0, scatter=Scattering.ABSOLUTE)
+    fourth: ScalarPerAxis = scalar("measurement unit", "factor of P4", default=0.0, scatter=Scattering.ABSOLUTE)
+    fifth: ScalarPerAxis = scalar("measurement unit", "factor of P5", default=0.0, scatter=Scattering.ABSOLUTE)
 
     def check(self) -> None:
         if np.any(np.array(self.lower) >= np.array(self.upper)):
@@ -42,10 +44,17 @@ class SensorNonlinearity(Stage):
 
     def filter(self, sampling: Sampling) -> Filter:
         second, third, lower, upper, zero = per_axis_scalars(self, sampling.axes, "second", "third", "lower", "upper", "zero")
+        fourth, fifth = per_axis_scalars(self, sampling.axes, "fourth", "fifth")
+        higher = bool(fourth.any() or fifth.any())
 
         def bent(u: Array) -> Array:
             x = 2.0 * (u - lower) / (upper - lower) - 1.0
-            return u + second * 0.5 * (3.0 * x * x - 1.0) + third * 0.5 * (5.0 * x * x - 3.0) * x + zero
+            bend = second * 0.5 * (3.0 * x * x - 1.0) + third * 0.5 * (5.0 * x * x - 3.0) * x + zero
+            if higher:
+                square = np.clip(x * x, 0.0, 2.25)  # beyond its range the curve goes on straight enough not to run away
+                bend = bend + fourth * ((35.0 * square - 30.0) * square + 3.0) / 8.0
+                bend = bend + fifth * ((63.0 * square - 70.0) * square + 15.0) * x / 8.0
+            return u + bend
 
         code = each_axis(
             "bent_value(u, p->lower[i], p->upper[i], p->second[i], p->third[i]) + p->zero[i]",
@@ -63,7 +72,7 @@ class SensorNonlinearity(Stage):
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """second, third: up to 5 % of the stroke; ratio: of the constant to the root of the sum of their squares.
+    """second, third: up to 5 % of the stroke, fourth, fifth: up to 2 %; ratio: of the constant to the first two's root sum square.
 
     The terms belong to a range that nobody tells. Over the record's the same bend has other terms: a slope, which the model's gain
     takes up, and a constant, which would look like an offset. It goes with the bend, so that an offset alone is none.
@@ -76,7 +85,11 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     size = around.stroke
     return (
         *(Parameter(name, "unit", 0.0, (0.002 * size,), -0.05 * size, 0.05 * size, 0.01 * size) for name in ("second", "third")),
-        Parameter("ratio", "", 0.0, (0.0,), -3.0, 3.0, 1.0, told=False),
+        Parameter("ratio", "", 0.0, (0.0,), -8.0, 8.0, 2.0, told=False),
+        *(
+            Parameter(name, "unit", 0.0, (0.0,), -0.02 * size, 0.02 * size, 0.002 * size, told=False)
+            for name in ("fourth", "fifth")
+        ),
     )
 
 
@@ -93,7 +106,15 @@ def stage(values: Values, around: Surroundings) -> SensorNonlinearity:
     lower, upper = around.measurement
     upper = max(upper, lower + 1e-9)
     zero = np.multiply(values.get("ratio", 0.0), np.hypot(values["second"], values["third"]))
-    return SensorNonlinearity(values["second"], values["third"], values.get("lower", lower), values.get("upper", upper), zero)
+    return SensorNonlinearity(
+        values["second"],
+        values["third"],
+        values.get("lower", lower),
+        values.get("upper", upper),
+        zero,
+        values.get("fourth", 0.0),
+        values.get("fifth", 0.0),
+    )
 
 
 EFFECT = Effect(

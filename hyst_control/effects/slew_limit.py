@@ -10,8 +10,8 @@ from numba import njit
 
 from hyst_control.chain.c_code import CCode, reals
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
-from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar, register
-from hyst_control.effects.effect import Effect, Parameter, Surroundings
+from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalar, register
+from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 
 
 @register
@@ -27,17 +27,20 @@ class SlewLimit(Stage):
     place: ClassVar[str] = "drive"
     only_limits: ClassVar[bool] = True
     rate: ScalarPerAxis = scalar("V/s", "greatest slope of the output", above=0.0, infinite=True)
+    falling: ScalarPerAxis | None = scalar("V/s", "the same of a falling output", default=None, above=0.0, infinite=True)
 
     def filter(self, sampling: Sampling) -> Filter:
-        return SlewFilter(per_axis_scalar(self.rate, sampling.axes, "rate") * sampling.sample_time, sampling.hold)
+        rising = per_axis_scalar(self.rate, sampling.axes, "rate")
+        falling = rising if self.falling is None else per_axis_scalar(self.falling, sampling.axes, "falling")
+        return SlewFilter(rising * sampling.sample_time, falling * sampling.sample_time, sampling.hold)
 
 
 class SlewFilter(Filter):
-    """Streaming `SlewLimit`; most: largest change (A,) in a sample."""
+    """Streaming `SlewLimit`; rising, falling: largest change (A,) up and down in a sample."""
 
-    def __init__(self, most: Array, hold: str) -> None:
+    def __init__(self, rising: Array, falling: Array, hold: str) -> None:
         self.hold = hold
-        self.most, self.state = most, np.zeros(len(most))
+        self.rising, self.falling, self.state = rising, falling, np.zeros(len(rising))
 
     def settle(self, value: Array) -> Array:
         self.state[:] = value
@@ -45,7 +48,7 @@ class SlewFilter(Filter):
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
-        follow(block, self.most, self.hold == "zoh", self.state, output)
+        follow(block, self.rising, self.falling, self.hold == "zoh", self.state, output)
         return output
 
     def c_code(self) -> CCode:
@@ -76,25 +79,28 @@ for (int i = 0; i < AXES; i++) {
 
 
 @njit(cache=True, error_model="numpy")
-def follow(block: Array, most: Array, mean: bool, state: Array, output: Array) -> None:
-    """block, output (N, A); most (A,) a sample; state (A,), the value at the end of an interval, is updated.
+def follow(block: Array, rising: Array, falling: Array, mean: bool, state: Array, output: Array) -> None:
+    """block, output (N, A); rising, falling (A,) a sample; state (A,), the value at the end of an interval, is updated.
 
     mean: the output is the mean over the interval, in which the value runs up to a held input, else the value at its end.
     """
     for row in range(block.shape[0]):
         for axis in range(block.shape[1]):
             distance = block[row, axis] - state[axis]
-            if abs(distance) <= most[axis]:
+            most = rising[axis] if distance > 0.0 else falling[axis]
+            if abs(distance) <= most:
                 state[axis] = block[row, axis]
-                output[row, axis] = state[axis] - (0.5 * distance * abs(distance) / most[axis] if mean else 0.0)
+                output[row, axis] = state[axis] - (0.5 * distance * abs(distance) / most if mean else 0.0)
             else:
-                step = most[axis] if distance > 0.0 else -most[axis]
+                step = most if distance > 0.0 else -most
                 state[axis] += step
                 output[row, axis] = state[axis] - (0.5 * step if mean else 0.0)
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Rates that the record's command exceeds.
+    """Rates that the record's command exceeds, and the ratio of the falling to the rising one.
+
+    sides: 0 both directions are limited, 1 rising alone, 2 falling alone.
 
     Parameters
     ----------
@@ -102,7 +108,26 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
         Record that the sizes are judged by.
     """
     starts = tuple(share * around.slew for share in (0.7, 0.3, 0.1, 0.03))
-    return (Parameter("rate", "V/s", np.inf, starts, 1e-3 * around.slew, around.slew, 1.5, True),)
+    return (
+        Parameter("rate", "V/s", np.inf, starts, 1e-3 * around.slew, around.slew, 1.5, True),
+        Parameter("ratio", "", 1.0, (1.0,), 0.1, 10.0, 0.5, True, told=False),
+        Parameter("sides", "", 0.0, (0.0, 1.0, 2.0), 0.0, 2.0, 1.0, told=False),
+    )
+
+
+def stage(values: Values, around: Surroundings) -> SlewLimit:
+    """The limit of the directions that `sides` says.
+
+    Parameters
+    ----------
+    values
+        Of the parameters, by name.
+    around
+        Record that the sizes are judged by.
+    """
+    rate, sides = np.array(values["rate"], dtype=float), np.array(values.get("sides", 0.0))
+    falling = np.where(sides == 1.0, np.inf, rate * np.array(values.get("ratio", 1.0)))
+    return SlewLimit(frozen(np.where(sides == 2.0, np.inf, rate)), frozen(falling))
 
 
 EFFECT = Effect(
@@ -110,6 +135,7 @@ EFFECT = Effect(
     "drive",
     "The driver follows the command no faster than a rate.",
     parameters,
-    lambda values, around: SlewLimit(values["rate"]),
+    stage,
+    variants=lambda around: ({"sides": 0.0}, {"ratio": 1.0, "sides": 1.0}, {"ratio": 1.0, "sides": 2.0}),
     exercised=lambda around: bool(np.isfinite(around.slew) and around.slew > 0),
 )

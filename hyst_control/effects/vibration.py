@@ -67,5 +67,6 @@ EFFECT = Effect(
     parameters,
     lambda values, around: Vibration(values["amplitude"], values["frequency"], values.get("phase", 0.0)),
     line=Line(swells=24, skirt=0.05),
+    further_lines=(Line(harmonics=(1, 2, 3), swells=6, skirt=0.05),),
     record_check=RecordCheck.SPECTRAL_LINE,
 )

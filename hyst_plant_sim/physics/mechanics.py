@@ -78,7 +78,7 @@ def mechanics(system: Callable[[float, float], System], frame: Frame, changes: M
     )
 
 
-def beside(main: System, mode: tuple[float, float, float], step: float, late: float) -> Held:
+def beside(main: System, mode: tuple[float, float, float, float], step: float, late: float) -> Held:
     """Construct a further mode with the main system's input.
 
     Parameters
@@ -86,7 +86,8 @@ def beside(main: System, mode: tuple[float, float, float], step: float, late: fl
     main
         (a, b, c, d) of the main system.
     mode
-        Frequency (Hz), damping ratio, and static gain as a fraction of the main system's.
+        Frequency (Hz), damping ratio, gain as a fraction of the main system's static gain, and the share of it that is seen as the
+        mode's velocity over its frequency.
     step
         Internal step, s.
     late
@@ -97,11 +98,11 @@ def beside(main: System, mode: tuple[float, float, float], step: float, late: fl
     Held
         The part.
     """
-    frequency, damping, share = mode
+    frequency, damping, share, velocity = mode
     a, b, c, _ = main
     static = float(c @ exact_discretization.rest(a, b, 1.0))
     a, b, c, d = oscillator(frequency, damping)
-    return Held((a, b, share * static * c, d), step, late)
+    return Held((a, b, share * static * np.array([1.0 - velocity, velocity]) * c[0], d), step, late)
 
 
 class Irregular:

@@ -13,11 +13,13 @@ from hyst_control.blind_test.case import EXCITATIONS, KINDS, Case
 from hyst_control.blind_test.case_drawing import SWITCH_FRACTION, draw
 from hyst_control.blind_test.case_labels import LEAST_VISIBILITY, with_label
 from hyst_control.blind_test.case_records import commands, run_case
-from hyst_control.blind_test.effect_sizes import SEVERITIES
+from hyst_control.blind_test.effect_sizes import REALIZATIONS, SEVERITIES, UNTUNED
 from hyst_control.blind_test.plant_setups import SETUPS
 from hyst_control.blind_test.scores import metrics, wilson
 from hyst_control.cli import main
+from hyst_plant_sim.physics import EFFECTS
 from hyst_plant_sim.physics import PLANTS as TRUTH_PLANTS
+from hyst_plant_sim.physics.effects import ELSEWHERE
 
 
 def test_a_seed_draws_the_same_balanced_cases():
@@ -30,6 +32,31 @@ def test_a_seed_draws_the_same_balanced_cases():
     assert max(singles.values()) - min(singles.values()) <= 3
     plants = Counter(case.plant for case in cases)
     assert max(plants.values()) - min(plants.values()) <= 1
+
+
+def test_some_realizations_are_drawn_by_scoring_seeds_alone():
+    def realized(seed):
+        return {
+            (
+                effect["name"],
+                *sorted((key, value) for key, value in effect.items() if isinstance(value, int | str) and key != "axis"),
+            )
+            for case in draw(seed, 600, kinds=("single",))
+            for effect in case.effects
+        }
+
+    tuning, scoring = realized(7), realized(100_007)
+    assert not any(case.untuned for case in draw(7, 200))
+    assert any(case.untuned for case in draw(100_007, 200)) and not all(case.untuned for case in draw(100_007, 200))
+    assert tuning < scoring
+
+
+def test_every_realization_is_one_that_the_plants_know():
+    for name in SEVERITIES:
+        for one in (*REALIZATIONS.get(name, ()), *UNTUNED.get(name, ())):
+            keys = {key.removesuffix(" volt") for key in one} - {"at"}
+            assert keys <= {*EFFECTS[name].absent, *EFFECTS[name].others}
+            assert one.get("at", EFFECTS[name].place) in (*ELSEWHERE.get(name, ()), EFFECTS[name].place)
 
 
 def test_labels_state_the_true_gap_and_hide_what_nobody_could_see():

@@ -30,6 +30,7 @@ LIMITS = replace(
     listed_probability=0.05,
     unknown_share=0.06,
     most_effects=2,
+    many_tolerances=8.0,
     added_share=0.002,
     least_excess=0.1,
     own_error_share=0.5,
@@ -136,6 +137,20 @@ TABLE = (
         ("b", "a"),
     ),
     Row("effect or coefficients", evidence(effect("a"), coefficients(999.0)), V.AMBIGUOUS, (R.SEVERAL_EXPLANATIONS,), ("a", "")),
+    Row(
+        "an effect, or a coefficient many tolerances away",
+        evidence(effect("a"), coefficients(1010.0, farthest=9.0)),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
+        "a coefficient many tolerances away, and an effect that explains less",
+        evidence(effect("a", 900.0, left=1.3), coefficients(1010.0, farthest=9.0)),
+        V.PARAMETERS,
+        (R.COEFFICIENTS_BEYOND_TOLERANCE,),
+        ("",),
+    ),
     Row(
         "one that is not sure among many improbable ones",
         evidence(effect("a", 1000.0), *(effect(name, 987.0) for name in "bcdefg")),

@@ -33,14 +33,15 @@ ROOT = Path(__file__).resolve().parents[2]
 TABLE = {
     "creep": {"gamma"}, "gain": {"gain"}, "gain_drift": {"change", "tau"}, "offset": {"offset"}, "offset_drift": {"change", "tau"},
     "hysteresis_width": {"width"}, "hysteresis_shape": {"amount"}, "hysteresis_rate": {"factor"}, "delay": {"tau"},
-    "amplifier_lowpass": {"cutoff"}, "sensor_lowpass": {"cutoff"}, "slew_limit": {"rate"}, "saturation": {"lower", "upper"},
+    "amplifier_lowpass": {"cutoff", "order"}, "sensor_lowpass": {"cutoff", "order"},
+    "slew_limit": {"rate"}, "saturation": {"lower", "upper"},
     "dac_hold": {"samples", "step"}, "resonance": {"frequency", "damping", "gain"}, "added_mass": {"mass_ratio"},
     "backlash": {"half_width"}, "cross_coupling": {"coupling", "corner"}, "sensor_nonlinearity": {"second", "third"},
     "sensor_noise": {"rms"}, "flicker_noise": {"rms"}, "mains_hum": {"amplitude", "frequency"},
     "vibration": {"amplitude", "frequency"}, "softening_modes": {"softening", "damping"},
     "quantization": {"step"}, "held_samples": {"fraction"},
 }  # fmt: skip
-"""Names and parameters of the gap report. An `order` is chosen, not fitted."""
+"""Names and parameters of the gap report."""
 
 MODIFIERS = ("hysteresis_width", "hysteresis_shape", "hysteresis_rate", "added_mass", "softening_modes")
 
@@ -92,13 +93,18 @@ def with_effect(name: str, kind: str, values: dict) -> Model:
 
 
 def present(name: str, kind: str) -> dict:
-    """Values at which an effect is there: the middle start of every parameter."""
-    return {p.name: p.starts[len(p.starts) // 2] for p in EFFECTS[name].parameters(around(kind))}
+    """Values at which an effect is there: the middle start of every parameter, in the first of its variants."""
+    starts = {p.name: p.starts[len(p.starts) // 2] for p in EFFECTS[name].parameters(around(kind))}
+    return {**starts, **EFFECTS[name].variants(around(kind))[0]}
 
 
 def test_the_catalogue_is_the_gap_reports():
     usual = around("fsm_mhl")
-    assert {name: {p.name for p in effect.parameters(usual) if p.told} for name, effect in EFFECTS.items()} == TABLE
+    told = {}
+    for name, effect in EFFECTS.items():
+        parameters = effect.parameters(usual)
+        told[name] = {p.name for p in parameters if p.told} | set(effect.summary({p.name: p.starts[0] for p in parameters}))
+    assert told == TABLE
     places = [PLACES.index(effect.place) for effect in EFFECTS.values()]
     assert places == sorted(places)
     assert set(EFFECTS) <= set(STAGES)

@@ -109,7 +109,20 @@ def _read(item: Mapping[str, Any], frame: Frame) -> Present | None:
     if effect.kind == "mixing" and len(frame.axes) < 2:
         raise PlantError(f"{where}: the plant has one axis: choose another effect or plant")
     values = {key: item.get(key, default) for key, default in known.items()}
-    for key in ("cutoff", "rate", "tau", "samples", "corner", "frequency", "period", "order"):
+    for key in (
+        "cutoff",
+        "rate",
+        "tau",
+        "samples",
+        "corner",
+        "frequency",
+        "period",
+        "order",
+        "begin",
+        "damping",
+        "steadiness",
+        "run",
+    ):
         if key in values and not (values[key] > 0 or (key == "tau" and "tau" in effect.absent and values[key] == 0)):
             raise PlantError(f"{where}: {key}: {values[key]!r}: must be positive")
     if all(values[key] == neutral for key, neutral in effect.absent.items()):

@@ -24,13 +24,24 @@ class Hold:
         n.
     step
         Step to whose multiples commands are rounded, V; 0: not rounded.
+    phase
+        Index of the first command that is taken; before, the one at which the record settled is held.
+    rounding
+        0 to the nearest multiple, 1 down, 2 toward zero, 3 down and half a step up again.
     """
 
-    def __init__(self, samples: int, step: float) -> None:
-        self._samples, self._step = samples, step
+    def __init__(self, samples: int, step: float, phase: int = 0, rounding: int = 0) -> None:
+        self._samples, self._step, self._phase, self._rounding = samples, step, phase % samples, rounding
 
     def _rounded(self, values: Array) -> Array:
-        return np.rint(values / self._step) * self._step if self._step else values
+        if not self._step:
+            return values
+        whole, part = np.divmod(values, self._step)
+        if self._rounding == 0:
+            return np.asarray((whole + (part > 0.5 * self._step)) * self._step, dtype=np.float64)
+        if self._rounding == 2:
+            whole = whole + ((values < 0.0) & (part > 0.0))
+        return np.asarray((whole + (0.5 if self._rounding == 3 else 0.0)) * self._step, dtype=np.float64)
 
     def settle(self, value: float) -> float:
         """Take the input as the first command and hold it.
@@ -61,7 +72,8 @@ class Hold:
         ndarray
             Outputs (M,), V.
         """
-        taken = np.arange(self._count, self._count + len(block)) // self._samples * self._samples - self._count
+        ticks = np.arange(self._count, self._count + len(block)) - self._phase
+        taken = ticks // self._samples * self._samples + self._phase - self._count
         output = np.where(taken < 0, self._held, self._rounded(block)[np.maximum(taken, 0)])
         self._count += len(block)
         self._held = float(output[-1]) if len(output) else self._held
@@ -77,10 +89,13 @@ class Slew:
         The limit, V/s.
     step
         The step, s.
+    direction
+        1: only a rising voltage is limited, -1: only a falling one, 0: both.
     """
 
-    def __init__(self, rate: float, step: float) -> None:
-        self._most, self._last = rate * step, np.zeros(1)
+    def __init__(self, rate: float, step: float, direction: float = 0.0) -> None:
+        self._up = rate * step if direction >= 0.0 else np.inf
+        self._down, self._last = rate * step if direction <= 0.0 else np.inf, np.zeros(1)
 
     def settle(self, value: float) -> float:
         """Rest at a voltage.
@@ -112,7 +127,7 @@ class Slew:
             Outputs (M,), V.
         """
         output = np.empty(block.size)
-        _slew(block, self._most, self._last, output)
+        _slew(block, self._up, self._down, self._last, output)
         return output
 
 
@@ -177,10 +192,11 @@ class SlowClock:
 
 
 @njit(cache=True, error_model="numpy")
-def _slew(block: Array, most: float, last: Array, output: Array) -> None:
+def _slew(block: Array, up: float, down: float, last: Array, output: Array) -> None:
     value = last[0]
     for k in range(block.size):
         way = block[k] - value
+        most = up if way > 0.0 else down
         if abs(way) < most:  # there before the step is over
             output[k] = value + way * (1.0 - 0.5 * abs(way) / most)
             value = block[k]
@@ -201,13 +217,28 @@ def _dead_band(values: Mapping[str, float], context: Context) -> Pointwise:
     return Pointwise(lost)
 
 
+def _clip(values: Mapping[str, float], context: Context) -> Clip | Pointwise:
+    if not values["knee"]:
+        return Clip(values["lower"], values["upper"])
+
+    def bounded(voltage: Array) -> Array:
+        """The hyperbola between voltage and limit whose distance from both is the knee where they meet."""
+        for limit, side in ((values["upper"], 1.0), (values["lower"], -1.0)):
+            if np.isfinite(limit):
+                gap = limit - voltage
+                voltage = limit - 0.5 * (gap + side * np.sqrt(gap * gap + 4.0 * values["knee"] ** 2))
+        return voltage
+
+    return Pointwise(bounded)
+
+
 def low_pass(values: Mapping[str, float], context: Context) -> Held | Straight:
-    """Construct equal first-order low-passes in series.
+    """Construct equal first-order low-passes in series, or one of second order with a damping ratio of its own.
 
     Parameters
     ----------
     values
-        "cutoff" in Hz, and "order", their number.
+        "cutoff" in Hz, "order", their number, and "damping", that of a pair.
     context
         Location of the effect.
 
@@ -217,6 +248,11 @@ def low_pass(values: Mapping[str, float], context: Context) -> Held | Straight:
         The part.
     """
     system = single = exact_discretization.lag(2 * np.pi * values["cutoff"])
+    if values["damping"] != 1.0:
+        rate = 2 * np.pi * values["cutoff"]
+        companion = np.array([[-2.0 * values["damping"] * rate, -rate * rate], [1.0, 0.0]])
+        system = (companion, np.array([1.0, 0.0]), np.array([0.0, rate * rate]), 0.0)
+        return (Straight if context.place == "sensor" else Held)(system, context.period)
     for _ in range(int(values["order"]) - 1):
         system = exact_discretization.series(system, single)
     return (Straight if context.place == "sensor" else Held)(system, context.period)
@@ -249,9 +285,11 @@ EFFECTS = {
         "insert",
         "dac",
         {"samples": 1, "step": 0.0},
-        lambda v, c: Hold(int(v["samples"]), v["step"]),
-        "Every n-th command is taken and held; or commands are rounded to a lattice.",
-        {"samples": "", "step": "V"},
+        lambda v, c: Hold(int(v["samples"]), v["step"], int(v["phase"]), int(v["rounding"])),
+        "Every n-th command is taken, from that of index `phase` on, and held; or commands are rounded to a lattice: to the nearest "
+        "value (`rounding` 0), down (1), toward zero (2), to the middle between two (3).",
+        {"samples": "", "step": "V", "phase": "", "rounding": ""},
+        {"phase": 0, "rounding": 0},
     ),
     "clock_rate_mismatch": Effect(
         "insert",
@@ -266,17 +304,19 @@ EFFECTS = {
         "insert",
         "drive",
         {"rate": np.inf},
-        lambda v, c: Slew(v["rate"], c.period),
-        "The driver follows no faster.",
-        {"rate": "V/s"},
+        lambda v, c: Slew(v["rate"], c.period, v["direction"]),
+        "The driver follows no faster; with `direction` 1 or -1 only upward or only downward.",
+        {"rate": "V/s", "direction": ""},
+        {"direction": 0},
     ),
     "saturation": Effect(
         "insert",
         "drive",
         {"lower": -np.inf, "upper": np.inf},
-        lambda v, c: Clip(v["lower"], v["upper"]),
-        "The driver clips.",
-        {"lower": "V", "upper": "V"},
+        _clip,
+        "The driver clips; with `knee` on a hyperbola, that far from the corner.",
+        {"lower": "V", "upper": "V", "knee": "V"},
+        {"knee": 0.0},
     ),
     "crossover_dead_band": Effect(
         "insert",
@@ -292,7 +332,7 @@ EFFECTS = {
         {"cutoff": np.inf},
         low_pass,
         "Equal first-order low-passes in a row, as many as `order`, before the hysteresis.",
-        {"cutoff": "Hz", "order": ""},
-        {"order": 1},
+        {"cutoff": "Hz", "order": "", "damping": ""},
+        {"order": 1, "damping": 1.0},
     ),
 }

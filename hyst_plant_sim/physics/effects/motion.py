@@ -22,10 +22,12 @@ class Backlash:
     ----------
     half_width
         Half of the play, measurement unit.
+    side
+        -1, 1: the output begins at the lower or upper end of the play; 0: where a way from 0 has pushed it.
     """
 
-    def __init__(self, half_width: float) -> None:
-        self._half_width, self._place = half_width, np.zeros(1)
+    def __init__(self, half_width: float, side: float = 0.0) -> None:
+        self._half_width, self._side, self._place = half_width, side, np.zeros(1)
 
     def settle(self, value: float) -> float:
         """Move from 0 to a constant input, as far as the play lets it push.
@@ -40,7 +42,8 @@ class Backlash:
         float
             First output, measurement unit.
         """
-        self._place[0] = np.clip(0.0, value - self._half_width, value + self._half_width)
+        from_zero = np.clip(0.0, value - self._half_width, value + self._half_width)
+        self._place[0] = value + self._side * self._half_width if self._side else from_zero
         return float(self._place[0])
 
     def process(self, block: Array) -> Array:
@@ -129,13 +132,17 @@ class Vibration:
         Amplitude of the sine of equal rms, measurement unit.
     frequency
         Frequency, Hz.
+    second
+        Amplitude of the second harmonic, as a share.
+    steadiness
+        Frequency over the width of the band.
     context
         Location of the effect.
     """
 
-    def __init__(self, amplitude: float, frequency: float, context: Context) -> None:
-        self._amplitude, self._frequency, self._context = amplitude, frequency, context
-        self._keep = np.exp(-2 * np.pi * frequency / 500.0 * context.period)
+    def __init__(self, amplitude: float, frequency: float, second: float, steadiness: float, context: Context) -> None:
+        self._amplitude, self._frequency, self._second, self._context = amplitude, frequency, second, context
+        self._keep = np.exp(-2 * np.pi * frequency / steadiness * context.period)
 
     def settle(self, value: float) -> float:
         """Restart the tone with a fresh random envelope.
@@ -152,7 +159,7 @@ class Vibration:
         """
         self._count, self._stream = 0, self._context.stream("vibration")
         self._envelope = self._stream.standard_normal(2)
-        return float(value + self._amplitude * self._envelope[0] / np.sqrt(2.0))
+        return float(value + self._amplitude * (1.0 + self._second) * self._envelope[0] / np.sqrt(2.0))
 
     def process(self, block: Array) -> Array:
         """Add the wandering tone to a block.
@@ -173,6 +180,8 @@ class Vibration:
         angle = 2 * np.pi * self._frequency * self._context.times(self._count, len(block))
         self._count += len(block)
         wave: Array = envelope[:, 0] * np.cos(angle) + envelope[:, 1] * np.sin(angle)
+        if self._second:
+            wave = wave + self._second * (envelope[:, 0] * np.cos(2.0 * angle) + envelope[:, 1] * np.sin(2.0 * angle))
         return np.asarray(block + self._amplitude / np.sqrt(2.0) * wave, dtype=np.float64)
 
 
@@ -200,10 +209,11 @@ EFFECTS = {
         "mechanics",
         "mechanics",
         {"gain": 0.0},
-        lambda v, c: {"modes": ((v["frequency"], v["damping"], v["gain"]),)},
-        "A further mode is fed with the mechanics' input; `gain` is its share of the mechanics' static gain.",
-        {"frequency": "Hz", "damping": "", "gain": ""},
-        {"frequency": 600.0, "damping": 0.02},
+        lambda v, c: {"modes": ((v["frequency"], v["damping"], v["gain"], v["velocity"]),)},
+        "A further mode is fed with the mechanics' input; `gain` is its share of the mechanics' static gain, and of that `velocity` the "
+        "share that is seen as the mode's velocity over its frequency.",
+        {"frequency": "Hz", "damping": "", "gain": "", "velocity": ""},
+        {"frequency": 600.0, "damping": 0.02, "velocity": 0.0},
     ),
     "added_mass": Effect(
         "mechanics",
@@ -242,18 +252,19 @@ EFFECTS = {
         "insert",
         "motion",
         {"half_width": 0.0},
-        lambda v, c: Backlash(v["half_width"]),
-        "Play after the mechanics.",
-        {"half_width": "unit"},
+        lambda v, c: Backlash(v["half_width"], v["side"]),
+        "Play after the mechanics, which a record begins in with the output where a way from 0 pushed it, or at one `side`.",
+        {"half_width": "unit", "side": ""},
+        {"side": 0},
     ),
     "vibration": Effect(
         "insert",
         "motion",
         {"amplitude": 0.0},
-        lambda v, c: Vibration(v["amplitude"], v["frequency"], c),
-        "A narrow-band disturbance, about 1/500 of its frequency wide.",
-        {"amplitude": "unit", "frequency": "Hz"},
-        {"frequency": 173.0},
+        lambda v, c: Vibration(v["amplitude"], v["frequency"], v["second"], v["steadiness"], c),
+        "A narrow-band disturbance, about its frequency / `steadiness` wide, with a share of a second harmonic.",
+        {"amplitude": "unit", "frequency": "Hz", "second": "", "steadiness": ""},
+        {"frequency": 173.0, "second": 0.0, "steadiness": 500.0},
     ),
     "cross_coupling": Effect(
         "mixing",

@@ -19,24 +19,33 @@ CREEP_BEGIN, CREEP_PER_DECADE, CREEP_DECADES = 0.1, 2, 4
 
 
 class Shape:
-    """A part plus a parabola of the voltage that is 0 at both ends of the rating.
+    """A part plus a curve of the voltage, by default a parabola that is 0 at both ends of the rating.
 
     Parameters
     ----------
     part
         The part.
     amount
-        Height of the parabola / settled stroke.
+        Greatest height of the curve / settled stroke.
+    curve
+        0 the parabola, 1 a whole sine, which is odd about the middle, 2 a straight line through the middle, 3 half a sine.
     frame
         Common data of the plant.
     """
 
-    def __init__(self, part: Part, amount: float, frame: Frame) -> None:
+    def __init__(self, part: Part, amount: float, curve: int, frame: Frame) -> None:
         self._part, self._lower, self._span = part, frame.rating[0], frame.rating[1] - frame.rating[0]
+        self._curve = curve
         self._height = amount * (part.settle(frame.rating[1]) - part.settle(frame.rating[0]))
 
     def _bend(self, voltage: Array) -> Array:
         share = (voltage - self._lower) / self._span
+        if self._curve == 1:
+            return np.asarray(self._height * np.sin(2.0 * np.pi * share), dtype=np.float64)
+        if self._curve == 2:
+            return np.asarray(self._height * (2.0 * share - 1.0), dtype=np.float64)
+        if self._curve == 3:
+            return np.asarray(self._height * np.sin(np.pi * share), dtype=np.float64)
         return np.asarray(self._height * 4.0 * share * (1.0 - share), dtype=np.float64)
 
     def settle(self, value: float) -> float:
@@ -149,17 +158,27 @@ def hysteresis(parts: Any, changes: Mapping[str, float], frame: Frame) -> Part:
     if changes.get("schedule", 0.0):
         mean = parts({**inner, "width": -1.0}, {})["hysteresis"][0]
         part = Scheduled(part, mean, changes["schedule"], changes["schedule_tau"], frame)
-    return Shape(part, changes["amount"], frame) if changes.get("amount", 0.0) else part
+    return Shape(part, changes["amount"], int(changes["curve"]), frame) if changes.get("amount", 0.0) else part
 
 
 def _creep(values: Mapping[str, float], context: Context) -> Held:
-    """y + gamma Σ log10(q) (share of y that has come after time constant τ_i): after a step about gamma log10(1 + t / 0.1 s).
+    """y + gamma Σ s_i (share of y that has come after time constant τ_i): after a step about gamma log10(1 + t / begin).
 
-    τ_i = 0.1 s q^(i + 1/2), q = 10^(1/2), i = 0 … 7: two elements per decade from 0.1 to 1000 s.
+    law 0: τ_i = begin q^(i + 1/2), q = 10^(1/2), i = 0 … 7: two elements per decade, s_i = log10(q), from 0.1 to 1000 s for begin 0.1 s.
+    law 1: the logarithm itself, whose spectrum over log10(1 / τ) is exp(-begin / τ), eight elements per decade.
+    law 2: one element, τ = begin.
     """
-    count = CREEP_PER_DECADE * CREEP_DECADES
-    rates = 1.0 / (CREEP_BEGIN * 10.0 ** ((np.arange(count) + 0.5) / CREEP_PER_DECADE))
-    return Held((np.diag(-rates), rates, np.full(count, values["gamma"] / CREEP_PER_DECADE), 1.0), context.period)
+    begin = values["begin"]
+    if values["law"] == 2:
+        rates, sizes = np.array([1.0 / begin]), np.ones(1)
+    elif values["law"] == 1:
+        rates = 10.0 ** np.arange(np.log10(1e-5 / begin), np.log10(20.0 / begin), 1.0 / 8.0)
+        sizes = np.exp(-begin * rates) / 8.0
+    else:
+        count = CREEP_PER_DECADE * CREEP_DECADES
+        rates = 1.0 / (begin * 10.0 ** ((np.arange(count) + 0.5) / CREEP_PER_DECADE))
+        sizes = np.full(count, 1.0 / CREEP_PER_DECADE)
+    return Held((np.diag(-rates), rates, values["gamma"] * sizes, 1.0), context.period)
 
 
 EFFECTS = {
@@ -176,9 +195,11 @@ EFFECTS = {
         "hysteresis",
         "hysteresis",
         {"amount": 0.0},
-        lambda v, c: {"amount": v["amount"]},
-        "A parabola of the voltage is added: 0 at the ends of the rating, `amount` of the stroke midway.",
-        {"amount": ""},
+        lambda v, c: {"amount": v["amount"], "curve": v["curve"]},
+        "A parabola of the voltage is added: 0 at the ends of the rating, `amount` of the stroke midway; or another `curve`: 1 a whole "
+        "sine, 2 a tilt, 3 half a sine.",
+        {"amount": "", "curve": ""},
+        {"curve": 0},
     ),
     "hysteresis_rate": Effect(
         "hysteresis",
@@ -202,7 +223,9 @@ EFFECTS = {
         "piezo",
         {"gamma": 0.0},
         _creep,
-        "After a step the output grows on by gamma log10(1 + t / 0.1 s) of it: a ladder of two elements per decade, 0.1 to 1000 s.",
-        {"gamma": "1/decade"},
+        "After a step the output grows on by gamma log10(1 + t / begin) of it: a ladder of two elements per decade over four decades, "
+        "or by another `law`: 1 the logarithm itself, 2 one element.",
+        {"gamma": "1/decade", "begin": "s", "law": ""},
+        {"begin": CREEP_BEGIN, "law": 0},
     ),
 }

@@ -63,7 +63,7 @@ class White:
 
 
 class Flicker:
-    """Noise that falls as 1/f: first-order low-passed noises of equal power, two per decade from 0.03 Hz to half the sampling rate.
+    """Noise that falls as 1/f: first-order low-passed noises, two per decade from 0.03 Hz to half the sampling rate.
 
     Parameters
     ----------
@@ -73,13 +73,14 @@ class Flicker:
         Location of the effect.
     """
 
-    def __init__(self, rms: float, context: Context) -> None:
+    def __init__(self, rms: float, context: Context, exponent: float = 1.0) -> None:
         self._context = context
         decades = np.log10(0.5 / context.period / FLICKER_LOWEST)
         corners = FLICKER_LOWEST * 10.0 ** (np.arange(int(decades * FLICKER_PER_DECADE) + 1) / FLICKER_PER_DECADE)
         self._keep = np.exp(-2 * np.pi * corners * context.period)
         self._fresh = np.sqrt(1.0 - self._keep**2)
-        self._rms = rms / float(np.sqrt(len(corners)))
+        self._size = (corners / corners[0]) ** (0.5 - 0.5 * exponent)
+        self._rms = rms / float(np.sqrt(np.sum(self._size**2)))
 
     def settle(self, value: float) -> float:
         """Restart the noise, its low-passes already in their steady state.
@@ -96,7 +97,7 @@ class Flicker:
         """
         self._stream = self._context.stream("flicker_noise")
         self._state = self._stream.standard_normal(len(self._keep))
-        return value + self._rms * float(sum(self._state))
+        return value + self._rms * float(self._size @ self._state)
 
     def process(self, block: Array) -> Array:
         """Add 1/f noise to a block.
@@ -113,7 +114,7 @@ class Flicker:
         """
         draws = self._stream.standard_normal((len(block), len(self._keep)))
         noise = np.empty(len(block))
-        _coloured(draws, self._keep, self._fresh, self._state, noise)
+        _coloured(draws, self._keep, self._fresh, self._size, self._state, noise)
         return block + self._rms * noise
 
 
@@ -174,12 +175,14 @@ class Held:
     ----------
     fraction
         Fraction of the samples.
+    run
+        Number of samples that repeat one after the other.
     context
         Location of the effect.
     """
 
-    def __init__(self, fraction: float, context: Context) -> None:
-        self._fraction, self._context = fraction, context
+    def __init__(self, fraction: float, run: int, context: Context) -> None:
+        self._fraction, self._run, self._context = fraction, run, context
 
     def settle(self, value: float) -> float:
         """Restart the random stream; the first sample is fresh.
@@ -194,7 +197,7 @@ class Held:
         float
             First output, measurement unit.
         """
-        self._stream, self._last = self._context.stream("held_samples"), value
+        self._stream, self._last, self._left = self._context.stream("held_samples"), value, 0
         return value
 
     def process(self, block: Array) -> Array:
@@ -210,26 +213,45 @@ class Held:
         ndarray
             Outputs (M,), measurement unit.
         """
-        fresh = self._stream.random(len(block)) >= self._fraction
+        draws = self._stream.random(len(block))
+        fresh = self._in_runs(draws) if self._run > 1 else draws >= self._fraction
         newest = np.maximum.accumulate(np.where(fresh, np.arange(len(block)), -1))
         output = np.where(newest < 0, self._last, block[newest])
         self._last = float(output[-1]) if len(output) else self._last
         return output
 
+    def _in_runs(self, draws: Array) -> NDArray[np.bool_]:
+        """False in runs of repeated samples that begin at random, as often as makes the fraction of the samples."""
+        begin = draws < self._fraction / (self._run - (self._run - 1) * self._fraction)
+        fresh = np.ones(len(draws), bool)
+        for k in range(len(fresh)):
+            if self._left == 0 and begin[k]:
+                self._left = self._run
+            fresh[k] = self._left == 0
+            self._left = max(self._left - 1, 0)
+        return fresh
+
 
 @njit(cache=True, error_model="numpy")
-def _coloured(draws: Array, keep: Array, fresh: Array, state: Array, output: Array) -> None:
+def _coloured(draws: Array, keep: Array, fresh: Array, size: Array, state: Array, output: Array) -> None:
     for k in range(draws.shape[0]):
         total = 0.0
         for i in range(keep.size):
             state[i] = keep[i] * state[i] + fresh[i] * draws[k, i]
-            total += state[i]
+            total += size[i] * state[i]
         output[k] = total
 
 
-def _arrived(times: Array, tau: float) -> Array:
-    """Fraction of a drift that has occurred by each time: 1 - exp(-t / tau)."""
-    return -np.expm1(-times / tau)
+def _arrived(times: Array, tau: float, law: float) -> Array:
+    """Fraction of a drift that has occurred by each time.
+
+    law 0: 1 - exp(-t / tau); 1: t / tau until then; 2: log10(1 + 9 t / tau); 3: -exp(-t / tau), which settles at the nominal value.
+    """
+    if law == 1:
+        return np.minimum(times / tau, 1.0)
+    if law == 2:
+        return np.log10(1.0 + 9.0 * times / tau)
+    return -np.exp(-times / tau) if law == 3 else -np.expm1(-times / tau)
 
 
 def _nonlinearity(values: Mapping[str, float], context: Context) -> Pointwise:
@@ -247,7 +269,8 @@ def _hum(values: Mapping[str, float], context: Context) -> Timed:
 
     def hum(y: Array, times: Array) -> Array:
         angle = 2 * np.pi * values["frequency"] * times + phase
-        return y + values["amplitude"] * (np.sin(angle) + 0.3 * np.sin(3.0 * angle) + 0.1 * np.sin(5.0 * angle))
+        odd = values["third"] * np.sin(3.0 * angle) + values["fifth"] * np.sin(5.0 * angle)
+        return y + values["amplitude"] * (np.sin(angle) + values["second"] * np.sin(2.0 * angle) + odd)
 
     return Timed(hum, context)
 
@@ -259,8 +282,8 @@ EFFECTS = {
         {"cutoff": np.inf},
         low_pass,
         "Equal first-order low-passes in a row, as many as `order`, after the mechanics.",
-        {"cutoff": "Hz", "order": ""},
-        {"order": 1},
+        {"cutoff": "Hz", "order": "", "damping": ""},
+        {"order": 1, "damping": 1.0},
     ),
     "sensor_nonlinearity": Effect(
         "insert",
@@ -282,10 +305,10 @@ EFFECTS = {
         "insert",
         "sensor",
         {"change": 0.0},
-        lambda v, c: Timed(lambda y, t: y * (1.0 + v["change"] * _arrived(t, v["tau"])), c),
-        "The gain drifts to 1 + change as 1 - exp(-t / tau).",
-        {"change": "", "tau": "s"},
-        {"tau": 1.0},
+        lambda v, c: Timed(lambda y, t: y * (1.0 + v["change"] * _arrived(t, v["tau"], v["law"])), c),
+        "The gain drifts by change as 1 - exp(-t / tau), or by another `law`: 1 straight, 2 logarithm, 3 toward the nominal gain.",
+        {"change": "", "tau": "s", "law": ""},
+        {"tau": 1.0, "law": 0},
     ),
     "offset": Effect(
         "insert",
@@ -299,25 +322,31 @@ EFFECTS = {
         "insert",
         "sensor",
         {"change": 0.0},
-        lambda v, c: Timed(lambda y, t: y + v["change"] * _arrived(t, v["tau"]), c),
-        "The zero drifts by change as 1 - exp(-t / tau).",
-        {"change": "unit", "tau": "s"},
-        {"tau": 1.0},
+        lambda v, c: Timed(lambda y, t: y + v["change"] * _arrived(t, v["tau"], v["law"]), c),
+        "The zero drifts by change as 1 - exp(-t / tau), or by another `law`: 1 straight, 2 logarithm, 3 toward the nominal zero.",
+        {"change": "unit", "tau": "s", "law": ""},
+        {"tau": 1.0, "law": 0},
     ),
     "mains_hum": Effect(
         "insert",
         "sensor",
         {"amplitude": 0.0},
         _hum,
-        "The mains, with 30 % of the third and 10 % of the fifth harmonic.",
-        {"amplitude": "unit", "frequency": "Hz"},
-        {"frequency": 50.0},
+        "The mains, with shares of its harmonics.",
+        {"amplitude": "unit", "frequency": "Hz", "second": "", "third": "", "fifth": ""},
+        {"frequency": 50.0, "second": 0.0, "third": 0.3, "fifth": 0.1},
     ),
     "sensor_noise": Effect(
         "insert", "adc", {"rms": 0.0}, lambda v, c: White(v["rms"], c), "White noise besides the plant's own.", {"rms": "unit"}
     ),
     "flicker_noise": Effect(
-        "insert", "adc", {"rms": 0.0}, lambda v, c: Flicker(v["rms"], c), "Noise that falls as 1/f, from 0.03 Hz.", {"rms": "unit"}
+        "insert",
+        "adc",
+        {"rms": 0.0},
+        lambda v, c: Flicker(v["rms"], c, v["exponent"]),
+        "Noise that falls as 1/f^exponent, from 0.03 Hz.",
+        {"rms": "unit", "exponent": ""},
+        {"exponent": 1.0},
     ),
     "outliers": Effect(
         "insert",
@@ -332,16 +361,18 @@ EFFECTS = {
         "insert",
         "adc",
         {"step": 0.0},
-        lambda v, c: Pointwise(lambda y: np.rint(y / v["step"]) * v["step"]),
-        "The measurement lies on a lattice.",
-        {"step": "unit"},
+        lambda v, c: Pointwise(lambda y: (np.floor if v["rounding"] else np.rint)(y / v["step"]) * v["step"]),
+        "The measurement lies on a lattice, rounded to the nearest value, or down (`rounding` 1).",
+        {"step": "unit", "rounding": ""},
+        {"rounding": 0},
     ),
     "held_samples": Effect(
         "insert",
         "transport",
         {"fraction": 0.0},
-        lambda v, c: Held(v["fraction"], c),
-        "A fraction of the samples, at random, repeats the one before.",
-        {"fraction": ""},
+        lambda v, c: Held(v["fraction"], int(v["run"]), c),
+        "A fraction of the samples, at random, repeats the one before, `run` of them in a row.",
+        {"fraction": "", "run": ""},
+        {"run": 1},
     ),
 }
