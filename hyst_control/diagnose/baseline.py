@@ -25,6 +25,7 @@ from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.configuration import BaselineSettings
+from hyst_control.diagnose.noise_floor import correlation_length
 from hyst_control.diagnose.problem import Piece, Problem
 from hyst_control.diagnose.session import CarriedError, SessionZero
 from hyst_control.model_file import Model
@@ -120,7 +121,8 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
     left = [without_zero(piece.measurement - _simulated(clean, index, piece)) for index, piece in enumerate(clean.pieces)]
     error = np.sqrt(np.mean(np.concatenate([rows for rows, _ in left]) ** 2, axis=0))
     zeros = np.abs([shares for _, shares in left]).max(axis=0) if len(left) > 1 else np.full((len(spans), len(SHAPES)), np.nan)
-    return _beside_own_error(problem, error, zeros, clean, settings)
+    length = max(correlation_length(rows) for rows, _ in left)
+    return _beside_own_error(problem, error, length, zeros, clean, settings)
 
 
 def with_discrepancy(problem: Problem, settings: BaselineSettings) -> Baseline:
@@ -141,17 +143,24 @@ def with_discrepancy(problem: Problem, settings: BaselineSettings) -> Baseline:
     error = np.asarray(stated["rms"], dtype=float)
     zeros = stated.get("zero")
     usual = np.full((len(error), len(SHAPES)), np.nan) if zeros is None else np.asarray(zeros, dtype=float)
-    return _beside_own_error(problem, error, usual, None, settings)
+    # A file of the first version does not state the correlation: that of a sine at the slowest excited frequency is assumed.
+    seconds = float(stated.get("correlation", 1.0 / (np.pi * _slowest(problem))))
+    return _beside_own_error(problem, error, max(seconds / problem.sample_time, 1.0), usual, None, settings)
 
 
-def _beside_own_error(problem: Problem, error: Array, usual: Array, clean: Problem | None, settings: BaselineSettings) -> Baseline:
-    """Make the baseline of a model whose own error is known by its size (A,) alone; `usual` is the zero between clean records."""
+def _beside_own_error(
+    problem: Problem, error: Array, correlation: float, usual: Array, clean: Problem | None, settings: BaselineSettings
+) -> Baseline:
+    """Make the baseline of a model whose own error is known by its size (A,) and its correlation length (samples).
+
+    `usual` is the zero between clean records.
+    """
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     noise = np.broadcast_to(np.atleast_1d(np.asarray(problem.model.noise.get("sigma", 0.0), dtype=float)), error.shape)
     stages = (*problem.model.chain.stages, _zero(problem, spans, settings))
     model = replace(problem.model.with_stages(stages), noise={"sigma": np.maximum(noise, error).tolist()})
     excess = np.sqrt(np.maximum(error**2 - noise**2, 0.0))
-    beside = replace(problem, model=model, slowest=_slowest(problem))
+    beside = replace(problem, model=model, slowest=_slowest(problem), own_error=error, own_correlation=correlation)
     return Baseline(beside, False, error, usual, settings.other_command * excess, clean)
 
 

@@ -26,7 +26,7 @@ from hyst_control.diagnose.hypothesis import catalogue
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.hypothesis_search import Found, Scored, search
 from hyst_control.diagnose.null_distribution import threshold
-from hyst_control.diagnose.parameter_uncertainty import scatter_of
+from hyst_control.diagnose.parameter_uncertainty import scatter_of, within_own_error
 from hyst_control.diagnose.policy import Decision, contenders, decide, detected, practical_floor
 from hyst_control.diagnose.problem import Piece, Problem, check_units, split
 from hyst_control.diagnose.record_checks import effect_found_by, lattice_of, lines, record_evidence
@@ -332,7 +332,7 @@ def _axis(
     if baseline is not None and baseline.clean is not None:
         checks -= _shown_clean(baseline.clean, checks, configuration)
     progress("coefficients of the model")
-    scatter = scatter_of(problem.model)
+    scatter = within_own_error(scatter_of(problem.model), problem)
     linearised = Linearised(problem, scatter)
     none = fit(linearised)
     record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)

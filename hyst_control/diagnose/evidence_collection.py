@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -277,4 +277,5 @@ def _flicker(problem: Problem, scored: Scored, configuration: Configuration) -> 
     if len(problem.model.axes) > 1 or any(piece.keep is not None for piece in problem.pieces):
         return None
     command = np.concatenate([piece.command[:, 0] for piece in problem.pieces])
-    return flicker(scored.solution.residual, command, configuration.flicker)
+    seen = flicker(scored.solution.residual, command, configuration.flicker)
+    return None if seen is None else replace(seen, gain=problem.weight * seen.gain)
