@@ -53,7 +53,8 @@ class Model:
         Relative standard deviation by parameter name or "stage.parameter".
     discrepancy
         What the model leaves on the records it was identified from: {"version": 1, "rms": by axis, measurement unit, each record's own
-        zero and drift taken off, "zero": largest difference of the records' zeros, drifts and curvatures by axis, None of one record}.
+        zero and drift taken off, "correlation": time of that error per independent sample, s, "zero": zero, drift and curvature up to
+        which a session is usual, by axis; absent for one record}.
     """
 
     name: str
@@ -410,6 +411,9 @@ def _discrepancy(discrepancy: Any, axes: int) -> dict[str, Any]:
             continue
         if not _numeric(value) or np.shape(value) != shape or np.any(np.array(value, dtype=float) < 0):
             raise InputError(f"discrepancy.{key}: must be numbers >= 0 of shape {shape}, got {value!r}")
+    correlation = discrepancy.get("correlation", 1.0)
+    if not _numeric(correlation) or np.ndim(correlation) or not correlation > 0:
+        raise InputError(f"discrepancy.correlation: must be a time > 0 s, got {correlation!r}")
     return dict(discrepancy)
 
 

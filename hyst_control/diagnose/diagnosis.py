@@ -328,6 +328,7 @@ def _axis(
         problem = _with_noise(baseline.problem, _residuals(baseline.problem), configuration)
         without = [*without, *(name for name, effect in EFFECTS.items() if effect.companion is not None)]
     stated = stated_noise(problem.model)
+    own = stated if problem.own_error is None else np.maximum(stated, problem.own_error)
     checks = frozenset(check for check in RecordCheck if _is_used(check, without))
     if baseline is not None and baseline.clean is not None:
         checks -= _shown_clean(baseline.clean, checks, configuration)
@@ -351,10 +352,10 @@ def _axis(
         members = [member for member in members if PLACES.index(member.place) > PLACES.index("mechanics")]
     progress("records without a gap")
     null = threshold(linearised, members, seed, cache=cache, configuration=configuration)
-    floor = _floor(problem, stated, configuration)
+    floor = _floor(problem, own, configuration)
     if baseline is not None:
         floor = max(floor, float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2))))
-    leaves = stated_energy(stated, problem.sigma)
+    leaves = stated_energy(own, problem.sigma)
     found = search(linearised, members, null + thresholds.margin, floor, leaves, progress, configuration)
     collected = collect(found, null, floor, stated, record, checks, configuration)
     evidence = collected.evidence.with_residuals(

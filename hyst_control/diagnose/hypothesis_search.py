@@ -24,10 +24,10 @@ from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, Se
 from hyst_control.diagnose.hypothesis import Candidate, Member
 from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, Unknowns, fit, refined
 from hyst_control.diagnose.policy import strained as are_strained
-from hyst_control.diagnose.noise_floor import correlation_length
 from hyst_control.diagnose.problem import Problem
 from hyst_control.errors import InputError
 from hyst_control.parallel import forked
+from hyst_control.records.correlation import correlation_length
 
 
 @dataclass(frozen=True)

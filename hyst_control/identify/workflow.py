@@ -7,18 +7,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 
 from hyst_control import progress
 from hyst_control.errors import InputError
 from hyst_control.files import check_writable, write_json
 from hyst_control.identify import estimator_of, estimators, identify
 from hyst_control.identify.dataset import Dataset, Fit, Report
-from hyst_control.model_file import COMMAND_UNITS, DISCREPANCY_VERSION, MEASUREMENT_UNITS, Model, save_model, simulate
+from hyst_control.identify.learned_discrepancy import discrepancy_of
+from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, Model, save_model, simulate
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.record import Record
 from hyst_control.records.record_validity import Trial, refuse_invalid
-from hyst_control.records.session_zero import without_zero
 
 TOPICS = ("command", "measurement")
 
@@ -150,10 +149,8 @@ def discrepancy(model: Model, datasets: Sequence[Dataset]) -> dict[str, Any]:
     for data in datasets:
         error = data.measurement - simulate(model, data.command, data.sample_time, data.hold)
         begin = 0 if data.start == "settled" else len(error) // FILLING  # the memory of the hysteresis has to fill first
-        left.append(without_zero(error[begin:]))
-    zero = np.ptp([zeros for _, zeros in left], axis=0).tolist() if len(left) > 1 else None
-    rms = np.sqrt(np.mean(np.concatenate([rest for rest, _ in left]) ** 2, axis=0))
-    return {"version": DISCREPANCY_VERSION, "rms": rms.tolist(), **({"zero": zero} if zero else {})}
+        left.append(error[begin:])
+    return discrepancy_of([data.command for data in datasets], left, datasets[0].sample_time)
 
 
 def chosen_families(family: str | None, method: str, options: Mapping[str, object]) -> list[str]:

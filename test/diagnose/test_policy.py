@@ -102,8 +102,9 @@ class Row:
 
 V, R, C = Verdict, Reason, RecordCheck
 TABLE = (
-    Row("a session's zero", evidence(base=session(np.nan)), V.EFFECT, (R.SESSION_DIFFERS,)),
-    Row("a zero like those between clean records", evidence(base=session(1.0)), V.NO_GAP, (R.BELOW_NULL,)),
+    Row("a session's zero larger than usual", evidence(base=session(1.0)), V.EFFECT, (R.SESSION_DIFFERS,)),
+    Row("a usual zero", evidence(base=session(3.0)), V.NO_GAP, (R.BELOW_NULL,)),
+    Row("a zero, and nothing says what is usual", evidence(base=session(np.nan)), V.NO_GAP, (R.BELOW_NULL,)),
     Row("a remainder that does not follow the command", evidence(base=UNRELATED), V.NO_GAP, (R.BELOW_NULL,), remainder=0.0),
     Row("nothing was tried", evidence(base=SMALL), V.NO_GAP, (R.BELOW_NULL,), remainder=0.0),
     Row(

@@ -1,0 +1,268 @@
+"""Learned discrepancy: what a model leaves on clean records, as a function of the command.
+
+The error e of one axis, each record's own zero and drift taken off, is regressed on features Φ of the command,
+
+    e = Φ w + r,    w ~ N(0, α² I),    r: the rest, n samples of which count as one,
+
+and the posterior N(mean, factor factorᵀ) of w is kept. α and the size of r are those of the largest evidence (MacKay, Neural Computation
+4, 1992, p. 415). On a command that excites what the clean records did not, the posterior is as wide as the prior, and so says itself that
+nothing is known there. Every record in turn is also predicted from the others: where it lies further off than foreseen, rest and factor
+are multiplied by as much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.linalg import eigh
+
+from hyst_control.model_file import DISCREPANCY_VERSION
+from hyst_control.records.command_features import Array, CommandFeatures
+from hyst_control.records.correlation import correlation_length
+from hyst_control.records.session_zero import usual_zero, without_zero
+
+SIZES = np.geomspace(0.03, 30.0, 25)
+"""Standard deviations of the prior weights that are tried, in error rms of a feature of rms 1."""
+ROUNDS = 4
+"""Rounds in which rest and prior are found in turn."""
+WORTH = 0.1
+"""Least share of the error's energy that must be predicted on blocks that were not learned from."""
+BLOCKS = 10
+"""Blocks of every record for that; each is predicted from the others."""
+ROWS = 4000
+"""Most rows per record that are learned from; of a longer one every few rows."""
+
+
+@dataclass(frozen=True)
+class LearnedDiscrepancy:
+    """Learned error of one axis.
+
+    Parameters
+    ----------
+    features : CommandFeatures
+        Scales of the features.
+    mean : ndarray, shape (F,)
+        Mean of the weights, measurement unit.
+    factor : ndarray, shape (F, K)
+        Factor of the weights' covariance, measurement unit.
+    rest : float
+        Rms of what the features leave, measurement unit.
+    correlation : float
+        Time of that rest per independent sample, s.
+    """
+
+    features: CommandFeatures
+    mean: Array
+    factor: Array
+    rest: float
+    correlation: float
+
+    def document(self) -> dict[str, Any]:
+        """Convert to the form in a model file."""
+        return {
+            "features": {name: _rounded(value) for name, value in self.features.document().items()},
+            "mean": _rounded(self.mean),
+            "factor": _rounded(self.factor),
+            "rest": _rounded(self.rest),
+            "correlation": _rounded(self.correlation),
+        }
+
+    @classmethod
+    def from_document(cls, document: Mapping[str, Any]) -> LearnedDiscrepancy:
+        """Read the form in a model file.
+
+        Parameters
+        ----------
+        document : mapping
+            As `document` makes it.
+
+        Returns
+        -------
+        LearnedDiscrepancy
+        """
+        return cls(
+            CommandFeatures.from_document(document["features"]),
+            np.asarray(document["mean"], dtype=float),
+            np.asarray(document["factor"], dtype=float),
+            float(document["rest"]),
+            float(document["correlation"]),
+        )
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Products that a regression needs, of some rows: ΦᵀΦ, Φᵀe, eᵀe and the number of rows."""
+
+    gram: Array
+    right: Array
+    energy: float
+    count: int
+
+    def __add__(self, other: _Sums) -> _Sums:
+        return _Sums(self.gram + other.gram, self.right + other.right, self.energy + other.energy, self.count + other.count)
+
+
+def learn(commands: Sequence[Array], errors: Sequence[Array], sample_time: float) -> LearnedDiscrepancy | None:
+    """Learn what a model leaves on clean records of one axis.
+
+    Parameters
+    ----------
+    commands : sequence of ndarray, shape (N,)
+        Commands, V.
+    errors : sequence of ndarray, shape (M,)
+        Measured minus simulated at the last M rows of each command, measurement unit.
+    sample_time : float
+        Sample time, s.
+
+    Returns
+    -------
+    LearnedDiscrepancy or None
+        None where the features predict too little of it on other blocks.
+    """
+    features = CommandFeatures.of(commands, sample_time)
+    designs, targets = [], []
+    for command, error in zip(commands, errors, strict=True):
+        rows = features.rows(command, sample_time)[len(command) - len(error) :]
+        designs.append(without_zero(rows)[0])
+        targets.append(without_zero(error[:, None])[0][:, 0])
+    scale = np.sqrt(np.mean(np.concatenate(designs) ** 2, axis=0))
+    scale = np.where(scale > 1e-9, scale, np.inf)
+    designs = [design / scale for design in designs]
+    size = float(np.sqrt(np.mean(np.concatenate(targets) ** 2)))
+    if not size > 0:
+        return None
+    parts = [_blocks(design, target) for design, target in zip(designs, targets, strict=True)]
+    whole = _total([block for blocks in parts for block in blocks])
+    length, rest, alpha = 1.0, size, size
+    for _ in range(ROUNDS):
+        alpha = max((share * size for share in SIZES), key=lambda value: _evidence(whole, value, rest, length))
+        mean, _ = _posterior(whole, alpha, rest, length)
+        left = [target - design @ mean for design, target in zip(designs, targets, strict=True)]
+        length = max(correlation_length(rows[:, None]) for rows in left)
+        rest = max(float(np.sqrt(np.mean(np.concatenate(left) ** 2))), 1e-6 * size)
+    held_out = _held_out(designs, targets, parts, whole, alpha, rest, length)
+    if held_out > (1.0 - WORTH) * size**2:
+        return None
+    rest = max(rest, float(np.sqrt(held_out)))
+    mean, covariance = _posterior(whole, alpha, rest, length)
+    further = _further(designs, targets, parts, whole, alpha, rest, length)
+    values, vectors = eigh(covariance)
+    factor = further * vectors * np.sqrt(np.maximum(values, 0.0))
+    found = LearnedDiscrepancy(features, mean / scale, factor / scale[:, None], further * rest, length * sample_time)
+    return replace(found, factor=found.factor[:, np.argsort(-values)])
+
+
+def discrepancy_of(commands: Sequence[Array], errors: Sequence[Array], sample_time: float) -> dict[str, Any]:
+    """Describe a model's errors on clean records, in the form of a model file.
+
+    Parameters
+    ----------
+    commands : sequence of ndarray, shape (N, A)
+        Commands, V.
+    errors : sequence of ndarray, shape (M, A)
+        Measured minus simulated at the last M rows of each command, measurement unit.
+    sample_time : float
+        Sample time, s.
+
+    Returns
+    -------
+    dict
+        See `Model`.
+    """
+    left = [without_zero(error) for error in errors]
+    rest = [rows for rows, _ in left]
+    learned = [
+        learn([command[:, axis] for command in commands], [error[:, axis] for error in errors], sample_time)
+        for axis in range(errors[0].shape[1])
+    ]
+    found: dict[str, Any] = {
+        "version": DISCREPANCY_VERSION,
+        "rms": np.sqrt(np.mean(np.concatenate(rest) ** 2, axis=0)).tolist(),
+        "correlation": sample_time * max(correlation_length(rows) for rows in rest),
+    }
+    if len(left) > 1:
+        found["zero"] = usual_zero(np.array([zero for _, zero in left])).tolist()
+    if any(learned):
+        found["learned"] = [None if one is None else one.document() for one in learned]
+    return found
+
+
+def _blocks(design: Array, target: Array) -> list[_Sums]:
+    step = max(len(target) // ROWS, 1)
+    found = []
+    for block in np.array_split(np.arange(len(target)), BLOCKS):
+        rows = block[::step]
+        phi, e = design[rows], target[rows]
+        found.append(_Sums(step * (phi.T @ phi), step * (phi.T @ e), step * float(e @ e), step * len(rows)))
+    return found
+
+
+def _total(sums: Sequence[_Sums]) -> _Sums:
+    first, *others = sums
+    for other in others:
+        first = first + other
+    return first
+
+
+def _posterior(sums: _Sums, alpha: float, rest: float, length: float) -> tuple[Array, Array]:
+    weight = 1.0 / (length * rest**2)
+    covariance = np.linalg.inv(weight * sums.gram + np.eye(len(sums.right)) / alpha**2)
+    return weight * (covariance @ sums.right), covariance
+
+
+def _evidence(sums: _Sums, alpha: float, rest: float, length: float) -> float:
+    weight = 1.0 / (length * rest**2)
+    mean, covariance = _posterior(sums, alpha, rest, length)
+    determinant = -np.linalg.slogdet(covariance)[1] + 2.0 * len(mean) * np.log(alpha)
+    return 0.5 * float(weight * (sums.right @ mean) - determinant)
+
+
+def _held_out(
+    designs: Sequence[Array],
+    targets: Sequence[Array],
+    parts: Sequence[Sequence[_Sums]],
+    whole: _Sums,
+    alpha: float,
+    rest: float,
+    length: float,
+) -> float:
+    """Mean square of what is left on blocks, each predicted from all others."""
+    energy, count = 0.0, 0
+    for design, target, blocks in zip(designs, targets, parts, strict=True):
+        for rows, block in zip(np.array_split(np.arange(len(target)), BLOCKS), blocks, strict=True):
+            others = _Sums(whole.gram - block.gram, whole.right - block.right, whole.energy - block.energy, whole.count - block.count)
+            mean, _ = _posterior(others, alpha, rest, length)
+            energy += float(np.sum((target[rows] - design[rows] @ mean) ** 2))
+            count += len(rows)
+    return energy / count
+
+
+def _further(
+    designs: Sequence[Array],
+    targets: Sequence[Array],
+    parts: Sequence[Sequence[_Sums]],
+    whole: _Sums,
+    alpha: float,
+    rest: float,
+    length: float,
+) -> float:
+    """Factor by which records lie further from what the others predict than foreseen; 1 for a single record."""
+    if len(targets) < 2:
+        return 1.0
+    ratios = []
+    for design, target, blocks in zip(designs, targets, parts, strict=True):
+        own = _total(blocks)
+        others = _Sums(whole.gram - own.gram, whole.right - own.right, whole.energy - own.energy, whole.count - own.count)
+        mean, covariance = _posterior(others, alpha, rest, length)
+        foreseen = float(np.sum((design @ covariance) * design)) + rest**2 * len(target)
+        ratios.append(float(np.sum((target - design @ mean) ** 2)) / foreseen)
+    return float(np.sqrt(max(1.0, *ratios)))
+
+
+def _rounded(value: Any) -> Any:
+    if np.ndim(value):
+        return [_rounded(item) for item in value]
+    return float(f"{float(value):.6g}")
