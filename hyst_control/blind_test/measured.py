@@ -27,11 +27,11 @@ from hyst_control.diagnose.gap_report import sentence
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.files import write_json, write_text
 from hyst_control.identify import identify
-from hyst_control.identify.learned_discrepancy import discrepancy_of
-from hyst_control.identify.workflow import discrepancy
 from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.learned_discrepancy import discrepancy_of
 from hyst_control.identify.linear import Candidate, error_of, refined
 from hyst_control.identify.modal_fit import subspace
+from hyst_control.identify.workflow import discrepancy
 from hyst_control.model_file import Model, model_to_document, simulate
 from hyst_control.parallel import forked
 from hyst_control.records.record import Record, Signal
@@ -541,7 +541,9 @@ def stack_cases() -> Iterator[Withheld]:
         )
         left = part.measurement[rows, 0] - simulate(whole, part.command)[rows, 0]
         right = () if model is whole else ("hysteresis_width", "hysteresis_shape", "backlash", "hysteresis_rate")
-        yield Withheld("stack", element, right, replace(model, discrepancy=own), record, rows.start * stack.SAMPLE_TIME, float(np.std(left)))
+        yield Withheld(
+            "stack", element, right, replace(model, discrepancy=own), record, rows.start * stack.SAMPLE_TIME, float(np.std(left))
+        )
 
 
 def without_memory(model: Model, cycle: Dataset) -> Model:

@@ -28,8 +28,8 @@ from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.configuration import BaselineSettings
 from hyst_control.diagnose.problem import Piece, Problem, check_units
 from hyst_control.diagnose.session import CarriedError, ErrorBasis, LearnedError, SessionZero
-from hyst_control.identify.learned_discrepancy import LearnedDiscrepancy, discrepancy_of
 from hyst_control.errors import InputError
+from hyst_control.identify.learned_discrepancy import LearnedDiscrepancy, discrepancy_of
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.correlation import correlation_length
 from hyst_control.records.record import Record
@@ -130,7 +130,9 @@ def error_on(records: Sequence[Record], model: Model) -> Array:
         for stretch in record.aligned(("command", "measurement"), allow_gaps=True):
             command, measurement = stretch.values["command"], stretch.values["measurement"]
             if command.shape[1] != len(model.axes) or measurement.shape[1] != len(model.axes):
-                raise InputError(f"{record.source}: has {measurement.shape[1]} axes, the model {len(model.axes)}: give records of it")
+                raise InputError(
+                    f"{record.source}: has {measurement.shape[1]} axes, the model {len(model.axes)}: give records of it"
+                )
             found.append(measurement - simulate(model, command, stretch.sample_time, record.hold))
     return np.sqrt(np.mean(np.concatenate(found) ** 2, axis=0))
 

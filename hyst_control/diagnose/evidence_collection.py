@@ -24,8 +24,8 @@ from hyst_control.diagnose.hypothesis_search import Found, Scored, strain
 from hyst_control.diagnose.noise_floor import noise_of
 from hyst_control.diagnose.predictability import predictable_share
 from hyst_control.diagnose.problem import Problem
-from hyst_control.diagnose.session import SessionZero
 from hyst_control.diagnose.record_checks import outliers
+from hyst_control.diagnose.session import SessionZero
 from hyst_control.diagnose.unexplained_residual import leftover
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import RecordCheck

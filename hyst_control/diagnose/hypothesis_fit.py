@@ -5,8 +5,9 @@ their broad prior is N(x0, 1)):
 
     Φ(z, x) = ½ w ‖y - ŷ(z, x)‖² + ½ ‖z‖² + ½ ‖x - x0‖²
 
-(w: the problem's weight of a sample, 1 where noise alone separates model and record) is minimized by Gauss-Newton steps whose z-columns J = ∂ŷ/∂z are those of the nominal model: a scatter of a per cent changes them by
-a per cent, so a step leaves a per cent of the error, and only the effect's few columns are renewed. `refined` renews them all.
+(w: the problem's weight of a sample, 1 where noise alone separates model and record) is minimized by Gauss-Newton steps whose z-columns
+J = ∂ŷ/∂z are those of the nominal model: a scatter of a per cent changes them by a per cent, so a step leaves a per cent of the error, and
+only the effect's few columns are renewed. `refined` renews them all.
 """
 
 from __future__ import annotations

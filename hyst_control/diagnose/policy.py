@@ -193,7 +193,6 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
     findings, outliers = _findings(evidence, chosen, noise, thresholds)
     left = 0.0 if outweighed else _remainder(evidence, chosen, thresholds)
     remainder = max([left, *(_share_of_outliers(evidence, one) for one in outliers)])
-    names = evidence.hypotheses[chosen].names
     companions = tuple(one for one in _residual(evidence, chosen).companions if _unusual(one, evidence, thresholds))
 
     left_too_much, too_many = left > thresholds.unknown_share, _too_many(evidence, chosen, thresholds)

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import eigh
 
+from hyst_control.errors import InputError
 from hyst_control.model_file import DISCREPANCY_VERSION
 from hyst_control.records.command_features import Array, CommandFeatures
 from hyst_control.records.correlation import correlation_length
@@ -82,14 +83,24 @@ class LearnedDiscrepancy:
         Returns
         -------
         LearnedDiscrepancy
+
+        Raises
+        ------
+        InputError
+            If an entry is missing, or has another shape.
         """
-        return cls(
-            CommandFeatures.from_document(document["features"]),
-            np.asarray(document["mean"], dtype=float),
-            np.asarray(document["factor"], dtype=float),
-            float(document["rest"]),
-            float(document["correlation"]),
-        )
+        try:
+            features = CommandFeatures.from_document(document["features"])
+            mean, factor = (np.asarray(document[name], dtype=float) for name in ("mean", "factor"))
+            rest, correlation = float(document["rest"]), float(document["correlation"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"discrepancy.learned: is not what hyst identify writes ({error!r}): identify the model again") from None
+        count = features.rows(np.linspace(0.0, 1.0, 10), 1.0).shape[1]
+        if mean.shape != (count,) or factor.ndim != 2 or len(factor) != count or not (rest > 0 and correlation > 0):
+            raise InputError(
+                f"discrepancy.learned: must have {count} features, a rest and a correlation > 0: identify the model again"
+            )
+        return cls(features, mean, factor, rest, correlation)
 
 
 @dataclass(frozen=True)
@@ -233,7 +244,9 @@ def _held_out(
     energy, count = 0.0, 0
     for design, target, blocks in zip(designs, targets, parts, strict=True):
         for rows, block in zip(np.array_split(np.arange(len(target)), BLOCKS), blocks, strict=True):
-            others = _Sums(whole.gram - block.gram, whole.right - block.right, whole.energy - block.energy, whole.count - block.count)
+            others = _Sums(
+                whole.gram - block.gram, whole.right - block.right, whole.energy - block.energy, whole.count - block.count
+            )
             mean, _ = _posterior(others, alpha, rest, length)
             energy += float(np.sum((target[rows] - design[rows] @ mean) ** 2))
             count += len(rows)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-
 from hyst_control import progress
 from hyst_control.errors import InputError
 from hyst_control.files import check_writable, write_json
@@ -106,7 +105,7 @@ def identify_bags(
     if json_path is not None:
         check_writable(json_path)
     given = {name: value for name, value in options.items() if value is not None}
-    chosen = chosen_families(family, method, given)
+    chosen_families(family, method, given)  # refuses what cannot be identified before anything is read
     datasets: list[Dataset] = []
     notes: list[str] = []
     for bag in bags:
@@ -116,14 +115,41 @@ def identify_bags(
         datasets += datasets_of(record, hold, start, allow_gaps)
     if not force:
         refuse_invalid([Trial(each.name, each.command, each.measurement, each.sample_time, each.axes) for each in datasets])
-    fits = (identify(datasets, name, method, **given) for name in chosen)
-    fit = next(fits) if family is not None else min(fits, key=lambda fit: max(fit.report["held_out_nrmse"]))
+    fit = identified(datasets, family, method, **given)
     fit = replace(fit, report={**fit.report, "bags": [str(bag) for bag in bags], "notes": [*notes, *fit.report["notes"]]})
-    fit = replace(fit, model=replace(fit.model, discrepancy=discrepancy(fit.model, datasets)))
     save_model(fit.model, output)
     if json_path is not None:
         write_json(json_path, fit.report)
     return Result(fit, Path(output))
+
+
+def identified(datasets: Sequence[Dataset], family: str | None = None, method: str = "joint", **options: object) -> Fit:
+    """Identify a model with its own error, the best family unless one is named.
+
+    Parameters
+    ----------
+    datasets
+        Clean records.
+    family
+        Model family; None: the best on held-out data of those that have the options given.
+    method
+        "joint" or, where the family has it, "paper".
+    **options
+        Options of the family.
+
+    Returns
+    -------
+    Fit
+        Model and report.
+
+    Raises
+    ------
+    InputError
+        A family, a method or an option does not exist, or the records do not determine a model.
+    """
+    fits = (identify(datasets, name, method, **options) for name in chosen_families(family, method, options))
+    fit = next(fits) if family is not None else min(fits, key=lambda fit: max(fit.report["held_out_nrmse"]))
+    return replace(fit, model=replace(fit.model, discrepancy=discrepancy(fit.model, datasets)))
 
 
 FILLING = 3
