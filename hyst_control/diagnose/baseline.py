@@ -188,7 +188,7 @@ def _beside_own_error(problem: Problem, stated: Mapping[str, Any], clean: Proble
     seconds = float(stated.get("correlation", 1.0 / (np.pi * _slowest(problem))))
     learned = [LearnedDiscrepancy.from_document(one) for one in stated.get("learned", ()) if one is not None]
     predicted: tuple[LearnedError, ...] = ()
-    rest = error
+    rest = settings.unseen * error
     if len(learned) == len(error) == 1:  # axes that the model mixes have no features of their own
         predicted = (_predicted(problem, learned[0]),)
         rest, seconds = np.array([learned[0].rest]), learned[0].correlation
@@ -203,18 +203,20 @@ def _beside_own_error(problem: Problem, stated: Mapping[str, Any], clean: Proble
 
 
 def _predicted(problem: Problem, learned: LearnedDiscrepancy) -> LearnedError:
-    """Predict a learned error on the records of a problem of one axis, in the fewest directions that matter."""
+    """Predict a learned error on the records of a problem of one axis, in the fewest directions that matter.
+
+    The mean is one direction more, free between absent and twice itself: on other commands it is a guess, and the nominal model stays
+    the model as given.
+    """
     rows = [
         without_zero(learned.features.rows(np.ascontiguousarray(piece.command[:, 0]), problem.sample_time))[0]
         for piece in problem.pieces
     ]
-    spread = np.concatenate(rows) @ learned.factor
+    factor = np.column_stack([learned.mean, learned.factor])
+    spread = np.concatenate(rows) @ factor
     _, sizes, directions = np.linalg.svd(spread, full_matrices=False)
     kept = directions[sizes > LEAST_DIRECTION * learned.rest * np.sqrt(len(spread))].T
-    return LearnedError(
-        np.zeros(kept.shape[1]),
-        ErrorBasis(tuple(design @ learned.mean for design in rows), tuple(design @ learned.factor @ kept for design in rows)),
-    )
+    return LearnedError(np.zeros(kept.shape[1]), ErrorBasis(tuple(design @ factor @ kept for design in rows)))
 
 
 def _carried(

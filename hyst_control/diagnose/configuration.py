@@ -241,6 +241,7 @@ class BaselineSettings:
     same_command: float = _setting("share of the range, rms", "difference up to which two commands are the same")
     overlap: float = _setting("share of the new record", "least part of it in which they are")
     zero_share: float = _setting("share of the range", "standard deviation of the zero, drift and curvature of a session")
+    unseen: float = _setting("own errors", "size of the model's error on a command on which it was not measured")
     usual_share: float = _setting(
         "share of the range", "zero, drift and curvature that are usual where few clean records are at hand"
     )

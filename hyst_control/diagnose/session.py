@@ -120,27 +120,24 @@ class ErrorBasis:
 
     Parameters
     ----------
-    mean : tuple of ndarray, shape (N,)
-        By record.
     directions : tuple of ndarray, shape (N, K)
         By record.
     """
 
-    mean: tuple[Array, ...]
     directions: tuple[Array, ...]
 
     @cached_property
     def digest(self) -> str:
         """SHA-256 of all series."""
         digest = sha256()
-        for rows in (*self.mean, *self.directions):
+        for rows in self.directions:
             digest.update(np.ascontiguousarray(rows).tobytes())
         return digest.hexdigest()
 
 
 @dataclass(frozen=True, eq=False)
 class LearnedError(Stage):
-    """Predicted error of the model in each record: adds mean[record] + directions[record] weights, weights ~ N(0, I).
+    """Predicted error of the model in each record: adds directions[record] weights, weights ~ N(0, I).
 
     It is data of one diagnosis and is never written to a model file.
     """
@@ -165,8 +162,8 @@ class LearnedError(Stage):
 
     def filter(self, sampling: Sampling) -> Filter:
         assert self.basis is not None
-        mean, directions = self.basis.mean[self.index], self.basis.directions[self.index]
-        return SeriesAdder((mean + directions @ np.asarray(self.weights, dtype=float))[:, None], sampling)
+        series = self.basis.directions[self.index] @ np.asarray(self.weights, dtype=float)
+        return SeriesAdder(series[:, None], sampling)
 
 
 class SeriesAdder(Filter):

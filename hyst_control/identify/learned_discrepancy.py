@@ -6,8 +6,9 @@ The error e of one axis, each record's own zero and drift taken off, is regresse
 
 and the posterior N(mean, factor factorᵀ) of w is kept. α and the size of r are those of the largest evidence (MacKay, Neural Computation
 4, 1992, p. 415). On a command that excites what the clean records did not, the posterior is as wide as the prior, and so says itself that
-nothing is known there. Every record in turn is also predicted from the others: where it lies further off than foreseen, rest and factor
-are multiplied by as much.
+nothing is known there. The records of every command are also predicted from those of the others: where they lie further off than
+foreseen, rest and factor are multiplied by as much, and where the prediction is worth nothing, none is kept. Records of a single command
+do not tell what holds on another one; there the size of the error alone is known.
 """
 
 from __future__ import annotations
@@ -25,14 +26,15 @@ from hyst_control.records.command_features import Array, CommandFeatures
 from hyst_control.records.correlation import correlation_length
 from hyst_control.records.session_zero import usual_zero, without_zero
 
-SIZES = np.geomspace(0.03, 30.0, 25)
-"""Standard deviations of the prior weights that are tried, in error rms of a feature of rms 1."""
+SIZES = np.geomspace(0.01, 0.5, 15)
+"""Standard deviations of the prior weights that are tried, in error rms of a feature of rms 1: no feature alone is much larger than the
+error, for large weights that cancel on the clean records do not cancel on other commands."""
 ROUNDS = 4
 """Rounds in which rest and prior are found in turn."""
 WORTH = 0.1
-"""Least share of the error's energy that must be predicted on blocks that were not learned from."""
-BLOCKS = 10
-"""Blocks of every record for that; each is predicted from the others."""
+"""Least share of the error's energy that must be predicted on commands that were not learned from."""
+ALIKE = 0.05
+"""Relative difference of range and rate up to which two commands are the same."""
 ROWS = 4000
 """Most rows per record that are learned from; of a longer one every few rows."""
 
@@ -131,7 +133,7 @@ def learn(commands: Sequence[Array], errors: Sequence[Array], sample_time: float
     Returns
     -------
     LearnedDiscrepancy or None
-        None where the features predict too little of it on other blocks.
+        None where the features predict too little of it on other commands, or there is one command only.
     """
     features = CommandFeatures.of(commands, sample_time)
     designs, targets = [], []
@@ -145,8 +147,10 @@ def learn(commands: Sequence[Array], errors: Sequence[Array], sample_time: float
     size = float(np.sqrt(np.mean(np.concatenate(targets) ** 2)))
     if not size > 0:
         return None
-    parts = [_blocks(design, target) for design, target in zip(designs, targets, strict=True)]
-    whole = _total([block for blocks in parts for block in blocks])
+    groups = _groups(commands, sample_time)
+    if len(groups) < 2:
+        return None  # records of one command do not tell what holds on another
+    whole = _total([_sums(design, target) for design, target in zip(designs, targets, strict=True)])
     length, rest, alpha = 1.0, size, size
     for _ in range(ROUNDS):
         alpha = max((share * size for share in SIZES), key=lambda value: _evidence(whole, value, rest, length))
@@ -154,12 +158,10 @@ def learn(commands: Sequence[Array], errors: Sequence[Array], sample_time: float
         left = [target - design @ mean for design, target in zip(designs, targets, strict=True)]
         length = max(correlation_length(rows[:, None]) for rows in left)
         rest = max(float(np.sqrt(np.mean(np.concatenate(left) ** 2))), 1e-6 * size)
-    held_out = _held_out(designs, targets, parts, whole, alpha, rest, length)
-    if held_out > (1.0 - WORTH) * size**2:
+    energy, further = _crossed(designs, targets, groups, alpha, rest, length)
+    if energy > (1.0 - WORTH) * size**2:
         return None
-    rest = max(rest, float(np.sqrt(held_out)))
     mean, covariance = _posterior(whole, alpha, rest, length)
-    further = _further(designs, targets, parts, whole, alpha, rest, length)
     values, vectors = eigh(covariance)
     factor = further * vectors * np.sqrt(np.maximum(values, 0.0))
     found = LearnedDiscrepancy(features, mean / scale, factor / scale[:, None], further * rest, length * sample_time)
@@ -201,14 +203,10 @@ def discrepancy_of(commands: Sequence[Array], errors: Sequence[Array], sample_ti
     return found
 
 
-def _blocks(design: Array, target: Array) -> list[_Sums]:
+def _sums(design: Array, target: Array) -> _Sums:
     step = max(len(target) // ROWS, 1)
-    found = []
-    for block in np.array_split(np.arange(len(target)), BLOCKS):
-        rows = block[::step]
-        phi, e = design[rows], target[rows]
-        found.append(_Sums(step * (phi.T @ phi), step * (phi.T @ e), step * float(e @ e), step * len(rows)))
-    return found
+    phi, e = design[::step], target[::step]
+    return _Sums(step * (phi.T @ phi), step * (phi.T @ e), step * float(e @ e), step * len(e))
 
 
 def _total(sums: Sequence[_Sums]) -> _Sums:
@@ -231,48 +229,41 @@ def _evidence(sums: _Sums, alpha: float, rest: float, length: float) -> float:
     return 0.5 * float(weight * (sums.right @ mean) - determinant)
 
 
-def _held_out(
-    designs: Sequence[Array],
-    targets: Sequence[Array],
-    parts: Sequence[Sequence[_Sums]],
-    whole: _Sums,
-    alpha: float,
-    rest: float,
-    length: float,
-) -> float:
-    """Mean square of what is left on blocks, each predicted from all others."""
-    energy, count = 0.0, 0
-    for design, target, blocks in zip(designs, targets, parts, strict=True):
-        for rows, block in zip(np.array_split(np.arange(len(target)), BLOCKS), blocks, strict=True):
-            others = _Sums(
-                whole.gram - block.gram, whole.right - block.right, whole.energy - block.energy, whole.count - block.count
-            )
-            mean, _ = _posterior(others, alpha, rest, length)
-            energy += float(np.sum((target[rows] - design[rows] @ mean) ** 2))
-            count += len(rows)
-    return energy / count
+def _groups(commands: Sequence[Array], sample_time: float) -> list[list[int]]:
+    """Indices of the records by their command: equal in range and rate within `ALIKE` are the same one."""
+    found: list[list[int]] = []
+    sizes = [(float(np.ptp(u)), float(np.quantile(np.abs(np.gradient(u, sample_time)), 0.9))) for u in commands]
+    for index, size in enumerate(sizes):
+        for group in found:
+            if all(abs(a - b) <= ALIKE * max(a, b) for a, b in zip(size, sizes[group[0]], strict=True)):
+                group.append(index)
+                break
+        else:
+            found.append([index])
+    return found
 
 
-def _further(
-    designs: Sequence[Array],
-    targets: Sequence[Array],
-    parts: Sequence[Sequence[_Sums]],
-    whole: _Sums,
-    alpha: float,
-    rest: float,
-    length: float,
-) -> float:
-    """Factor by which records lie further from what the others predict than foreseen; 1 for a single record."""
-    if len(targets) < 2:
-        return 1.0
-    ratios = []
-    for design, target, blocks in zip(designs, targets, parts, strict=True):
-        own = _total(blocks)
-        others = _Sums(whole.gram - own.gram, whole.right - own.right, whole.energy - own.energy, whole.count - own.count)
-        mean, covariance = _posterior(others, alpha, rest, length)
-        foreseen = float(np.sum((design @ covariance) * design)) + rest**2 * len(target)
-        ratios.append(float(np.sum((target - design @ mean) ** 2)) / foreseen)
-    return float(np.sqrt(max(1.0, *ratios)))
+def _crossed(
+    designs: Sequence[Array], targets: Sequence[Array], groups: Sequence[Sequence[int]], alpha: float, rest: float, length: float
+) -> tuple[float, float]:
+    """Predict the records of every command from those of the others.
+
+    Returns
+    -------
+    energy : float
+        Mean square of what is left.
+    further : float
+        Factor, at least 1, by which this exceeds what was foreseen (rms).
+    """
+    sums = [_total([_sums(designs[i], targets[i]) for i in group]) for group in groups]
+    energy, foreseen, count = 0.0, 0.0, 0
+    for index, group in enumerate(groups):
+        mean, covariance = _posterior(_total([one for other, one in enumerate(sums) if other != index]), alpha, rest, length)
+        for i in group:
+            energy += float(np.sum((targets[i] - designs[i] @ mean) ** 2))
+            foreseen += float(np.sum((designs[i] @ covariance) * designs[i])) + rest**2 * len(targets[i])
+            count += len(targets[i])
+    return energy / count, float(np.sqrt(max(1.0, energy / foreseen)))
 
 
 def _rounded(value: Any) -> Any:

@@ -66,10 +66,10 @@ def test_a_tolerance_of_many_times_the_value_is_cut_to_what_the_own_error_allows
 
 def test_a_predicted_error_is_added_with_its_weights():
     random = np.random.default_rng(0)
-    basis = ErrorBasis((random.standard_normal(2000),), (random.standard_normal((2000, 2)),))
+    basis = ErrorBasis((random.standard_normal((2000, 2)),))
     stage = LearnedError(np.array([0.5, -2.0]), basis)
     seen = problem(Chain((Gain(1.0), stage)), COMMAND)
-    expected = COMMAND[:, 0] + basis.mean[0] + basis.directions[0] @ [0.5, -2.0]
+    expected = COMMAND[:, 0] + basis.directions[0] @ [0.5, -2.0]
     np.testing.assert_allclose(seen.rows(seen.simulate(seen.model.chain.stages))[:, 0], expected, atol=1e-9)
     assert stage.parameters() != LearnedError(np.zeros(2), basis).parameters()
     assert [c.companion for c in scatter_of(seen.model).coefficients] == [True, True]
