@@ -195,7 +195,7 @@ def _beside_own_error(problem: Problem, stated: Mapping[str, Any], clean: Proble
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     noise = np.broadcast_to(np.atleast_1d(np.asarray(problem.model.noise.get("sigma", 0.0), dtype=float)), error.shape)
     model = problem.model.with_stages((*problem.model.chain.stages, *predicted, _zero(problem, spans, settings)))
-    excess = np.sqrt(np.maximum(rest**2 - noise**2, 0.0))
+    excess = np.sqrt(np.maximum(error**2 - noise**2, 0.0))
     usual = np.fmin(usual, settings.usual_share * spans[:, None])
     length = max(seconds / problem.sample_time, 1.0)
     beside = replace(problem, model=model, slowest=_slowest(problem), own_error=rest, own_correlation=length)

@@ -44,6 +44,9 @@ class Thresholds:
         "effects", "most that may act together on an axis; beyond, an effect outside the catalogue is likelier"
     )
     added_share: float = _setting("1", "share of all that a combination takes off which each of its effects must add")
+    added_share_with_own_error: float = _setting(
+        "1", "the same where the fits know of the model's own error: finer parts cannot be told from it"
+    )
     least_excess: float = _setting("share of the noise's energy", "energy beyond the noise's under which nothing is called unknown")
     own_error_share: float = _setting("1", "share of the error that a model states of itself which an effect must take off")
     own_error_energy: float = _setting("noise energies", "stated energy from which a model is taken to state an error of its own")

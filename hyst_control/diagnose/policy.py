@@ -368,7 +368,7 @@ def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thres
     if unweighted and evidence.stated >= thresholds.own_error_energy:
         return False
     relief = evidence.temper * (evidence.hypotheses[0].strain - one.strain)
-    return one.coefficients_alone or relief > evidence.null + thresholds.margin
+    return (unweighted and one.coefficients_alone) or relief > evidence.null + thresholds.margin
 
 
 def _idle(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
@@ -388,7 +388,8 @@ def _idle(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thr
     relieved = strained(best.strain, evidence.coefficients, thresholds) and not strained(
         one.strain, evidence.coefficients, thresholds
     )
-    small = better <= thresholds.added_share * (evidence.hypotheses[0].misfit - one.misfit)
+    share = thresholds.added_share if evidence.weight == 1.0 else thresholds.added_share_with_own_error
+    small = better <= share * (evidence.hypotheses[0].misfit - one.misfit)
     return evidence.temper * better <= evidence.null + thresholds.margin or (small and not relieved)
 
 
