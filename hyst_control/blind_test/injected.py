@@ -4,9 +4,10 @@ Effects of the sensor act on the measurement; effects of the drive that can be i
 u is what the effect made of another one, c, and c takes its place. Every size is a multiple of what the identified model leaves on clean
 records that it was not identified from. The records:
 
-- stack (`pea_p885`): five nested cycles each. Models are identified from full cycles of the first file and from two stretches of the
-  second, cases come from other stretches; tuning seeds (below `SCORING`) see stretches of the second file's first half, scoring seeds of
-  its second half, where an inverse operator shaped the command. The repeated full cycles have clean records of the same command.
+- stack (`pea_p885`): eight cycles each, the first two of which fill the memory. Models are identified from full cycles of the first file
+  and from two stretches of the second, cases come from other stretches; tuning seeds (below `SCORING`) see stretches of the second file's
+  first half, scoring seeds of its second half, where an inverse operator shaped the command. The repeated full cycles have clean records
+  of the same command.
 - mirror (`fsm_cubespec`): three levels; models from realizations 1-4, tuning seeds see the fifth, scoring seeds the sixth. The period of
   a record is repeated, that of its clean record is the other measured one.
 
@@ -46,8 +47,8 @@ MODES = ("none", "other_command", "same_command")
 """Clean records beside the new one."""
 SIZES = (1.0, 3.0, 10.0)
 """Sizes of the effects, as multiples of the model's own error."""
-CYCLES = 5
-"""Cycles of the stack's records."""
+ROWS, FILLING, PERIOD = 1600, 400, 200
+"""Rows of the stack's records, of their begin, in which the memory fills, and of a cycle."""
 COMPANIONS = ("offset", "offset_drift")
 LAGS = ("delay", "sensor_lowpass", "amplifier_lowpass")
 """Effects that count as one name where the record has one frequency."""
@@ -267,27 +268,25 @@ def stack_machine(scoring: bool) -> Machine:
     full, nested = stack.load()
 
     def stretches(record: Any, first: int, last: int) -> list[Clean]:
-        cycles = [cycle for cycle in stack.cycles(record.rows(first, last)) if len(cycle.command) > 100]
-        found = []
-        for begin in range(0, len(cycles) - CYCLES + 1, CYCLES):
-            part = cycles[begin : begin + CYCLES]
-            command = np.concatenate([*(one.command[:-1] for one in part[:-1]), part[-1].command])
-            measurement = np.concatenate([*(one.measurement[:-1] for one in part[:-1]), part[-1].measurement])
-            found.append(Clean(f"{record.name} from row {first}, cycle {begin + 1}", command, measurement))
-        return found
+        begins = range(first, last - ROWS + 1, ROWS)
+        return [
+            Clean(f"{record.name}, row {row}", record.command[row : row + ROWS], record.measurement[row : row + ROWS])
+            for row in begins
+        ]
 
-    loops, plain, shaped = stretches(full, 0, len(full.command)), stretches(nested, 0, 7300), stretches(nested, 7400, 14155)
+    begin = int(np.argmin(full.command[:PERIOD, 0]))  # the same phase in every record: 1 Hz, 200 rows a cycle
+    loops, plain, shaped = stretches(full, begin, len(full.command)), stretches(nested, 0, 7300), stretches(nested, 7400, 14155)
     training = (loops[0], plain[0], shaped[0])
-    cases = (*loops[5:6], *shaped[1:-1]) if scoring else (*loops[3:4], *plain[1:-1])
-    same = {0: loops[6] if scoring else loops[4]}
+    cases = (loops[1], *shaped[1:-1]) if scoring else (loops[2], *plain[1:-1])
+    same = {0: loops[3]}
 
     def model() -> Any:
         datasets = [
-            replace(full, name=one.name, command=one.command, measurement=one.measurement, start="settled") for one in training
+            replace(full, name=one.name, command=one.command, measurement=one.measurement, start="unknown") for one in training
         ]
         return identified(datasets).model
 
-    return Machine("stack", ("x",), stack.SAMPLE_TIME, 0.0, cases, same, (loops[1], plain[-1], shaped[-1]), model)
+    return Machine("stack", ("x",), stack.SAMPLE_TIME, FILLING * stack.SAMPLE_TIME, cases, same, (plain[-1], shaped[-1]), model)
 
 
 def mirror_machine(scoring: bool, level: int) -> Machine:

@@ -179,7 +179,8 @@ def search(
             break
         gain, weight = best - grown[0][1].misfit, _temper(linearised.problem, grown[0][1].residual)
         relieved = strained(parents[0][1]) and not strained(grown[0][1])
-        if gain * weight < threshold or (2.0 * gain / size < floor**2 and not relieved):
+        taken_off = 2.0 * gain / (size * linearised.problem.weight)
+        if gain * weight < threshold or (taken_off < floor**2 and not relieved):
             break
         best = grown[0][1].misfit
         combinations += grown[: settings.kept_beams * beam]

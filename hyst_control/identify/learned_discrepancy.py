@@ -96,7 +96,9 @@ class LearnedDiscrepancy:
             mean, factor = (np.asarray(document[name], dtype=float) for name in ("mean", "factor"))
             rest, correlation = float(document["rest"]), float(document["correlation"])
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"discrepancy.learned: is not what hyst identify writes ({error!r}): identify the model again") from None
+            raise InputError(
+                f"discrepancy.learned: is not what hyst identify writes ({error!r}): identify the model again"
+            ) from None
         count = features.rows(np.linspace(0.0, 1.0, 10), 1.0).shape[1]
         if mean.shape != (count,) or factor.ndim != 2 or len(factor) != count or not (rest > 0 and correlation > 0):
             raise InputError(
