@@ -591,9 +591,9 @@ def named_right(label: Mapping[str, Any], report: Mapping[str, Any]) -> bool:
     accepted = {name for one in label["names"] for name in (one, *EQUAL.get(one, ()))}
     if label["one_frequency"] and accepted & set(LAGS):
         accepted |= set(LAGS)
-    structural = [name for name in named if name not in COMPANIONS] or named
-    first = structural[0] if not accepted & set(COMPANIONS) else next(iter(named), None)
-    return report["verdict"] in ("effect", "ambiguous") and first in accepted if named else False
+    companion = bool(accepted & set(COMPANIONS))
+    first = next((name for name in named if companion or name not in COMPANIONS), None)
+    return report["verdict"] in ("effect", "ambiguous") and first in accepted
 
 
 def quiet(report: Mapping[str, Any]) -> bool:
