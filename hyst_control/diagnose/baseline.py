@@ -191,7 +191,7 @@ def _beside_own_error(problem: Problem, stated: Mapping[str, Any], clean: Proble
     rest = settings.unseen * error
     if len(learned) == len(error) == 1:  # axes that the model mixes have no features of their own
         predicted = (_predicted(problem, learned[0]),)
-        rest, seconds = np.array([learned[0].rest]), learned[0].correlation
+        rest, seconds = settings.unseen * np.array([learned[0].rest]), learned[0].correlation
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     noise = np.broadcast_to(np.atleast_1d(np.asarray(problem.model.noise.get("sigma", 0.0), dtype=float)), error.shape)
     model = problem.model.with_stages((*problem.model.chain.stages, *predicted, _zero(problem, spans, settings)))

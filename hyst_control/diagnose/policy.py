@@ -363,7 +363,9 @@ def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thres
     # the samples has that error in it already.
     unweighted = evidence.weight == 1.0
     least = max(evidence.floor**2, thresholds.own_error_share * (evidence.stated - 1.0) if unweighted else 0.0)
-    if evidence.hypotheses[0].energy - one.energy > least:
+    before = evidence.hypotheses[0].energy
+    # What leaves no more than the model leaves on clean records is no gap.
+    if before - one.energy > least and (unweighted or before > evidence.stated):
         return True
     if unweighted and evidence.stated >= thresholds.own_error_energy:
         return False

@@ -52,7 +52,7 @@ class LearnedDiscrepancy:
     factor : ndarray, shape (F, K)
         Factor of the weights' covariance, measurement unit.
     rest : float
-        Rms of what the features leave, measurement unit.
+        Rms of what the features leave on the record where that is most, measurement unit.
     correlation : float
         Time of that rest per independent sample, s.
     """
@@ -159,7 +159,7 @@ def learn(commands: Sequence[Array], errors: Sequence[Array], sample_time: float
         mean, _ = _posterior(whole, alpha, rest, length)
         left = [target - design @ mean for design, target in zip(designs, targets, strict=True)]
         length = max(correlation_length(rows[:, None]) for rows in left)
-        rest = max(float(np.sqrt(np.mean(np.concatenate(left) ** 2))), 1e-6 * size)
+        rest = max(*(float(np.sqrt(np.mean(rows**2))) for rows in left), 1e-6 * size)
     energy, further = _crossed(designs, targets, groups, alpha, rest, length)
     if energy > (1.0 - WORTH) * size**2:
         return None
@@ -195,7 +195,7 @@ def discrepancy_of(commands: Sequence[Array], errors: Sequence[Array], sample_ti
     ]
     found: dict[str, Any] = {
         "version": DISCREPANCY_VERSION,
-        "rms": np.sqrt(np.mean(np.concatenate(rest) ** 2, axis=0)).tolist(),
+        "rms": np.max([np.sqrt(np.mean(rows**2, axis=0)) for rows in rest], axis=0).tolist(),
         "correlation": sample_time * max(correlation_length(rows) for rows in rest),
     }
     if len(left) > 1:
@@ -221,7 +221,7 @@ def _total(sums: Sequence[_Sums]) -> _Sums:
 def _posterior(sums: _Sums, alpha: float, rest: float, length: float) -> tuple[Array, Array]:
     weight = 1.0 / (length * rest**2)
     covariance = np.linalg.inv(weight * sums.gram + np.eye(len(sums.right)) / alpha**2)
-    return weight * (covariance @ sums.right), covariance
+    return weight * (covariance @ sums.right), np.asarray(covariance, dtype=np.float64)
 
 
 def _evidence(sums: _Sums, alpha: float, rest: float, length: float) -> float:
