@@ -137,6 +137,8 @@ def _distance(part: AxisDiagnosis, rivals: Sequence[Scored], command: Array) -> 
         problem.hold,
         problem.sigma,
         problem.slowest,
+        problem.own_error,
+        problem.own_correlation,
     )
     linearised = Linearised(fresh, Scatter(part.linearised.scatter.model, part.linearised.scatter.coefficients))
     predictions = []
@@ -150,5 +152,5 @@ def _distance(part: AxisDiagnosis, rivals: Sequence[Scored], command: Array) -> 
     for i, one in enumerate(predictions):
         for other in predictions[i + 1 :]:
             apart = one - other
-            distances.append(np.sqrt(max(float(apart @ linearised.unexplained(apart)), 0.0)))
+            distances.append(np.sqrt(max(fresh.weight * float(apart @ linearised.unexplained(apart)), 0.0)))
     return float(min(distances, default=0.0))
