@@ -134,7 +134,7 @@ def error_on(records: Sequence[Record], model: Model) -> Array:
                     f"{record.source}: has {measurement.shape[1]} axes, the model {len(model.axes)}: give records of it"
                 )
             found.append(measurement - simulate(model, command, stretch.sample_time, record.hold))
-    return np.sqrt(np.mean(np.concatenate(found) ** 2, axis=0))
+    return np.asarray(np.sqrt(np.mean(np.concatenate(found) ** 2, axis=0)), dtype=np.float64)
 
 
 def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) -> Baseline:
