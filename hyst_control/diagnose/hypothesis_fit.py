@@ -104,7 +104,8 @@ class Linearised:
         """
         if not self.count:
             return vectors
-        return vectors - self.columns @ cho_solve(self.factor, self.problem.weight * (self.columns.T @ vectors))
+        explained = self.columns @ cho_solve(self.factor, self.problem.weight * (self.columns.T @ vectors))
+        return np.asarray(vectors - explained, dtype=np.float64)
 
     def companions(self, z: Array) -> Array:
         """The companions' values of z (K,), the coefficients at the nominal ones."""
