@@ -147,11 +147,11 @@ def _lowpass(y: Array, step: float, tau: float, order: int) -> Array:
     return np.asarray(y, dtype=np.float64)
 
 
-def _creep(y: Array, step: float, share: float, times: Sequence[float]) -> Array:
+def _creep(y: Array, step: float, share: float, times: Array) -> Array:
     slow = np.zeros_like(y)
     for tau in times:
         slow += _lowpass(y - y[0], step, tau, 1) / len(times)
-    return y + share * slow
+    return np.asarray(y + share * slow, dtype=np.float64)
 
 
 def _play(y: Array, half: Array) -> Array:
@@ -412,7 +412,7 @@ def make(out: str, seed: int, count: int, plants: Sequence[str] | None = None, n
         if name not in PLANTS:
             raise InputError(f"--plants: must be among {', '.join(PLANTS)} with --measured, got {name}")
     folder, labels = Path(out), Path(out) / "labels.json"
-    given = {"seed": seed, "count": count, "plants": list(plants or PLANTS)}
+    given: dict[str, Any] = {"seed": seed, "count": count, "plants": list(plants or PLANTS)}
     if labels.exists():
         known = json.loads(labels.read_text(encoding="utf-8"))
         if {name: known.get(name) for name in given} != given:
