@@ -132,7 +132,7 @@ def _along(rows: Array) -> Array:
 
 
 def _span(y: Array) -> Array:
-    return np.ptp(y, axis=0)
+    return np.asarray(np.ptp(y, axis=0), dtype=np.float64)
 
 
 def _later(rows: Array, step: float, tau: float) -> Array:
