@@ -71,8 +71,10 @@ class Model:
         {"parameters": names as in `chain.coordinates`, "factor": a row (K,) for each}: value = nominal + factor @ z, z ~ N(0, I), in the
         units of the parameters; it takes the place of `tolerance`, where there is one.
     discrepancy
-        What the model leaves on the records it was identified from: {"version": 1, "rms": by axis, measurement unit, each record's own
-        zero and drift taken off, "zero": largest difference of the records' zeros, drifts and curvatures by axis, None of one record}.
+        What the model leaves on the records it was identified from: {"version": 1, "rms": by axis, on the worst record, measurement
+        unit, each record's own zero and drift taken off, "correlation": time of that error per independent sample, s, "zero": zero, drift
+        and curvature up to which a session is usual, by axis, absent for one record, "learned": by axis, the error as a function of the
+        command (`identify.learned_discrepancy`), absent where the command does not predict it}.
     """
 
     name: str
@@ -457,6 +459,9 @@ def _discrepancy(discrepancy: Any, axes: int) -> dict[str, Any]:
             continue
         if not _numeric(value) or np.shape(value) != shape or np.any(np.array(value, dtype=float) < 0):
             raise InputError(f"discrepancy.{key}: must be numbers >= 0 of shape {shape}, got {value!r}")
+    correlation = discrepancy.get("correlation", 1.0)
+    if not _numeric(correlation) or np.ndim(correlation) or not correlation > 0:
+        raise InputError(f"discrepancy.correlation: must be a time > 0 s, got {correlation!r}")
     return dict(discrepancy)
 
 

@@ -28,8 +28,10 @@ from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.files import write_json, write_text
 from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.learned_discrepancy import discrepancy_of
 from hyst_control.identify.linear import Candidate, error_of, refined
 from hyst_control.identify.modal_fit import subspace
+from hyst_control.identify.workflow import discrepancy
 from hyst_control.model_file import Model, model_to_document, simulate
 from hyst_control.parallel import forked
 from hyst_control.records.record import Record, Signal
@@ -48,6 +50,8 @@ LEAST_SHARE = 1.0
 """Energy of a deleted mode, relative to the residual of the whole model, above which its loss is diagnosed."""
 FEW_OPERATORS = 3
 """Operators of the stack's crippled model: the smallest number that can be identified."""
+CLEAN_ROWS, STRETCH = 7200, 1800
+"""Rows of the second file, and of a record of it, on which the stack's whole model states its error."""
 TITLE = "Measured, an effect withheld"
 
 
@@ -261,7 +265,7 @@ def mirror_cases(modes: Sequence[int], note: Callable[[str], None] = print) -> I
     for level, found in whole.items():
         data = measured[level]
         bare = mirror.model_of(found.model, f"fsm_{level}mV", float(np.abs(data.command).max()))
-        model = replace(bare, noise={"sigma": [float(value) for value in errors(bare, data, mirror.SELECT[0])]})
+        model = replace(bare, discrepancy=own_error(bare, data, mirror.SELECT[0]))
         record, warm_up = record_of(data, mirror.TEST[0]), mirror.PERIOD * mirror.SAMPLE_TIME
         floor = float(np.sqrt(np.mean(errors(model, data, mirror.TEST[0]) ** 2)))
         yield Withheld(f"mirror, {level} mV", "nothing", (), model, record, warm_up, floor)
@@ -314,9 +318,50 @@ def errors(model: Model, level: mirror.Level, realization: int) -> Array:
     Array
         Errors (3,) in the measurement unit.
     """
-    simulated = mirror.steady_state(model, level.command[:, :, [realization]].mean(axis=3))[:, :, 0]
-    error: Array = np.sqrt(np.mean((level.measurement[:, :, realization] - simulated[..., None]) ** 2, axis=(0, 2)))
+    error: Array = np.sqrt(np.mean(np.concatenate(residuals(model, level, realization)) ** 2, axis=0))
     return error
+
+
+def residuals(model: Model, level: mirror.Level, realization: int) -> list[Array]:
+    """Compute measured minus simulated of a realization, in the steady state.
+
+    Parameters
+    ----------
+    model
+        The model.
+    level
+        Measurements at one level.
+    realization
+        Index of the realization.
+
+    Returns
+    -------
+    list of Array
+        (8192, 3) in the measurement unit, by period.
+    """
+    simulated = mirror.steady_state(model, level.command[:, :, [realization]].mean(axis=3))[:, :, 0]
+    return list((level.measurement[:, :, realization] - simulated[..., None]).transpose(2, 0, 1))
+
+
+def own_error(model: Model, level: mirror.Level, realization: int) -> dict[str, Any]:
+    """Describe the error of a model on a realization that it was not fitted on, as `hyst identify` does.
+
+    Parameters
+    ----------
+    model
+        The model.
+    level
+        Measurements at one level.
+    realization
+        Index of the realization.
+
+    Returns
+    -------
+    dict
+        See `Model.discrepancy`.
+    """
+    commands = list(level.command[:, :, realization].transpose(2, 0, 1))
+    return discrepancy_of(commands, residuals(model, level, realization), mirror.SAMPLE_TIME)
 
 
 def record_of(level: mirror.Level, realization: int) -> Record:
@@ -478,9 +523,13 @@ def stack_cases() -> Iterator[Withheld]:
     cycle = stack.cycles(full)[0]
     rows = stack.SCORED["rows 7950-14150"]
     whole = identify([cycle], "pi", operators=stack.OPERATORS, nuisance="offset").model
+    # Clean records that nothing was fitted to and nothing is diagnosed on: full cycles, and stretches of growing and shrinking loops.
+    stretches = [nested.rows(begin, begin + STRETCH) for begin in range(0, CLEAN_ROWS - STRETCH + 1, STRETCH)]
+    own = discrepancy(whole, [*stack.cycles(full)[1:3], *stretches])
     few = identify([cycle], "pi", operators=FEW_OPERATORS, nuisance="offset").model
     part = nested.rows(0, rows.stop)
     for element, model in (
+        ("nothing", whole),
         ("hysteresis", without_memory(few, cycle)),
         (f"all but {FEW_OPERATORS} of {stack.OPERATORS} operators", few),
     ):
@@ -495,8 +544,10 @@ def stack_cases() -> Iterator[Withheld]:
             nested.name,
         )
         left = part.measurement[rows, 0] - simulate(whole, part.command)[rows, 0]
-        right = ("hysteresis_width", "hysteresis_shape", "backlash", "hysteresis_rate")
-        yield Withheld("stack", element, right, model, record, rows.start * stack.SAMPLE_TIME, float(np.std(left)))
+        right = () if model is whole else ("hysteresis_width", "hysteresis_shape", "backlash", "hysteresis_rate")
+        yield Withheld(
+            "stack", element, right, replace(model, discrepancy=own), record, rows.start * stack.SAMPLE_TIME, float(np.std(left))
+        )
 
 
 def without_memory(model: Model, cycle: Dataset) -> Model:

@@ -6,6 +6,7 @@ called again with the same folder.
 example:
   hyst blind-test --seed 100000 --count 800 --output blind --page docs/blind-test.md
   hyst blind-test --measured --page docs/blind-test-measured.md     models of measured plants with one element removed
+  hyst blind-test --injected --seed 7 --count 60 --output injected  known effects put into measured records
 """
 
 from __future__ import annotations
@@ -28,6 +29,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--seed", type=int, help="seed of the cases")
     what.add_argument(
         "--measured", action="store_true", help="diagnose measured records with models from which one element was removed"
+    )
+    parser.add_argument(
+        "--injected", action="store_true", help="with --seed: put known effects into measured records of the stack and the mirror"
+    )
+    parser.add_argument(
+        "--plants", nargs="+", metavar="PLANT", help="with --injected: measured plants, stack and mirror (default: both)"
     )
     parser.add_argument(
         "--modes",
@@ -57,6 +64,10 @@ def run(arguments: argparse.Namespace) -> Table:
         from hyst_control.blind_test import measured
 
         return measured.run(arguments.output, arguments.page, modes=arguments.modes)
+    if arguments.injected:
+        from hyst_control.blind_test import injected
+
+        return injected.run(arguments.output, arguments.seed, arguments.count, arguments.plants, arguments.page)
     from hyst_control.blind_test.run import run_all
 
     return run_all(arguments.output, arguments.seed, arguments.count, arguments.left_out, arguments.page, so_far=arguments.so_far)

@@ -3,6 +3,7 @@
 examples:
   hyst cases make --seed 7 --count 20 --output cases
   hyst cases make --seed 7 --count 12 --output mirror --plants fsm --kinds single pair --excitations rich --switched 0.5
+  hyst cases make --measured --seed 7 --count 20 --output injected --plants stack
   hyst cases figures --output docs                  # effects.md, with a figure for every effect
 """
 
@@ -31,6 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         metavar="FOLDER",
         help="folder to write: cases/ and labels.json (make), effects.md and figures/effects/ (figures)",
+    )
+    parser.add_argument(
+        "--measured", action="store_true", help="put known effects into measured records of the stack and the mirror (make)"
     )
     parser.add_argument(
         "--plants",
@@ -67,20 +71,24 @@ def run(arguments: argparse.Namespace) -> Artifacts:
         from hyst_control.blind_test.effect_figures import write
 
         return Artifacts("cases figures", write(Path(arguments.output)))
+    from hyst_control.blind_test import injected
     from hyst_control.blind_test.run import make_cases
     from hyst_control.errors import InputError
 
     if arguments.seed is None:
         raise InputError("--seed: is missing: give it, as in hyst cases make --seed 7 --output cases")
-    labels = make_cases(
-        arguments.output,
-        arguments.seed,
-        arguments.count,
-        arguments.plants,
-        arguments.kinds,
-        arguments.excitations,
-        arguments.switched,
-    )
+    if arguments.measured:
+        labels = injected.make(arguments.output, arguments.seed, arguments.count, arguments.plants)
+    else:
+        labels = make_cases(
+            arguments.output,
+            arguments.seed,
+            arguments.count,
+            arguments.plants,
+            arguments.kinds,
+            arguments.excitations,
+            arguments.switched,
+        )
     made = Artifacts("cases make", [labels.parent / "cases", labels])
     made.add("", "cases", "", arguments.count)
     return made

@@ -9,14 +9,15 @@ E_out are the sensor's effects, which act on the plant's whole output; M is the 
 drive. The error of the model's coefficients cancels in the difference. Without a model, the clean record alone is the prediction, and
 only effects behind the mechanics can be found.
 
-If no clean record has the same command, only the size of the model's error is known: the rms of its residual on the clean records, or
-the discrepancy that the model file states.
+If no clean record has the same command, the model's error is predicted from the features of the command that the clean records, or the
+discrepancy in the model file, taught; where these predict nothing, its size and its correlation are known.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.signal import correlate
@@ -25,12 +26,17 @@ from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.configuration import BaselineSettings
-from hyst_control.diagnose.problem import Piece, Problem
-from hyst_control.diagnose.session import CarriedError, SessionZero
-from hyst_control.model_file import Model
+from hyst_control.diagnose.problem import Piece, Problem, check_units
+from hyst_control.diagnose.session import CarriedError, ErrorBasis, LearnedError, SessionZero
+from hyst_control.errors import InputError
+from hyst_control.identify.learned_discrepancy import LearnedDiscrepancy, discrepancy_of
+from hyst_control.model_file import Model, simulate
+from hyst_control.records.correlation import correlation_length
 from hyst_control.records.record import Record
-from hyst_control.records.session_zero import SHAPES, without_zero
+from hyst_control.records.session_zero import SHAPES, usual_zero, without_zero
 
+LEAST_DIRECTION = 0.1
+"""Least rms of a direction of the learned error, in the rms of what it leaves, that is free in a diagnosis."""
 LOW_SHARE = 0.02
 """Share of a command's power that lies below what counts as its lowest frequency."""
 
@@ -59,7 +65,8 @@ class Baseline:
         Rms difference between clean records of the same command, or between periods of one, measurement unit; rms of the model's
         error if no clean record has that command; 0 if there is only one clean record and its command has no period.
     usual_zero : ndarray, shape (A, 3)
-        Largest zero, drift and curvature between clean records, measurement unit; NaN if there is only one.
+        Zero, drift and curvature up to which a session is usual, measurement unit: what the clean records predict for the next one,
+        and a share of the range at most, which is all that is known beside a single one.
     floor : ndarray, shape (A,)
         Rms that an effect must remove from the residual to be named at all, measurement unit.
     clean : Problem or None
@@ -97,6 +104,39 @@ def no_model(record: Record) -> Model:
     return Model("no model", measurement.axes, units, sample_time, Chain((Gain(0.0),)), record.hold)
 
 
+def error_on(records: Sequence[Record], model: Model) -> Array:
+    """Measure what a model leaves on clean records, their zeros and drifts included.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Clean records with command and measurement.
+    model : Model
+        Nominal model.
+
+    Returns
+    -------
+    ndarray, shape (A,)
+        Rms, measurement unit.
+
+    Raises
+    ------
+    InputError
+        If a record lacks a signal, or belongs to another plant.
+    """
+    found = []
+    for record in records:
+        check_units(model, record.signal("measurement").unit, record.source)
+        for stretch in record.aligned(("command", "measurement"), allow_gaps=True):
+            command, measurement = stretch.values["command"], stretch.values["measurement"]
+            if command.shape[1] != len(model.axes) or measurement.shape[1] != len(model.axes):
+                raise InputError(
+                    f"{record.source}: has {measurement.shape[1]} axes, the model {len(model.axes)}: give records of it"
+                )
+            found.append(measurement - simulate(model, command, stretch.sample_time, record.hold))
+    return np.asarray(np.sqrt(np.mean(np.concatenate(found) ** 2, axis=0)), dtype=np.float64)
+
+
 def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) -> Baseline:
     """Make the baseline of a problem from clean records.
 
@@ -117,10 +157,9 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     if all(matches):
         return _carried(problem, clean, matches, spans, settings)
-    left = [without_zero(piece.measurement - _simulated(clean, index, piece)) for index, piece in enumerate(clean.pieces)]
-    error = np.sqrt(np.mean(np.concatenate([rows for rows, _ in left]) ** 2, axis=0))
-    zeros = np.abs([shares for _, shares in left]).max(axis=0) if len(left) > 1 else np.full((len(spans), len(SHAPES)), np.nan)
-    return _beside_own_error(problem, error, zeros, clean, settings)
+    errors = [piece.measurement - _simulated(clean, index, piece) for index, piece in enumerate(clean.pieces)]
+    stated = discrepancy_of([piece.command for piece in clean.pieces], errors, clean.sample_time)
+    return _beside_own_error(problem, stated, clean, settings)
 
 
 def with_discrepancy(problem: Problem, settings: BaselineSettings) -> Baseline:
@@ -137,22 +176,47 @@ def with_discrepancy(problem: Problem, settings: BaselineSettings) -> Baseline:
     -------
     Baseline
     """
-    stated = problem.model.discrepancy
+    return _beside_own_error(problem, problem.model.discrepancy, None, settings)
+
+
+def _beside_own_error(problem: Problem, stated: Mapping[str, Any], clean: Problem | None, settings: BaselineSettings) -> Baseline:
+    """Make the baseline of a model whose own error is known from other commands, in the form that a model file has it."""
     error = np.asarray(stated["rms"], dtype=float)
     zeros = stated.get("zero")
     usual = np.full((len(error), len(SHAPES)), np.nan) if zeros is None else np.asarray(zeros, dtype=float)
-    return _beside_own_error(problem, error, usual, None, settings)
-
-
-def _beside_own_error(problem: Problem, error: Array, usual: Array, clean: Problem | None, settings: BaselineSettings) -> Baseline:
-    """Make the baseline of a model whose own error is known by its size (A,) alone; `usual` is the zero between clean records."""
+    # Without a stated correlation that of a sine at the slowest excited frequency is assumed.
+    seconds = float(stated.get("correlation", 1.0 / (np.pi * _slowest(problem))))
+    learned = [LearnedDiscrepancy.from_document(one) for one in stated.get("learned", ()) if one is not None]
+    predicted: tuple[LearnedError, ...] = ()
+    rest = settings.unseen * error
+    if len(learned) == len(error) == 1:  # axes that the model mixes have no features of their own
+        predicted = (_predicted(problem, learned[0]),)
+        rest, seconds = settings.unseen * np.array([learned[0].rest]), learned[0].correlation
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     noise = np.broadcast_to(np.atleast_1d(np.asarray(problem.model.noise.get("sigma", 0.0), dtype=float)), error.shape)
-    stages = (*problem.model.chain.stages, _zero(problem, spans, settings))
-    model = replace(problem.model.with_stages(stages), noise={"sigma": np.maximum(noise, error).tolist()})
+    model = problem.model.with_stages((*problem.model.chain.stages, *predicted, _zero(problem, spans, settings)))
     excess = np.sqrt(np.maximum(error**2 - noise**2, 0.0))
-    beside = replace(problem, model=model, slowest=_slowest(problem))
+    usual = np.fmin(usual, settings.usual_share * spans[:, None])
+    length = max(seconds / problem.sample_time, 1.0)
+    beside = replace(problem, model=model, slowest=_slowest(problem), own_error=rest, own_correlation=length)
     return Baseline(beside, False, error, usual, settings.other_command * excess, clean)
+
+
+def _predicted(problem: Problem, learned: LearnedDiscrepancy) -> LearnedError:
+    """Predict a learned error on the records of a problem of one axis, in the fewest directions that matter.
+
+    The mean is one direction more, free between absent and twice itself: on other commands it is a guess, and the nominal model stays
+    the model as given.
+    """
+    rows = [
+        without_zero(learned.features.rows(np.ascontiguousarray(piece.command[:, 0]), problem.sample_time))[0]
+        for piece in problem.pieces
+    ]
+    factor = np.column_stack([learned.mean, learned.factor])
+    spread = np.concatenate(rows) @ factor
+    _, sizes, directions = np.linalg.svd(spread, full_matrices=False)
+    kept = directions[sizes > LEAST_DIRECTION * learned.rest * np.sqrt(len(spread))].T
+    return LearnedError(np.zeros(kept.shape[1]), ErrorBasis(tuple(design @ factor @ kept for design in rows)))
 
 
 def _carried(
@@ -174,18 +238,23 @@ def _carried(
             rows = np.clip(np.arange(len(piece.command)) + match.shift, 0, len(match.clean.command) - 1)
             errors.append(match.clean.measurement[rows] - simulated)
         series.append(np.mean(errors, axis=0))
-        for error in errors[1:]:
-            left, shares = without_zero((error - errors[0])[begin:end])
-            differences.append(left)
-            zeros.append(np.abs(shares))
+        differences += [without_zero((error - errors[0])[begin:end])[0] for error in errors[1:]]
+        zeros.append(usual_zero(np.array([without_zero((error - series[-1])[begin:end])[1] for error in errors])))
         if len(errors) == 1:
             differences += _between_periods(piece.command[begin:end], errors[0][begin:end], settings)
     durations = np.array([len(piece.command) for piece in pieces]) * problem.sample_time
     repeatability = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if differences else np.zeros(len(spans))
-    usual = np.max(zeros, axis=0) if zeros else np.full((len(spans), len(SHAPES)), np.nan)
+    usual = np.fmin(np.max(zeros, axis=0), settings.usual_share * spans[:, None])
     stages = (*problem.model.chain.stages, CarriedError(tuple(series)), SessionZero.absent(settings.zero_share * spans, durations))
     model = replace(problem.model.with_stages(stages), tolerance={}, uncertainty={}, noise={"sigma": repeatability.tolist()})
-    beside = replace(problem, model=model, pieces=tuple(pieces), slowest=_slowest(problem))
+    beside = replace(
+        problem,
+        model=model,
+        pieces=tuple(pieces),
+        slowest=_slowest(problem),
+        own_error=repeatability if differences else None,
+        own_correlation=max((correlation_length(rows) for rows in differences), default=1.0),
+    )
     return Baseline(beside, True, repeatability, usual, settings.same_floor * repeatability, clean)
 
 

@@ -43,6 +43,9 @@ class Thresholds:
         "effects", "most that may act together on an axis; beyond, an effect outside the catalogue is likelier"
     )
     added_share: float = _setting("1", "share of all that a combination takes off which each of its effects must add")
+    added_share_with_own_error: float = _setting(
+        "1", "the same where the fits know of the model's own error: finer parts cannot be told from it"
+    )
     least_excess: float = _setting("share of the noise's energy", "energy beyond the noise's under which nothing is called unknown")
     own_error_share: float = _setting("1", "share of the error that a model states of itself which an effect must take off")
     own_error_energy: float = _setting("noise energies", "stated energy from which a model is taken to state an error of its own")
@@ -68,7 +71,6 @@ class Thresholds:
         "share of the power", "1/f noise at the top of the spectrum from which it hides the white noise"
     )
     companion_deviations: float = _setting("standard deviations", "size from which a session's zero or drift is named")
-    unusual: float = _setting("1", "factor by which it must exceed what clean records show")
     flicker_white: float = _setting("1", "divisor of the white noise beside 1/f noise: what levels off at the top looks white")
 
 
@@ -259,6 +261,10 @@ class BaselineSettings:
     same_command: float = _setting("share of the range, rms", "difference up to which two commands are the same")
     overlap: float = _setting("share of the new record", "least part of it in which they are")
     zero_share: float = _setting("share of the range", "standard deviation of the zero, drift and curvature of a session")
+    unseen: float = _setting("own errors", "size of the model's error on a command on which it was not measured")
+    usual_share: float = _setting(
+        "share of the range", "zero, drift and curvature that are usual where few clean records are at hand"
+    )
     same_floor: float = _setting("rms between clean records", "least that an effect must take off")
     other_command: float = _setting("own errors", "size of an effect that is named where no clean record has the same command")
     blocks: int = _setting("blocks", "blocks of a record that a remainder is predicted on, each from the others")

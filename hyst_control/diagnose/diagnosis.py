@@ -26,7 +26,7 @@ from hyst_control.diagnose.hypothesis import catalogue
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.hypothesis_search import Found, Scored, search
 from hyst_control.diagnose.null_distribution import threshold
-from hyst_control.diagnose.parameter_uncertainty import scatter_of
+from hyst_control.diagnose.parameter_uncertainty import scatter_of, within_own_error
 from hyst_control.diagnose.policy import Decision, contenders, decide, detected, practical_floor
 from hyst_control.diagnose.problem import Piece, Problem, check_units, split
 from hyst_control.diagnose.record_checks import effect_found_by, lattice_of, lines, record_evidence
@@ -328,11 +328,12 @@ def _axis(
         problem = _with_noise(baseline.problem, _residuals(baseline.problem), configuration)
         without = [*without, *(name for name, effect in EFFECTS.items() if effect.companion is not None)]
     stated = stated_noise(problem.model)
+    own = stated if problem.own_error is None else np.maximum(stated, problem.own_error)
     checks = frozenset(check for check in RecordCheck if _is_used(check, without))
     if baseline is not None and baseline.clean is not None:
         checks -= _shown_clean(baseline.clean, checks, configuration)
     progress("coefficients of the model")
-    scatter = scatter_of(problem.model)
+    scatter = within_own_error(scatter_of(problem.model), problem)
     linearised = Linearised(problem, scatter)
     none = fit(linearised)
     record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
@@ -353,10 +354,10 @@ def _axis(
         members = [member for member in members if PLACES.index(member.place) > PLACES.index("mechanics")]
     progress("records without a gap")
     null = threshold(linearised, members, seed, cache=cache, configuration=configuration)
-    floor = _floor(problem, stated, configuration)
+    floor = _floor(problem, own, configuration)
     if baseline is not None:
         floor = max(floor, float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2))))
-    leaves = stated_energy(stated, problem.sigma)
+    leaves = stated_energy(own, problem.sigma)
     found = search(linearised, members, null + thresholds.margin, floor, leaves, progress, configuration)
     collected = collect(found, null, floor, stated, record, checks, configuration)
     evidence = collected.evidence.with_residuals(

@@ -121,7 +121,7 @@ class CompanionEvidence:
     deviation : float
         Standard deviation, measurement unit.
     usual : float
-        Largest value between clean records; NaN where there is but one.
+        Largest size that is usual from session to session; NaN where nothing says what is.
     rms : float
         Error that it brings, measurement unit.
 
@@ -206,6 +206,8 @@ class Evidence:
         By axis.
     checks : frozenset of RecordCheck
         Checks whose effect is in the catalogue.
+    weight : float
+        Weight of a sample in the fits, below 1 where they know of the model's own error.
 
     """
 
@@ -221,6 +223,7 @@ class Evidence:
     noise_bins: float
     record: tuple[RecordEvidence, ...] = ()
     checks: frozenset[RecordCheck] = frozenset()
+    weight: float = 1.0
 
     def with_residuals(self, residuals: Mapping[int, ResidualEvidence]) -> Evidence:
         """Add what hypotheses leave.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from hyst_control.diagnose.noise_floor import noise_of
 from hyst_control.diagnose.predictability import predictable_share
 from hyst_control.diagnose.problem import Problem
 from hyst_control.diagnose.record_checks import outliers
+from hyst_control.diagnose.session import SessionZero
 from hyst_control.diagnose.unexplained_residual import leftover
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import RecordCheck
@@ -92,13 +93,14 @@ def collect(
         found.linearised.count,
         null,
         floor,
-        stated_energy(stated, problem.sigma),
+        stated_energy(stated if problem.own_error is None else np.maximum(stated, problem.own_error), problem.sigma),
         tuple(float(value) for value in problem.sigma),
         tuple(float(value) for value in stated),
         rows,
         0.5 * (upper - lower) * rows,
         tuple(record),
         checks,
+        problem.weight,
     )
     return Collected(evidence, hypotheses)
 
@@ -160,7 +162,7 @@ def companions(linearised: Linearised, scored: Scored, usual: Array, temper: flo
     scored : Scored
         Fit of the hypothesis.
     usual : ndarray, shape (A, 3)
-        Largest zero, drift and curvature between clean records, measurement unit; NaN where there is but one.
+        Zero, drift and curvature up to which a session is usual, measurement unit; NaN where nothing says what is.
     temper : float
         Weight of a sample.
 
@@ -174,7 +176,7 @@ def companions(linearised: Linearised, scored: Scored, usual: Array, temper: flo
     effects = {effect.companion.degree: effect for effect in EFFECTS.values() if effect.companion is not None}
     found = []
     for coefficient, z, variance in zip(linearised.scatter.coefficients, scored.solution.z, variances, strict=False):
-        if not coefficient.companion or coefficient.index[-1] not in effects:
+        if coefficient.field != SessionZero.FIELD or coefficient.index[-1] not in effects:
             continue
         _, axis, degree = coefficient.index
         companion = effects[degree].companion
@@ -280,4 +282,5 @@ def _flicker(problem: Problem, scored: Scored, configuration: Configuration) -> 
     if len(problem.model.axes) > 1 or any(piece.keep is not None for piece in problem.pieces):
         return None
     command = np.concatenate([piece.command[:, 0] for piece in problem.pieces])
-    return flicker(scored.solution.residual, command, configuration.flicker)
+    seen = flicker(scored.solution.residual, command, configuration.flicker)
+    return None if seen is None else replace(seen, gain=problem.weight * seen.gain)

@@ -3,10 +3,11 @@
 The penalised misfit, all in units of the noise, for coefficients z with prior N(0, 1) and effect parameters x (scaled so that
 their broad prior is N(x0, 1)):
 
-    Φ(z, x) = ½ ‖y - ŷ(z, x)‖² + ½ ‖z‖² + ½ ‖x - x0‖²
+    Φ(z, x) = ½ w ‖y - ŷ(z, x)‖² + ½ ‖z‖² + ½ ‖x - x0‖²
 
-is minimized by Gauss-Newton steps whose z-columns J = ∂ŷ/∂z are those of the nominal model: a scatter of a per cent changes them by
-a per cent, so a step leaves a per cent of the error, and only the effect's few columns are renewed. `refined` renews them all.
+(w: the problem's weight of a sample, 1 where noise alone separates model and record) is minimized by Gauss-Newton steps whose z-columns
+J = ∂ŷ/∂z are those of the nominal model: a scatter of a per cent changes them by a per cent, so a step leaves a per cent of the error, and
+only the effect's few columns are renewed. `refined` renews them all.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ class Linearised:
         self.columns = np.empty((len(self.nominal), self.count))
         for k in range(self.count):
             self.columns[:, k] = self._column(centre, k, unknowns, x)
-        self.gram = self.columns.T @ self.columns
+        self.gram = problem.weight * (self.columns.T @ self.columns)
         self.factor = cho_factor(self.gram + np.eye(self.count)) if self.count else None
 
     def _column(self, centre: Array, k: int, unknowns: Unknowns | None, x: Array | None) -> Array:
@@ -108,7 +109,10 @@ class Linearised:
         ndarray
             The rest, of the same shape.
         """
-        return vectors - self.columns @ cho_solve(self.factor, self.columns.T @ vectors) if self.count else vectors
+        if not self.count:
+            return vectors
+        explained = self.columns @ cho_solve(self.factor, self.problem.weight * (self.columns.T @ vectors))
+        return np.asarray(vectors - explained, dtype=np.float64)
 
     def companions(self, z: Array) -> Array:
         """The companions' values of z (K,), the coefficients at the nominal ones."""
@@ -192,10 +196,10 @@ def fit(
     z = np.zeros(linearised.count) if z is None else z
     count, size = linearised.count, len(x)
     fitted = unknowns if size else None
-    columns, gram = linearised.columns, linearised.gram
+    columns, gram, sample_weight = linearised.columns, linearised.gram, linearised.problem.weight
     if weight is not None:
         columns = columns * weight[:, None]
-        gram = columns.T @ columns
+        gram = sample_weight * (columns.T @ columns)
 
     def residual_of(z: Array, x: Array) -> Array:
         found = y - linearised.simulate(z, unknowns, x)
@@ -205,7 +209,7 @@ def fit(
         prior = x if fitted is None else x - fitted.centre
         if not is_bounded(residual):
             return np.inf
-        return 0.5 * float(residual @ residual + z @ z + prior @ prior)
+        return 0.5 * float(sample_weight * (residual @ residual) + z @ z + prior @ prior)
 
     residual = residual_of(z, x)
     misfit = misfit_of(residual, z, x)
@@ -218,7 +222,7 @@ def fit(
                 design, away = _effect_columns(linearised, fitted, z, x, y - residual, weight), x - fitted.centre
             except InputError:
                 break  # next to these values the chain cannot be simulated
-        normal, right = _normal(columns, gram, design, residual, z, away)
+        normal, right = _normal(columns, gram, design, residual, z, away, sample_weight)
         step = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
         if fitted is not None:
             step = _within(normal, right, step, x, fitted, count)
@@ -284,14 +288,16 @@ def is_bounded(values: Array) -> bool:
     return bool(np.max(np.abs(values), initial=0.0) < RAN_AWAY)
 
 
-def _normal(columns: Array, gram: Array, design: Array, residual: Array, z: Array, away: Array) -> tuple[Array, Array]:
+def _normal(
+    columns: Array, gram: Array, design: Array, residual: Array, z: Array, away: Array, weight: float
+) -> tuple[Array, Array]:
     count, size = columns.shape[1], design.shape[1]
     normal = np.empty((count + size, count + size))
-    cross = columns.T @ design
+    cross = weight * (columns.T @ design)
     normal[:count, :count], normal[:count, count:], normal[count:, :count] = gram, cross, cross.T
-    normal[count:, count:] = design.T @ design
+    normal[count:, count:] = weight * (design.T @ design)
     normal[np.diag_indices(count + size)] += 1.0
-    return normal, np.concatenate([columns.T @ residual - z, design.T @ residual - away])
+    return normal, np.concatenate([weight * (columns.T @ residual) - z, weight * (design.T @ residual) - away])
 
 
 def _within(normal: Array, right: Array, step: Array, x: Array, unknowns: Unknowns, count: int) -> Array:

@@ -27,6 +27,7 @@ from hyst_control.diagnose.policy import strained as are_strained
 from hyst_control.diagnose.problem import Problem
 from hyst_control.errors import InputError
 from hyst_control.parallel import forked
+from hyst_control.records.correlation import correlation_length
 
 
 @dataclass(frozen=True)
@@ -180,7 +181,8 @@ def search(
             break
         gain, weight = best - grown[0][1].misfit, _temper(linearised.problem, grown[0][1].residual)
         relieved = strained(parents[0][1]) and not strained(grown[0][1])
-        if gain * weight < threshold or (2.0 * gain / size < floor**2 and not relieved):
+        taken_off = 2.0 * gain / (size * linearised.problem.weight)
+        if gain * weight < threshold or (taken_off < floor**2 and not relieved):
             break
         best = grown[0][1].misfit
         combinations += grown[: settings.kept_beams * beam]
@@ -326,25 +328,11 @@ def _temper(problem: Problem, residual: Array) -> float:
     """Weight of a residual's samples: 1 for white noise of the stated size, less for what is larger and correlated.
 
     Beside clean records what is left is no model's error but the machine's own variation from run to run. It is slow, so that
-    its samples count as few as are independent: M over the integral of the autocorrelation (Geyer, Statistical Science 7, 1992).
+    its samples count as few as are independent. The problem's own weight, which the fits have already, is not applied again.
     """
     size = float(np.mean(residual**2))
-    return 1.0 / max(size, 1.0) / (1.0 if problem.slowest is None else _correlation_length(problem, residual))
-
-
-def _correlation_length(problem: Problem, residual: Array) -> float:
-    """Integral of the autocorrelation (samples), over the lags before it first falls to 0; the largest of the axes'."""
-    lengths = []
-    for column in residual.reshape(-1, len(problem.model.axes)).T:
-        centered = column - column.mean()
-        spectrum = np.abs(np.fft.rfft(centered, 2 * len(centered))) ** 2
-        correlation = np.fft.irfft(spectrum)[: len(centered)]
-        if correlation[0] <= 0:
-            continue
-        correlation /= correlation[0]
-        first = int(np.argmax(correlation <= 0)) or len(correlation)
-        lengths.append(1.0 + 2.0 * float(correlation[1:first].sum()))
-    return max([1.0, *lengths])
+    length = 1.0 if problem.slowest is None else correlation_length(residual.reshape(-1, len(problem.model.axes)))
+    return min(1.0 / max(size, 1.0) / length / problem.weight, 1.0)
 
 
 def settled(linearised: Linearised, z: Array | None = None) -> Solution:
@@ -569,21 +557,21 @@ def _after_step(
         design[:, column] = (linearised.simulate(nominal, unknowns, moved) - simulated) / (moved[i] - x[i])
     if not (is_bounded(residual) and is_bounded(design)):
         raise InputError("the chain grows without limit next to these values")
-    known = linearised.unexplained(design)
+    known, weight = linearised.unexplained(design), linearised.problem.weight
     right = known.T @ residual
     there = x.copy()
     if not len(right):
         return _misfit(linearised, residual), there
-    step = np.linalg.solve(design.T @ known + np.eye(len(right)), right)
+    step = np.linalg.solve(design.T @ known + np.eye(len(right)) / weight, right)
     there[chosen] = np.clip(x[chosen] + step, unknowns.lower[chosen], unknowns.upper[chosen])
-    return _misfit(linearised, residual) - 0.5 * float(right @ step), there
+    return _misfit(linearised, residual) - 0.5 * weight * float(right @ step), there
 
 
 def _misfit(linearised: Linearised, residual: Array) -> float:
     """½ of a residual's squared size, coefficients marginalized; infinite where a chain ran away."""
     if not is_bounded(residual):
         return np.inf
-    return 0.5 * float(residual @ linearised.unexplained(residual))
+    return 0.5 * linearised.problem.weight * float(residual @ linearised.unexplained(residual))
 
 
 def _merged(pair: Candidate, candidate: Candidate, x: Array, member: Member, start: Array) -> Array:

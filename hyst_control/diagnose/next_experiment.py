@@ -136,6 +136,8 @@ def _distance(part: AxisDiagnosis, rivals: Sequence[Scored], command: Array) -> 
         problem.hold,
         problem.sigma,
         problem.slowest,
+        problem.own_error,
+        problem.own_correlation,
     )
     linearised = Linearised(fresh, replace(part.linearised.scatter))
     predictions = []
@@ -149,5 +151,5 @@ def _distance(part: AxisDiagnosis, rivals: Sequence[Scored], command: Array) -> 
     for i, one in enumerate(predictions):
         for other in predictions[i + 1 :]:
             apart = one - other
-            distances.append(np.sqrt(max(float(apart @ linearised.unexplained(apart)), 0.0)))
+            distances.append(np.sqrt(max(fresh.weight * float(apart @ linearised.unexplained(apart)), 0.0)))
     return float(min(distances, default=0.0))

@@ -101,7 +101,10 @@ def null_scores(
     """
     designs = tangents(linearised, members, settings.starts)
     known = [linearised.unexplained(design) for design in designs]
-    inverses = [np.linalg.inv(design.T @ left + np.eye(design.shape[1])) for design, left in zip(designs, known, strict=True)]
+    weight = linearised.problem.weight
+    inverses = [
+        np.linalg.inv(design.T @ left + np.eye(design.shape[1]) / weight) for design, left in zip(designs, known, strict=True)
+    ]
     flat = np.concatenate(known, axis=1) if known else np.zeros((len(linearised.measured), 0))
     edges = np.cumsum([0, *(left.shape[1] for left in known)])
 
@@ -109,14 +112,17 @@ def null_scores(
         random = np.random.default_rng([seed, index])
         z = random.standard_normal(linearised.count)
         try:
-            record = linearised.simulate(z) + random.standard_normal(len(linearised.measured))
+            record = linearised.simulate(z) + random.standard_normal(len(linearised.measured)) / np.sqrt(weight)
             solution = fit(linearised, measured=record, rounds=settings.rounds)
         except InputError:
             return None  # these coefficients make no model
         # What the coefficients could still explain is projected out: as good as one more step.
         right = flat.T @ solution.residual
         return max(
-            (0.5 * float(right[a:b] @ inverse @ right[a:b]) for a, b, inverse in zip(edges[:-1], edges[1:], inverses, strict=True)),
+            (
+                0.5 * weight * float(right[a:b] @ inverse @ right[a:b])
+                for a, b, inverse in zip(edges[:-1], edges[1:], inverses, strict=True)
+            ),
             default=0.0,
         )
 
@@ -204,6 +210,7 @@ def cache_key(linearised: Linearised, members: Sequence[Member], seed: int, conf
         "configuration": configuration.digest(),
         "model": model_to_document(problem.model),
         "sample_time": problem.sample_time,
+        "weight": float(f"{problem.weight:.1g}"),  # of the model's own error
         "hold": problem.hold,
         # A noise that is a little different has the same threshold.
         "noise": [float(f"{value:.1g}") for value in problem.sigma],

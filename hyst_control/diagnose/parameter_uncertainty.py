@@ -19,7 +19,14 @@ from hyst_control.chain import Stage
 from hyst_control.chain.bounded_cache import KEPT
 from hyst_control.chain.coordinates import chain_coordinates, with_coordinates
 from hyst_control.chain.parameter import Array, Scattering
+from hyst_control.diagnose.problem import Problem
+from hyst_control.errors import InputError
 from hyst_control.model_file import Model
+
+LARGEST = 0.3
+"""Largest relative deviation (1 sigma) of a coefficient beside the model's own error: a direction that the data cannot tell."""
+DIFFERENCE = 1e-4
+"""Relative change of a coefficient from which its slope is read."""
 
 
 @dataclass(frozen=True)
@@ -144,6 +151,43 @@ def _columns(joint: Joint) -> tuple[Coefficient, ...]:
     own, columns = linear_sum_assignment(share, maximize=True)
     numbers[columns] = own
     return tuple(Coefficient((), "", (), None, 1.0, joint.names[number].partition(".")[2]) for number in numbers)
+
+
+def within_own_error(scatter: Scatter, problem: Problem) -> Scatter:
+    """Limit every tolerance to a physical size: what moves the output by as much as the model's own error, and `LARGEST` at most.
+
+    A fit of correlated coefficients leaves each by itself hardly determined, and its tolerance may be many times its value. Drawn
+    independently, such coefficients make models that no clean record allows: on clean records the model is wrong by its own error.
+
+    Parameters
+    ----------
+    scatter : Scatter
+        Uncertain coefficients.
+    problem : Problem
+        Records, and the model's own error; without it, or where the coefficients scatter together, as a fit has found it, the
+        scatter is returned unchanged.
+
+    Returns
+    -------
+    Scatter
+        The same coefficients, with smaller tolerances where they were too large.
+    """
+    if problem.own_error is None or scatter.joint is not None:
+        return scatter
+    size = float(np.sqrt(np.mean((problem.own_error / problem.sigma) ** 2)))
+    nominal = problem.simulate(scatter.model.chain.stages)
+    limited = []
+    for coefficient in scatter.coefficients:
+        if not coefficient.companion:
+            alone = Scatter(scatter.model, (replace(coefficient, tolerance=DIFFERENCE),))
+            try:
+                slope = float(np.sqrt(np.mean((problem.simulate(alone.at(np.ones(1))) - nominal) ** 2))) / DIFFERENCE
+            except InputError:
+                slope = 0.0  # at the edge of what makes a model
+            largest = min(LARGEST, size / slope) if np.isfinite(slope) and slope > 0 else LARGEST
+            coefficient = replace(coefficient, tolerance=min(coefficient.tolerance, largest))
+        limited.append(coefficient)
+    return Scatter(scatter.model, tuple(limited))
 
 
 def _named(stage: Stage, tolerance: Mapping[str, float]) -> dict[str, float]:

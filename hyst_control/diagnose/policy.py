@@ -193,10 +193,9 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
     findings, outliers = _findings(evidence, chosen, noise, thresholds)
     left = 0.0 if outweighed else _remainder(evidence, chosen, thresholds)
     remainder = max([left, *(_share_of_outliers(evidence, one) for one in outliers)])
-    names = evidence.hypotheses[chosen].names
     companions = tuple(one for one in _residual(evidence, chosen).companions if _unusual(one, evidence, thresholds))
 
-    left_too_much, too_many = left > thresholds.unknown_share, len(names) > thresholds.most_effects
+    left_too_much, too_many = left > thresholds.unknown_share, _too_many(evidence, chosen, thresholds)
     listed = (chosen,) if left_too_much or too_many else _listed(evidence, claims, probability, thresholds)
     effects = any(evidence.hypotheses[index].names for index in listed)
     reasons: set[Reason] = set()
@@ -364,14 +363,18 @@ def _beats_null(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresho
 
 def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
     """It takes off more than the practical size, or relieves coefficients that had to leave their tolerance for it."""
-    # A model that states an error of its own leaves all kinds of it: an effect has to take off what goes beyond.
-    least = max(evidence.floor**2, thresholds.own_error_share * (evidence.stated - 1.0))
-    if evidence.hypotheses[0].energy - one.energy > least:
+    # A model that states an error of its own leaves all kinds of it: an effect has to take off what goes beyond, unless the weight of
+    # the samples has that error in it already.
+    unweighted = evidence.weight == 1.0
+    least = max(evidence.floor**2, thresholds.own_error_share * (evidence.stated - 1.0) if unweighted else 0.0)
+    before = evidence.hypotheses[0].energy
+    # What leaves no more than the model leaves on clean records is no gap.
+    if before - one.energy > least and (unweighted or before > evidence.stated):
         return True
-    if evidence.stated >= thresholds.own_error_energy:
+    if unweighted and evidence.stated >= thresholds.own_error_energy:
         return False
     relief = evidence.temper * (evidence.hypotheses[0].strain - one.strain)
-    return one.coefficients_alone or relief > evidence.null + thresholds.margin
+    return (unweighted and one.coefficients_alone) or relief > evidence.null + thresholds.margin
 
 
 def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
@@ -409,7 +412,8 @@ def _idle(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thr
     relieved = strained(best.strain, evidence.coefficients, thresholds) and not strained(
         one.strain, evidence.coefficients, thresholds
     )
-    small = better <= thresholds.added_share * (evidence.hypotheses[0].misfit - one.misfit)
+    share = thresholds.added_share if evidence.weight == 1.0 else thresholds.added_share_with_own_error
+    small = better <= share * (evidence.hypotheses[0].misfit - one.misfit)
     return evidence.temper * better <= evidence.null + thresholds.margin or (small and not relieved)
 
 
@@ -441,9 +445,10 @@ def _listed(
 
 def _unusual(companion: CompanionEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
     """Whether a session differs more than chance, the practical size, and clean records have it."""
-    size = evidence.floor * evidence.noise[companion.axis]
-    usual = 0.0 if np.isnan(companion.usual) else thresholds.unusual * companion.usual
-    return companion.rms > size and abs(companion.value) > max(thresholds.companion_deviations * companion.deviation, usual)
+    if np.isnan(companion.usual):
+        return False  # nothing says what is usual
+    least = max(thresholds.companion_deviations * companion.deviation, companion.usual)
+    return companion.rms > evidence.floor * evidence.noise[companion.axis] and abs(companion.value) > least
 
 
 def _residual(evidence: Evidence, index: int) -> ResidualEvidence:
@@ -460,6 +465,22 @@ def _remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float
         return 0.0
     share = float(np.clip((after - evidence.stated) / max(before - evidence.stated, 1e-12), 0.0, 1.0))
     return share * _residual(evidence, chosen).predictable  # what does not follow the command, no effect would explain
+
+
+def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
+    """Whether so many effects at once are less likely than one outside the catalogue.
+
+    They are not where few of them explain nearly all: the others are then details beside them.
+    """
+    names = set(evidence.hypotheses[chosen].names)
+    if len(evidence.hypotheses[chosen].names) <= thresholds.most_effects:
+        return False
+    before = max(evidence.hypotheses[0].energy - evidence.stated, 1e-12)
+    return not any(
+        one.energy - evidence.stated <= thresholds.unknown_share * before
+        for one in evidence.hypotheses
+        if one.names and len(one.names) <= thresholds.most_effects and set(one.names) < names
+    )
 
 
 def _share_of_outliers(evidence: Evidence, outliers: Outliers) -> float:

@@ -57,6 +57,22 @@ class Problem:
     sigma: Array
     slowest: float | None = None
     """Lowest frequency (Hz) that the command excites; only where clean records keep the model's own error apart."""
+    own_error: Array | None = None
+    """Rms (A,) of what the model leaves on clean records, measurement unit; None where it is not known."""
+    own_correlation: float = 1.0
+    """Samples of that error per independent one."""
+
+    @property
+    def weight(self) -> float:
+        """Weight of a sample in a fit: 1 for white noise, less where the model's own error is larger, and slow.
+
+        The own error of e noise rms with n samples per independent one counts as white noise of the energy n (e² - 1) beside the
+        noise itself, so that a fit is as certain as its independent samples allow.
+        """
+        if self.own_error is None:
+            return 1.0
+        excess = float(np.mean(np.maximum((self.own_error / self.sigma) ** 2 - 1.0, 0.0)))
+        return 1.0 / (1.0 + self.own_correlation * excess)
 
     def simulate(self, stages: Sequence[Stage]) -> Array:
         """Simulated measurement of all rows that count, (M,), in units of the noise. Raises `InputError` like the stages do."""

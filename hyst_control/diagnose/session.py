@@ -1,16 +1,18 @@
-"""Stages with different values for each record: the zero of a session, and a model's error carried over from a clean record.
+"""Stages with different values for each record: the zero of a session, and a model's error, carried over or learned.
 
-    measurement = sensor effects( model with its effects(command) + carried(t) ) + zero(t)
+    measurement = sensor effects( model with its effects(command) + error(t) ) + zero(t)
 
 The sensor's zero and the piezo's remanence differ between sessions, and creep continues during each. The zero is therefore fitted
 together with every hypothesis. The model's error on a clean record of the same command is known sample by sample; the diagnosis
-adds it to the simulation, so that it is not mistaken for a gap.
+adds it to the simulation, so that it is not mistaken for a gap. Where only records of other commands are clean, what they taught
+predicts the error, with weights that are free within their posterior.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from hashlib import sha256
 from typing import Any, ClassVar
 
@@ -29,6 +31,7 @@ class SessionZero(TimedStage):
     P_k is the Legendre polynomial of degree k = 0, 1, 2 (zero, drift, curvature), t the time since the record's start.
     """
 
+    FIELD: ClassVar[str] = "shares"
     name: ClassVar[str] = "session_zero"
     place: ClassVar[str] = "adc"
     shares: AllAxes = all_axes("", "of the scale, by record, axis and Legendre polynomial", 3, scatter=Scattering.COMPANION)
@@ -109,6 +112,58 @@ class CarriedError(Stage):
 
     def filter(self, sampling: Sampling) -> Filter:
         return SeriesAdder(self.series[self.index], sampling)
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorBasis:
+    """Series of a predicted error, in the measurement unit.
+
+    Parameters
+    ----------
+    directions : tuple of ndarray, shape (N, K)
+        By record.
+    """
+
+    directions: tuple[Array, ...]
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of all series."""
+        digest = sha256()
+        for rows in self.directions:
+            digest.update(np.ascontiguousarray(rows).tobytes())
+        return digest.hexdigest()
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedError(Stage):
+    """Predicted error of the model in each record: adds directions[record] weights, weights ~ N(0, I).
+
+    It is data of one diagnosis and is never written to a model file.
+    """
+
+    name: ClassVar[str] = "learned_error"
+    weights: AllAxes = all_axes("", "of the posterior's directions", 1, scatter=Scattering.COMPANION)
+    basis: ErrorBasis | None = None
+    index: int = 0
+    """Index of the record."""
+
+    @property
+    def commutes_with_delay(self) -> bool:
+        return False
+
+    def parameters(self) -> dict[str, Any]:
+        """Return the weights and a digest of the series, by which caches tell them apart."""
+        assert self.basis is not None
+        return {"sha256": self.basis.digest, "weights": np.asarray(self.weights, dtype=float).tolist()}
+
+    def for_record(self, index: int | None) -> Stage:
+        return CarriedError((np.zeros((1, 1)),)) if index is None else replace(self, index=index)
+
+    def filter(self, sampling: Sampling) -> Filter:
+        assert self.basis is not None
+        series = self.basis.directions[self.index] @ np.asarray(self.weights, dtype=float)
+        return SeriesAdder(series[:, None], sampling)
 
 
 class SeriesAdder(Filter):

@@ -57,7 +57,10 @@ class SlewFilter(Filter):
             STEP,
             "for (int i = 0; i < AXES; i++) {\n    s->value[i] = in[i];\n    out[i] = in[i];\n}",
             {"MEAN": int(self.hold == "zoh")},
-            {"most": reals(self.most, "signal unit, largest change in a sample")},
+            {
+                "rising": reals(self.rising, "signal unit, largest rise in a sample"),
+                "falling": reals(self.falling, "signal unit, largest fall in a sample"),
+            },
             {"value": reals(self.state, "signal unit, at the end of the interval")},
         )
 
@@ -65,11 +68,12 @@ class SlewFilter(Filter):
 STEP = """
 for (int i = 0; i < AXES; i++) {
     const real distance = in[i] - s->value[i];
-    if (M(fabs)(distance) <= p->most[i]) {
+    const real most = (distance > R(0.0)) ? p->rising[i] : p->falling[i];
+    if (M(fabs)(distance) <= most) {
         s->value[i] = in[i];
-        out[i] = s->value[i] - ((MEAN != 0) ? (((R(0.5) * distance) * M(fabs)(distance)) / p->most[i]) : R(0.0));
+        out[i] = s->value[i] - ((MEAN != 0) ? (((R(0.5) * distance) * M(fabs)(distance)) / most) : R(0.0));
     } else {
-        const real step = (distance > R(0.0)) ? p->most[i] : -p->most[i];
+        const real step = (distance > R(0.0)) ? most : -most;
         s->value[i] += step;
         out[i] = s->value[i] - ((MEAN != 0) ? (R(0.5) * step) : R(0.0));
     }

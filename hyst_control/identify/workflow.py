@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hyst_control import progress
 from hyst_control.errors import InputError
 from hyst_control.files import check_writable, write_json
@@ -16,14 +14,13 @@ from hyst_control.identify import estimator_of, estimators, identify
 from hyst_control.identify.dataset import Dataset, Fit, Report
 from hyst_control.identify.fit_report import residual
 from hyst_control.identify.initial_memory import with_beginning
+from hyst_control.identify.learned_discrepancy import discrepancy_of
 from hyst_control.identify.model_choice import best_family, choice_lines
 from hyst_control.identify.record_consistency import disagreements
-from hyst_control.model_file import COMMAND_UNITS, DISCREPANCY_VERSION, MEASUREMENT_UNITS, Model, save_model
+from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, Model, save_model
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.record import Record
 from hyst_control.records.record_validity import Trial, refuse_invalid
-from hyst_control.records.row_store import mean_square
-from hyst_control.records.session_zero import without_zero
 
 AUTO = "auto"
 """In place of a family: the best one."""
@@ -127,7 +124,7 @@ def identify_bags(
         check_writable(json_path)
     given = {name: value for name, value in options.items() if value is not None}
     named = family not in (None, AUTO)
-    chosen = chosen_families(family if named else None, method, given)
+    chosen_families(family, method, given)  # refuses what cannot be identified before anything is read
     if figure is not None:
         if named:
             raise InputError(f"figure: shows the choice between families, of which {family} is named: leave the figure out")
@@ -142,14 +139,9 @@ def identify_bags(
     if not force:
         looked_at = [each.rows(0, LONGEST_JUDGED) for each in datasets]
         refuse_invalid([Trial(each.name, each.command, each.measurement, each.sample_time, each.axes) for each in looked_at])
-    if named:
-        fit = identify(datasets, chosen[0], method, **given)
-    else:
-        fit = best_family(chosen, lambda name: identify(datasets, name, method, **given))
-    begun = [with_beginning(data) for data in datasets]
-    notes += [each.text() for each in disagreements(fit.model, begun)]
+    fit = identified(datasets, family, method, **given)
+    notes += [each.text() for each in disagreements(fit.model, [with_beginning(data) for data in datasets])]
     fit = replace(fit, report={**fit.report, "bags": [str(bag) for bag in bags], "notes": [*notes, *fit.report["notes"]]})
-    fit = replace(fit, model=replace(fit.model, discrepancy=discrepancy(fit.model, begun)))
     save_model(fit.model, output)
     if json_path is not None:
         write_json(json_path, fit.report)
@@ -158,6 +150,39 @@ def identify_bags(
 
         write_choice(figure, fit.report["tried"])
     return Result(fit, Path(output))
+
+
+def identified(datasets: Sequence[Dataset], family: str | None = None, method: str = "joint", **options: object) -> Fit:
+    """Identify a model with its own error, the best family unless one is named.
+
+    Parameters
+    ----------
+    datasets
+        Clean records.
+    family
+        Model family; None or "auto": the best on held-out data of those that have the options given.
+    method
+        "joint" or, where the family has it, "paper".
+    **options
+        Options of the family.
+
+    Returns
+    -------
+    Fit
+        Model and report.
+
+    Raises
+    ------
+    InputError
+        A family, a method or an option does not exist, or the records do not determine a model.
+    """
+    chosen = chosen_families(family, method, options)
+    if family not in (None, AUTO):
+        fit = identify(datasets, chosen[0], method, **options)
+    else:
+        fit = best_family(chosen, lambda name: identify(datasets, name, method, **options))
+    begun = [with_beginning(data) for data in datasets]
+    return replace(fit, model=replace(fit.model, discrepancy=discrepancy(fit.model, begun)))
 
 
 def discrepancy(model: Model, datasets: Sequence[Dataset]) -> dict[str, Any]:
@@ -175,13 +200,8 @@ def discrepancy(model: Model, datasets: Sequence[Dataset]) -> dict[str, Any]:
     dict
         As in the model file: see `Model`.
     """
-    left = []
-    for data in datasets:
-        left.append(without_zero(residual(model, data)))
-    zero = np.ptp([zeros for _, zeros in left], axis=0).tolist() if len(left) > 1 else None
-    squares = sum(len(rest) * np.array([mean_square(rest[:, axis]) for axis in range(rest.shape[1])]) for rest, _ in left)
-    rms = np.sqrt(squares / sum(len(rest) for rest, _ in left))
-    return {"version": DISCREPANCY_VERSION, "rms": rms.tolist(), **({"zero": zero} if zero else {})}
+    left = [residual(model, data) for data in datasets]
+    return discrepancy_of([data.command for data in datasets], left, datasets[0].sample_time)
 
 
 def chosen_families(family: str | None, method: str, options: Mapping[str, object]) -> list[str]:
@@ -206,7 +226,7 @@ def chosen_families(family: str | None, method: str, options: Mapping[str, objec
     InputError
         A family, a method or an option does not exist, or an option has no such value.
     """
-    if family is not None:
+    if family is not None and family != AUTO:
         estimator_of(family).options(method=method, **options)
         return [family]
     compared = {name: each for name, each in estimators().items() if each.suggested}

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.diagnose.baseline import error_on
 from hyst_control.diagnose.live_twin import GapAlarm, LiveTwin, Window
 from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
@@ -27,6 +28,7 @@ from hyst_control.nodes.message_io import Sender
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.watched_signal import WatchedSignal
+from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.bag_writer import BagWriter
 from hyst_control.records.signal_message import Encoder, label_for
 
@@ -53,7 +55,8 @@ class DiagnosisNode(SignalNode):
     It publishes `residual` (measurement minus prediction, by tick), `gap` (per window: NRMSE in % of the range, alarm 0 or 1) and
     diagnostics. It only listens: no other node waits for it. Up to `bridge` ticks without a command count as held, as by a DAC. After
     a longer gap the model settles at the new command, and `settle` seconds are not judged, because the memory of the hysteresis has
-    to fill; nor are they after the start.
+    to fill; nor are they after the start. What the model leaves on the clean records of `baseline` counts as its own imperfection, which
+    raises no alarm.
 
     `~/diagnose` starts `hyst diagnose` on the rows in the buffer, in a process of lower priority than the loop, and answers
     immediately. A call during the diagnosis returns its progress, the first call afterwards its result. A new folder below `output`
@@ -69,6 +72,9 @@ class DiagnosisNode(SignalNode):
 
     SETTINGS = (
         Setting("model", "", "", "model file of the simulator"),
+        Setting(
+            "baseline", ("",), "", "bags of clean records: what the model leaves on them is its own error, and raises no alarm"
+        ),
         Setting("window", 0.1, "s", "length of a judged window", 1e-4, 1e3),
         Setting("settle", 0.1, "s", "time that is not judged after the start and after a gap in the ticks", 0.0, 1e4),
         Setting(
@@ -114,11 +120,14 @@ class DiagnosisNode(SignalNode):
                     "parameters axes and unit to them"
                 )
             self._twin = LiveTwin(model, self.period)
+            self._baseline = [Path(bag).resolve() for bag in given.baseline if bag]
+            stated = np.broadcast_to(np.asarray(model.noise.get("sigma", 0.0), dtype=float), len(self.axes))
+            if self._baseline:
+                stated = np.maximum(stated, error_on([read_bag(bag, unit=self.unit) for bag in self._baseline], model))
         except InputError as error:
             raise InputError(f"{self.get_name()}: {error}") from None
         self._twin.settle(np.zeros(len(self.axes)))
         self._twin.follow(np.zeros((1, len(self.axes))))  # compiled before the first message
-        stated = np.broadcast_to(np.asarray(model.noise.get("sigma", 0.0), dtype=float), len(self.axes))
         self.alarm = GapAlarm(
             self.period,
             max(round(given.window / self.period), 8),
@@ -279,7 +288,7 @@ class DiagnosisNode(SignalNode):
             folder = output / f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{secrets.token_hex(4)}"
             folder.mkdir()  # with the permissions that the user's umask leaves
             self._write(folder / "record")
-            self._job = Job(folder, self._model_path)
+            self._job = Job(folder, self._model_path, self._baseline)
         return f"started: {self._kept_rows} rows, {self._kept_rows * self.period:.3g} s: {folder}"
 
     def _write(self, path: Path) -> None:
@@ -310,9 +319,11 @@ class Job:
         Folder with the bag `record`, which gets the results.
     model : Path
         Model file.
+    baseline : sequence of Path
+        Bags of clean records.
     """
 
-    def __init__(self, folder: Path, model: Path) -> None:
+    def __init__(self, folder: Path, model: Path, baseline: Sequence[Path] = ()) -> None:
         self.folder, self.reported = folder, False
         self._begun = time.monotonic()
         path = os.pathsep.join(filter(None, [str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH")]))
@@ -327,6 +338,8 @@ class Job:
             str(folder / "augmented.yaml"),
             "--quiet",
         ]
+        if baseline:
+            arguments += ["--baseline", *map(str, baseline)]
         if find_spec("hyst_control.diagnose.gap_page"):
             arguments += ["--report", str(folder / "gap.html")]
         with open(folder / "gap.txt", "wb") as words:

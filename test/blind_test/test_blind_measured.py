@@ -12,6 +12,7 @@ from hyst_control.blind_test import measured
 from hyst_control.blind_test.measured import Withheld, oscillating, report_on, uncoupled, without_states
 from hyst_control.chain import Chain
 from hyst_control.chain.linear import StateSpace
+from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal
 
@@ -77,3 +78,18 @@ def test_a_case_that_has_its_report_is_not_diagnosed_again(tmp_path, monkeypatch
     ):
         report_on(changed, tmp_path)
     assert len(calls) == 4 and [path.name for path in tmp_path.iterdir()] == ["mirror_100_mv_mode_at_30_hz.json"]
+
+
+def test_the_measured_stack_without_its_elements():
+    """The whole model has no gap on loops that it was not fitted to; without hysteresis, or with few operators, that is named first."""
+    try:
+        cases = list(measured.stack_cases())
+    except InputError as error:
+        pytest.skip(str(error))
+    for case in cases:
+        report, *_ = measured.diagnosed([case.record], case.model, warm_up=case.warm_up)
+        if case.right:
+            assert report["verdict"] in ("effect", "parameters"), case.element
+            assert measured.named_right(case, report), case.element
+        else:
+            assert report["verdict"] == "no_gap"

@@ -103,8 +103,36 @@ class Row:
 
 V, R, C = Verdict, Reason, RecordCheck
 TABLE = (
-    Row("a session's zero", evidence(base=session(np.nan)), V.EFFECT, (R.SESSION_DIFFERS,)),
-    Row("a zero like those between clean records", evidence(base=session(1.0)), V.NO_GAP, (R.BELOW_NULL,)),
+    Row("a session's zero larger than usual", evidence(base=session(1.0)), V.EFFECT, (R.SESSION_DIFFERS,)),
+    Row(
+        "no more is left than the model leaves on clean records",
+        evidence(effect("delay"), stated=120.0, weight=0.01),
+        V.NO_GAP,
+        (R.BELOW_PRACTICAL_SIZE,),
+    ),
+    Row(
+        "more is left than the model leaves on clean records",
+        evidence(effect("delay"), stated=60.0, weight=0.01),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("delay",),
+    ),
+    Row(
+        "coefficients that an effect relieves, with no more left than usual",
+        evidence(effect("delay"), base=none(strain=500.0), stated=120.0, weight=0.01),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("delay",),
+    ),
+    Row(
+        "three effects of which two explain nearly all",
+        evidence(effect("delay+gain+creep", 1000.0, 1.0), effect("delay+gain", 900.0, 3.0)),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("delay+gain+creep",),
+    ),
+    Row("a usual zero", evidence(base=session(3.0)), V.NO_GAP, (R.BELOW_NULL,)),
+    Row("a zero, and nothing says what is usual", evidence(base=session(np.nan)), V.NO_GAP, (R.BELOW_NULL,)),
     Row("a remainder that does not follow the command", evidence(base=UNRELATED), V.NO_GAP, (R.BELOW_NULL,), remainder=0.0),
     Row("nothing was tried", evidence(base=SMALL), V.NO_GAP, (R.BELOW_NULL,), remainder=0.0),
     Row(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from hyst_control.model_file import Simulator, load_model, simulate
 from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.pipeline import DEFAULT, node_class
 from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.importing import write_bag
+from hyst_control.records.record import Record, Signal
 from hyst_plant_sim.node import PlantNode
 from hyst_plant_sim.physics import load_plant
 
@@ -157,6 +160,29 @@ def test_bad_messages_are_refused_and_a_new_time_begins_anew(talking):
     talking.until(lambda: talking.rows("residual")[-1, 0] == 2999 / RATE)
     assert talking.node.counts["time ran backwards"] >= 1
     assert np.abs(talking.rows("residual")[-3000:, 1]).max() < 6 * 0.003
+
+
+def test_a_baseline_keeps_the_models_own_error_from_raising_the_alarm(bench, tmp_path):
+    """The plant has a third harmonic of 1 % that the model lacks; with a baseline that is no gap, and sixteen times as much is one."""
+    commands, clean = record(12000)
+    wrong = 0.3 * np.sin(3 * 2 * np.pi * 50 * np.arange(12000) / RATE)[:, None] * (np.arange(12000) >= 2500)[:, None]
+    time = np.arange(6000) / RATE
+    signals = {
+        "command": Signal(time, commands[:6000], ("x",), "V"),
+        "measurement": Signal(time, (clean + wrong)[6000:], ("x",), "um"),
+    }
+    write_bag(tmp_path / "clean", Record(signals, "clean"))
+    measured = clean + wrong
+    measured[9000:] += 15.0 * wrong[9000:]
+    alone = bench.add(partial(DiagnosisNode, "alone"), schedule="timer", **SETTINGS)
+    beside = bench.add(partial(DiagnosisNode, "beside"), schedule="timer", baseline=[str(tmp_path / "clean")], **SETTINGS)
+    bench.senders = {"command": bench.sender("command", "t[s],x[V]"), "measurement": bench.sender("measurement", "t[s],x[um]")}
+    stream(bench, np.arange(9000), commands, measured)
+    bench.until(lambda: alone.status()["rows compared"] == beside.status()["rows compared"] == 9000)
+    assert alone.status()["alarm"] and not beside.status()["alarm"]
+    stream(bench, np.arange(9000, 12000), commands[9000:], measured[9000:])
+    bench.until(lambda: beside.status()["rows compared"] == 12000)
+    assert beside.status()["alarm"]
 
 
 def test_held_samples_are_counted(talking):

@@ -1,0 +1,75 @@
+"""A model's own error in the fits: weights of samples, and tolerances of a physical size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hyst_control.chain import Chain
+from hyst_control.chain.linear import TransferFunction
+from hyst_control.chain.memoryless import Gain
+from hyst_control.diagnose.hypothesis_fit import Linearised, fit
+from hyst_control.diagnose.parameter_uncertainty import scatter_of, within_own_error
+from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.diagnose.session import ErrorBasis, LearnedError
+from hyst_control.model_file import Model
+
+STEP = 1e-3
+COMMAND = 10.0 * np.sin(2 * np.pi * 5.0 * STEP * np.arange(2000))[:, None]
+
+
+def problem(chain: Chain, measurement: np.ndarray, **changes) -> Problem:
+    tolerance = changes.pop("tolerance", {})
+    model = Model("m", ("x",), {"command": "V", "measurement": "um"}, STEP, chain, "foh", tolerance=tolerance)
+    return Problem(model, (Piece(COMMAND, measurement),), STEP, "foh", np.array([0.01]), **changes)
+
+
+def test_a_sample_counts_as_much_as_noise_and_own_error_let_it():
+    base = problem(Chain((Gain(1.0),)), COMMAND)
+    assert base.weight == 1.0
+    assert replace(base, own_error=np.array([0.005])).weight == 1.0  # below the noise
+    assert replace(base, own_error=np.array([0.1]), own_correlation=20.0).weight == pytest.approx(1.0 / (1.0 + 20.0 * 99.0))
+
+
+def test_the_posterior_of_a_coefficient_is_that_of_independent_samples():
+    """A static gain g with prior N(1, t²) and N / n independent samples of an error e: the usual formula of a conjugate normal."""
+    error, length, tolerance = 0.1, 20.0, 0.3
+    seen = problem(
+        Chain((TransferFunction((1.0,), (1.0,)),)),
+        1.02 * COMMAND,
+        own_error=np.array([error]),
+        own_correlation=length,
+        tolerance={"num": tolerance},
+    )
+    scatter = scatter_of(seen.model)
+    found = fit(Linearised(seen, scatter))
+    precision = 1.0 / tolerance**2 + np.sum(COMMAND**2) / (length * (error**2 - 0.01**2) + 0.01**2)
+    assert np.sqrt(found.covariance[0, 0]) * tolerance == pytest.approx(precision**-0.5, rel=0.02)
+    assert found.z[0] * tolerance == pytest.approx(0.02, rel=0.02)
+
+
+def test_a_tolerance_of_many_times_the_value_is_cut_to_what_the_own_error_allows():
+    w = 2 * np.pi * 100.0
+    chain = Chain((TransferFunction((w**2,), (1.0, 0.1 * w, w**2)),))
+    seen = problem(chain, COMMAND, own_error=np.array([0.1]), tolerance={"num": 178.0, "den": 178.0})
+    scatter = within_own_error(scatter_of(seen.model), seen)
+    nominal = seen.simulate(seen.model.chain.stages)
+    for k in range(len(scatter.coefficients)):
+        moved = seen.simulate(scatter.at(np.eye(len(scatter.coefficients))[k]))
+        assert np.isfinite(moved).all()
+        assert np.sqrt(np.mean((moved - nominal) ** 2)) * 0.01 < 0.15
+    without = replace(seen, own_error=None)
+    assert within_own_error(scatter_of(without.model), without).coefficients[0].tolerance == 178.0
+
+
+def test_a_predicted_error_is_added_with_its_weights():
+    random = np.random.default_rng(0)
+    basis = ErrorBasis((random.standard_normal((2000, 2)),))
+    stage = LearnedError(np.array([0.5, -2.0]), basis)
+    seen = problem(Chain((Gain(1.0), stage)), COMMAND)
+    expected = COMMAND[:, 0] + basis.directions[0] @ [0.5, -2.0]
+    np.testing.assert_allclose(seen.rows(seen.simulate(seen.model.chain.stages))[:, 0], expected, atol=1e-9)
+    assert stage.parameters() != LearnedError(np.zeros(2), basis).parameters()
+    assert [c.companion for c in scatter_of(seen.model).coefficients] == [True, True]
