@@ -112,12 +112,16 @@ def null_scores(
         random = np.random.default_rng([seed, index])
         z = random.standard_normal(linearised.count)
         try:
-            record = linearised.simulate(z) + random.standard_normal(len(linearised.measured)) / np.sqrt(weight)
+            noise = random.standard_normal(len(linearised.measured)) / np.sqrt(weight)
+            record = linearised.simulate(z) + noise
             solution = fit(linearised, measured=record, rounds=settings.rounds)
         except InputError:
             return None  # these coefficients make no model
+        # Far from the nominal model the fit may end beside its minimum: the coefficients that were drawn are at least as good.
+        drawn = 0.5 * (weight * float(noise @ noise) + float(z @ z))
+        residual = solution.residual if solution.misfit <= drawn else noise
         # What the coefficients could still explain is projected out: as good as one more step.
-        right = flat.T @ solution.residual
+        right = flat.T @ residual
         return max(
             (
                 0.5 * weight * float(right[a:b] @ inverse @ right[a:b])

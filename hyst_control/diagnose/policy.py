@@ -385,7 +385,7 @@ def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thre
     one = evidence.hypotheses[index]
     if not one.coefficients_alone or one.farthest < thresholds.many_tolerances:
         return False
-    size = 0.5 * evidence.temper * evidence.rows * len(evidence.noise)  # nats of a noise energy
+    size = 0.5 * evidence.temper * evidence.weight * evidence.rows * len(evidence.noise)  # nats of a noise energy
     taken_off = size * (evidence.hypotheses[0].energy - one.energy)
     return any(
         len(other.names) == 1
