@@ -16,6 +16,7 @@ rest at 0 V is what a drive that has died away leaves: turning points alternatel
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -159,7 +160,7 @@ for (int axis = 0; axis < AXES; axis++) {
     const curve falling = {p->falling_breaks[axis], p->falling[axis][0], p->falling_size[axis][0], p->falling_size[axis][1]};
     const real full = p->full[axis];
     const real top = (INVERSE != 0) ? full : R(1.0);
-    const real raw = in[axis] * p->to_inside[axis];
+    const real raw = ((INVERSE != 0) ? in[axis] : (in[axis] - p->offset[axis])) * p->to_inside[axis];
     const real x = (raw < R(0.0)) ? R(0.0) : ((raw > top) ? top : raw);
     real u = s->last[axis][0];
     real y = s->last[axis][1];
@@ -217,7 +218,7 @@ for (int axis = 0; axis < AXES; axis++) {
     }
     s->last[axis][0] = u;
     s->last[axis][1] = y;
-    out[axis] = value * p->to_outside[axis];
+    out[axis] = (INVERSE != 0) ? ((value * p->to_outside[axis]) + p->offset[axis]) : (value * p->to_outside[axis]);
 }
 """
 """`madelung_branches` in C."""
@@ -237,7 +238,7 @@ MEAN = """
 for (int axis = 0; axis < AXES; axis++) {
     const curve up = {p->up_breaks[axis], p->up[axis][0], p->up_size[axis][0], p->up_size[axis][1]};
     const curve down = {p->down_breaks[axis], p->down[axis][0], p->down_size[axis][0], p->down_size[axis][1]};
-    const real x = in[axis] / p->span[axis];
+    const real x = (in[axis] - p->lower[axis]) / p->span[axis];
     const real inside = minimum_of(maximum_of(x, R(0.0)), R(1.0));
     const real beyond = ((x > R(1.0)) ? p->end_slope[axis][1] : p->end_slope[axis][0]) * (x - inside);
     out[axis] = p->scale[axis] * ((R(0.5) * (curve_value(up, inside) + curve_value(down, inside))) + beyond);
@@ -247,14 +248,14 @@ for (int axis = 0; axis < AXES; axis++) {
 
 SETTLE = """
 for (int axis = 0; axis < AXES; axis++) {
-    s->stack[axis][0][0] = R(1.0);
-    s->stack[axis][0][1] = p->full[axis];
-    s->stack[axis][1][0] = R(0.0);
-    s->stack[axis][1][1] = R(0.0);
-    s->depth[axis] = 2;
-    s->last[axis][0] = R(0.0);
-    s->last[axis][1] = R(0.0);
-    s->last[axis][2] = R(1.0);
+    for (int i = 0; i < p->rest_depth[axis]; i++) {
+        s->stack[axis][i][0] = p->rest_stack[axis][i][0];
+        s->stack[axis][i][1] = p->rest_stack[axis][i][1];
+    }
+    s->depth[axis] = p->rest_depth[axis];
+    for (int i = 0; i < 3; i++) {
+        s->last[axis][i] = p->rest_last[axis][i];
+    }
     s->moved[axis] = 1;
     s->forgotten[axis] = 0;
 }
@@ -292,6 +293,12 @@ class MadelungFilter(Filter):
         self.last = [np.zeros(3) for _ in curves]
 
     def settle(self, value: Array) -> Array:
+        self.rest_at_0_volt()
+        first: Array = self.process(np.array(value, dtype=float).reshape(1, -1))[0]
+        return first
+
+    def rest_at_0_volt(self) -> None:
+        """Forget all but what the rest at 0 V leaves."""
         for axis, full in enumerate(self.full):
             at_top = self.rest[axis] >= 1.0
             self.stack[axis][:2] = ((0.0, 0.0), (1.0, full)) if at_top else ((1.0, full), (0.0, 0.0))
@@ -299,8 +306,6 @@ class MadelungFilter(Filter):
             self.last[axis][:] = (1.0, full, -1.0) if at_top else (0.0, 0.0, 1.0)
             if 0.0 < self.rest[axis] < 1.0:
                 self._follow(axis, died_away(float(self.rest[axis])), inverse=False)
-        first: Array = self.process(np.array(value, dtype=float).reshape(1, -1))[0]
-        return first
 
     def process(self, block: Array) -> Array:
         inside = (block if self.inverse else block - self.input_offset) * self.to_inside
@@ -309,6 +314,50 @@ class MadelungFilter(Filter):
             output[:, axis] = self._follow(axis, np.ascontiguousarray(inside[:, axis]), self.inverse)
         output *= self.to_outside
         return output + self.input_offset if self.inverse else output
+
+    def c_code(self) -> CCode:
+        axes, rested = len(self.full), copy(self)
+        rested.stack = [np.zeros_like(stack) for stack in self.stack]
+        rested.stack_depth, rested.last = [depth.copy() for depth in self.stack_depth], [last.copy() for last in self.last]
+        rested.rest_at_0_volt()
+        # Rest inside the loop is what a drive that died away leaves: it takes as many turning points again.
+        capacity = CAPACITY * (2 if np.any((0.0 < self.rest) & (self.rest < 1.0)) else 1)
+        begin = np.zeros((axes, capacity, 2))
+        for axis, (stack, count) in enumerate(zip(rested.stack, rested.stack_depth, strict=True)):
+            begin[axis, : count[0]] = stack[: count[0]]
+        rising, rising_breaks, rising_size = _padded(self.rising)
+        falling, falling_breaks, falling_size = _padded(self.falling)
+        return CCode(
+            "madelung",
+            STEP.replace("FOLLOW", BACKWARD if self.inverse else FORWARD),
+            SETTLE,
+            {"CAPACITY": capacity, "INVERSE": int(self.inverse), "KEY": int(self.inverse)},
+            {
+                "rising_breaks": reals(rising_breaks, "normalized input"),
+                "rising": reals(rising, "[axis][1][piece, power], normalized"),
+                "rising_size": integers(rising_size, "pieces, order"),
+                "falling_breaks": reals(falling_breaks, "normalized input"),
+                "falling": reals(falling, "[axis][1][piece, power], normalized"),
+                "falling_size": integers(falling_size, "pieces, order"),
+                "full": reals(self.full, "normalized output at the end of the input"),
+                "end_slope": reals(self.end_slope, "below 0 and above the end of the input"),
+                "offset": reals(self.input_offset, "V, lower end of the curves"),
+                "rest_stack": reals(begin, "turning points at rest, normalized input and output"),
+                "rest_depth": integers(np.concatenate(rested.stack_depth), "turning points at rest"),
+                "rest_last": reals(np.array(rested.last), "normalized input, output, and direction at rest"),
+                "to_inside": reals(self.to_inside, "1 / input unit"),
+                "to_outside": reals(self.to_outside, "output unit"),
+            },
+            {
+                "stack": reals(np.zeros((axes, capacity, 2)), "turning points, normalized input and output"),
+                "last": reals(np.zeros((axes, 3)), "normalized input, output, and direction"),
+                "branch": reals(np.zeros((axes, 3)), "where it began, and its stretch"),
+                "depth": integers(np.zeros(axes), "turning points in the stack"),
+                "moved": integers(np.zeros(axes), "1 where another branch is entered"),
+                "forgotten": integers(np.zeros(axes), "loops that found no room"),
+            },
+            (FORGET, EVALUATE, SOLVE) if self.inverse else (FORGET, EVALUATE),
+        )
 
     def _follow(self, axis: int, column: Array, inverse: bool) -> Array:
         """Normalized output (N,) of one axis for a normalized `column` (N,)."""
@@ -341,38 +390,6 @@ def died_away(rest: float) -> Array:
     amplitude = np.linspace(1.0, 0.0, SWINGS + 1)
     swings = np.stack([rest + (1.0 - rest) * amplitude, rest - rest * (amplitude - 0.5 / SWINGS).clip(0.0)], axis=1)
     return np.append(swings.ravel(), rest)
-
-    def c_code(self) -> CCode:
-        axes = len(self.full)
-        rising, rising_breaks, rising_size = _padded(self.rising)
-        falling, falling_breaks, falling_size = _padded(self.falling)
-        return CCode(
-            "madelung",
-            STEP.replace("FOLLOW", BACKWARD if self.inverse else FORWARD),
-            SETTLE,
-            {"CAPACITY": CAPACITY, "INVERSE": int(self.inverse), "KEY": int(self.inverse)},
-            {
-                "rising_breaks": reals(rising_breaks, "normalized input"),
-                "rising": reals(rising, "[axis][1][piece, power], normalized"),
-                "rising_size": integers(rising_size, "pieces, order"),
-                "falling_breaks": reals(falling_breaks, "normalized input"),
-                "falling": reals(falling, "[axis][1][piece, power], normalized"),
-                "falling_size": integers(falling_size, "pieces, order"),
-                "full": reals(self.full, "normalized output at the end of the input"),
-                "end_slope": reals(self.end_slope, "below 0 and above the end of the input"),
-                "to_inside": reals(self.to_inside, "1 / input unit"),
-                "to_outside": reals(self.to_outside, "output unit"),
-            },
-            {
-                "stack": reals(np.zeros((axes, CAPACITY, 2)), "turning points, normalized input and output"),
-                "last": reals(np.zeros((axes, 3)), "normalized input, output, and direction"),
-                "branch": reals(np.zeros((axes, 3)), "where it began, and its stretch"),
-                "depth": integers(np.zeros(axes), "turning points in the stack"),
-                "moved": integers(np.zeros(axes), "1 where another branch is entered"),
-                "forgotten": integers(np.zeros(axes), "loops that found no room"),
-            },
-            (FORGET, EVALUATE, SOLVE) if self.inverse else (FORGET, EVALUATE),
-        )
 
 
 def _padded(curves: list[tuple[Array, Array]]) -> tuple[Array, Array, NDArray[np.int64]]:
@@ -512,7 +529,7 @@ class Madelung(Stage):
 
     def _mean_curve_in_c(self, axes: int) -> CCode:
         curves = self.curves(axes)
-        span, scale = per_axis_scalars(self, axes, "input_scale", "output_scale")
+        lower, span, scale = per_axis_scalars(self, axes, "input_offset", "input_scale", "output_scale")
         up, up_breaks, up_size = _padded([(up.breaks, up.coefficients) for up, _ in curves])
         down, down_breaks, down_size = _padded([(down.breaks, down.coefficients) for _, down in curves])
         slopes = np.array([[end_slope(falling, 0.0), end_slope(rising, 1.0)] for rising, falling in curves])
@@ -524,6 +541,7 @@ class Madelung(Stage):
             "down_breaks": reals(down_breaks, "normalized input"),
             "down_size": integers(down_size, "pieces, order"),
             "end_slope": reals(slopes, "below 0 and above the end of the input"),
+            "lower": reals(lower, "V, lower end of the curves"),
             "span": reals(span, "V"),
             "scale": reals(scale, "output unit"),
         }

@@ -1,7 +1,9 @@
-"""Write a simulator, a feedforward, a live twin or a whole controller as C, with a harness that holds it against Python.
+"""Write a model or a controller as C, with a harness that holds it against Python; or a bag as a file of other tools.
 
 MODEL.yaml is exported as the plant, with --kind as a feedforward, with --twin as the model beside the running system. A file of nodes'
 parameters is exported as the controller of its pi_feedback and its feedforward node.
+
+A BAG is exported with --to: as MCAP with one message a row at its sample time, which players draw, or as a table or arrays.
 
 examples:
   hyst export config/models/pea_hampi.yaml --output plant
@@ -18,16 +20,21 @@ if TYPE_CHECKING:
     from hyst_control.reporting.artifacts import Artifacts
 
 NAME = "export"
-HELP = "write a model, a feedforward or a controller as C"
+HELP = "write a model, a feedforward or a controller as C, or a bag for other tools"
 JSON = "list of written files"
 READS = ("source", "plant")
+WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("source", metavar="MODEL|CONTROLLER", help="model file, or file of nodes' parameters")
+    parser.add_argument("source", metavar="MODEL|CONTROLLER|BAG", help="model file, file of nodes' parameters, or bag")
     parser.add_argument("--target", choices=("c",), default="c", help="language (default c: C99)")
-    parser.add_argument("--output", metavar="FOLDER", required=True, help="folder to write into; created where it is missing")
+    parser.add_argument("--to", choices=("mcap", "csv", "parquet", "mat"), help="of a bag: form of the file")
+    parser.add_argument("--namespace", help="of a bag: namespace of its topics, where it holds several plants")
+    parser.add_argument(
+        "--output", metavar="OUT", required=True, help="folder to write into, created where it is missing; of a bag: file"
+    )
     parser.add_argument("--name", default="", help="prefix of everything in C (default: the model's name, or the file's)")
     parser.add_argument("--real", choices=("double", "float"), default="double", help="type of the signals (default double)")
     parser.add_argument("--rate", type=float, metavar="HZ", help="sample rate of a model in Hz (default: the model's)")
@@ -64,6 +71,8 @@ def run(arguments: argparse.Namespace) -> Artifacts:
     from hyst_control.reporting.artifacts import Artifacts
 
     given = arguments
+    if given.to:
+        return _bag(given)
     if given.rate is not None and not 0 < given.rate < 1e12:
         raise InputError(f"--rate: must be > 0 Hz and < 1e12 Hz, got {given.rate!r}")
     if given.kind and given.twin:
@@ -113,4 +122,25 @@ def run(arguments: argparse.Namespace) -> Artifacts:
     made.add("", "state", "byte", size.state)
     if size.flash is not None:
         made.add("", "flash", "byte", size.flash)
+    return made
+
+
+def _bag(given: argparse.Namespace) -> Artifacts:
+    """Export a bag's signals."""
+    from hyst_control.errors import InputError
+    from hyst_control.files import check_writable
+    from hyst_control.records.bag_reader import read_bag
+    from hyst_control.records.exporting import export_record
+    from hyst_control.reporting.artifacts import Artifacts
+
+    for name in ("rate", "kind", "twin", "causal", "limits", "plant"):
+        if getattr(given, name):
+            raise InputError(f"--{name}: is of a model, not of a bag: leave it out")
+    if given.to != "mcap":
+        check_writable(given.output)
+    record = read_bag(given.source, given.namespace)
+    export_record(record, given.output, given.to)
+    made = Artifacts("export", [given.output], lines=[f"note: {note}" for note in record.notes])
+    for topic, signal in record.signals.items():
+        made.add(topic, "rows", "", len(signal.time))
     return made

@@ -13,8 +13,8 @@ from hyst_control.errors import InputError
 from hyst_control.export.c_source import Program, Slot
 from hyst_control.export.compiled import CompiledProgram
 
-WITHOUT_C = {"sensor_noise", "flicker_noise", "held_samples"}
-"""Stages that draw random numbers."""
+WITHOUT_C = {"sensor_noise", "flicker_noise", "held_samples", "duhem", "duhem_oscillator", "bouc_wen"}
+"""Stages that draw random numbers, and those that integrate differential equations, which have no C yet."""
 LATTICES = {"quantization": 2.5, "dac_hold": 0.5}
 """Stages with steps, where float may fall on the other side of one, and their greatest step."""
 ROWS = 3000
