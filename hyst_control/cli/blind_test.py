@@ -6,7 +6,7 @@ called again with the same folder.
 example:
   hyst blind-test --seed 100000 --count 800 --output blind --page docs/blind-test.md
   hyst blind-test --measured --page docs/blind-test-measured.md     models of measured plants with one element removed
-  hyst blind-test --injected --seed 7 --count 60 --output injected  known effects put into measured records
+  hyst blind-test --injected --seed 7 --count 60 --output injected   # known effects put into measured records
 """
 
 from __future__ import annotations

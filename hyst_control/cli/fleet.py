@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "manifest", nargs="+", metavar="MANIFEST|BAG", help="CSV or Parquet file, or bags, or patterns of their names"
     )
-    parser.add_argument("--output", required=True, metavar="STUDY", help="folder of the study; created, or taken up again")
+    parser.add_argument("--output", required=True, metavar="STUDY", help="folder of the study to write, or to take up again")
     parser.add_argument("--model", metavar="MODEL.yaml", help="model of the records whose manifest names none")
     parser.add_argument(
         "--baseline", nargs="+", default=[], metavar="BAG", help="clean records, for those whose manifest names none"

@@ -15,10 +15,12 @@ from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.errors import InputError
 
 BENT = """
-static real bent_value(real u, real lower, real upper, real second, real third)
+static real bent_value(real u, real lower, real upper, real second, real third, real zero)
 {
     const real x = ((R(2.0) * (u - lower)) / (upper - lower)) - R(1.0);
-    return (u + ((second * R(0.5)) * (((R(3.0) * x) * x) - R(1.0)))) + (((third * R(0.5)) * (((R(5.0) * x) * x) - R(3.0))) * x);
+    const real even = (second * R(0.5)) * (((R(3.0) * x) * x) - R(1.0));
+    const real odd = ((third * R(0.5)) * (((R(5.0) * x) * x) - R(3.0))) * x;
+    return u + ((even + odd) + zero);
 }
 """
 """The second and third Legendre polynomial in C, in the order of `SensorNonlinearity.filter`."""
@@ -57,7 +59,7 @@ class SensorNonlinearity(Stage):
             return u + bend
 
         code = each_axis(
-            "bent_value(u, p->lower[i], p->upper[i], p->second[i], p->third[i]) + p->zero[i]",
+            "bent_value(u, p->lower[i], p->upper[i], p->second[i], p->third[i], p->zero[i])",
             "sensor nonlinearity",
             {
                 "second": (second, "measurement unit"),
@@ -68,7 +70,7 @@ class SensorNonlinearity(Stage):
             },
             (BENT,),
         )
-        return StaticFilter(bent, sampling.hold, code)
+        return StaticFilter(bent, sampling.hold, None if higher else code)
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:

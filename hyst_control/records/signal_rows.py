@@ -443,5 +443,6 @@ def successive_parts(block: Array, period: float) -> list[tuple[int | None, Arra
     tick = first_tick(block, period)
     if tick is not None or len(block) == 1:
         return [(tick, block)]
-    breaks = np.flatnonzero(~(np.abs(np.diff(block[:, 0]) / period - 1.0) < CLOCK_TOLERANCE)) + 1
+    with np.errstate(invalid="ignore", over="ignore"):  # times may be anything
+        breaks = np.flatnonzero(~(np.abs(np.diff(block[:, 0]) / period - 1.0) < CLOCK_TOLERANCE)) + 1
     return [(first_tick(part, period), part) for part in np.split(block, breaks)]

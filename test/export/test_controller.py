@@ -137,7 +137,7 @@ def test_the_watch_is_the_nodes_watch():
     for row in table[np.isfinite(table).all(axis=1)]:
         sent = 20.0 + random.normal(0.0, 1.0, 2)
         found = controller._watch(row[2:4].copy(), sent)
-        assert found == codes[watch.check(row[2:4], sent)]
+        assert found == codes[next((fault for fault in watch.check(row[2:4], sent) if fault), "")]
         seen.add(found)
     assert seen == {0, 3, 4}
 
