@@ -113,3 +113,18 @@ def test_a_spoilt_threshold_in_the_cache_is_computed_anew(text, tmp_path, monkey
     file.write_text(f'{{"threshold": {text}}}')
     found = threshold(one, members(one), configuration=FEW)
     assert 1.0 <= found <= 3.0 and threshold(one, members(one), configuration=FEW) == found
+
+
+def test_a_fit_that_ends_beside_its_minimum_does_not_set_the_threshold(monkeypatch):
+    """The coefficients that a record was drawn with explain it up to its noise: what is left is never more than that."""
+    here = linearised()
+    few = replace(CONFIGURATION.null_distribution, records=20)
+    usual = null_distribution.null_scores(here, members(here), 0, few)
+    solve = null_distribution.fit
+
+    def stuck(problem: Linearised, measured: np.ndarray, rounds: int) -> Any:
+        return replace(solve(problem, measured=measured, rounds=rounds), residual=100.0 + measured, misfit=1e9)
+
+    monkeypatch.setattr(null_distribution, "fit", stuck)
+    found = null_distribution.null_scores(here, members(here), 0, few)
+    assert found.max() < 3.0 * usual.max() + 10.0
