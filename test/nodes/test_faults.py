@@ -278,7 +278,7 @@ def test_interrupt_and_terminate_end_a_node_without_a_traceback(tmp_path, domain
             probe = subprocess.run([sys.executable, "-c", WAIT_FOR_NODE, name], timeout=60)
             assert probe.returncode == 0
             process.send_signal(number)
-            assert process.wait(10) == 0
+            assert process.wait(30) == 0
             assert "Traceback" not in processes.log(name).read_text()
 
 
