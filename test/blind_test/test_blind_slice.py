@@ -26,7 +26,7 @@ def pairs(tmp_path_factory):
     return list(load(folder))
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(900)
 def test_single_effects_are_named_and_records_without_a_gap_raise_no_alarm(pairs):
     singles = [(case, report) for case, report in pairs if case["label"]["kind"] == "single"]
     none = [report for case, report in pairs if case["label"]["kind"] == "none"]
