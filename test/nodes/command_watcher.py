@@ -61,26 +61,32 @@ class CommandWatcher:
         return command[-1][1] if command else None
 
     def check(self):
-        """Every row to the last one: finite, within the limits, and no further from the actuator than the slew limit allows."""
-        known, newest, last, applied = {}, -1, None, None
+        """Every row to the last one: finite, within the limits, and no further from the actuator than the slew limit allows.
+
+        The first rows of a publisher may pass before it is known here: over ticks that were not heard the slew limit holds as a whole.
+        What is heard last before them is on `applied`, at every tick, where there is no command.
+        """
+        known, last, applied = {}, None, None
         for number in sorted(range(len(self.rows)), key=self._sent.__getitem__):
             topic, tick, values = self.rows[number]
             where = f"row {number}, {topic} of tick {tick}: {values} after {last}, applied {applied}"
             assert all(math.isfinite(value) for value in values), where
             if topic == "applied":
-                applied = values
+                applied = tick, values
             elif values not in self.foreign:
                 assert tick is not None and all(self.lower - 1e-9 <= value <= self.upper + 1e-9 for value in values), where
                 if tick in known:
                     assert known[tick] == values, f"{where}: was {known[tick]} before"
                     continue
                 known[tick] = values
-                if tick > newest:
-                    assert last is None or self._follows(values, last) or applied and self._follows(values, applied), where
-                    newest, last, applied = tick, values, None
+                if last is None or tick > last[0]:
+                    before = [each for each in (last, applied) if each is not None and each[0] is not None]
+                    assert last is None or any(self._follows(tick, values, *each) for each in before), where
+                    last, applied = (tick, values), None
 
-    def _follows(self, values, last):
-        return all(abs(a - b) <= self.step * (1 + 1e-9) for a, b in zip(values, last))
+    def _follows(self, tick, values, tick_before, before):
+        step = self.step * max(tick - tick_before, 1)
+        return all(abs(a - b) <= step * (1 + 1e-9) for a, b in zip(values, before))
 
     def close(self):
         self._over.set()
