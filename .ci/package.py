@@ -65,7 +65,7 @@ def versions(package: Package) -> Iterator[str]:
 
 
 def setup_arguments() -> dict[str, Any]:
-    """What setup.py says of the package."""
+    """Arguments that setup.py gives to setuptools."""
     with unittest.mock.patch("setuptools.setup") as setup:
         runpy.run_path(str(ROOT / "setup.py"))
     return dict(setup.call_args.kwargs)

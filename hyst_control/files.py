@@ -118,7 +118,7 @@ def write_json(path: str | Path, document: Any) -> None:
 
 
 def _target(path: str | Path) -> Path:
-    """What a path names, its symbolic links followed up to those of /proc, which name what a process has open."""
+    """Target of a path: its symbolic links followed, but not those of /proc, which name a process's open files."""
     target = Path(path)
     for _ in range(LINKS):
         if _of_process(target) or not target.is_symlink():
@@ -128,7 +128,7 @@ def _target(path: str | Path) -> Path:
 
 
 def _of_process(path: Path) -> bool:
-    """Whether a path is an open file of a process (/dev/stdout names one): another file in its place would be none."""
+    """True for a path such as /dev/stdout, which names an open file of a process: no other file can take its place."""
     return Path("/proc") in path.parents or Path(os.path.realpath(path.parent)).is_relative_to("/proc")
 
 

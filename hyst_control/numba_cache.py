@@ -32,7 +32,7 @@ def prepare() -> None:
 
 
 def _writable(folder: Path) -> bool:
-    """Whether a file can be made in a folder, which is made where it is missing: permissions alone do not tell."""
+    """True where a file can be created in a folder, tried by creating one: permissions alone do not tell. A missing folder is created."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

@@ -36,10 +36,10 @@ class CommandWatchdog:
     def reset(self) -> None:
         """Return to the start."""
         self.applied = self._rest.copy()
-        """What the actuator has (A,), V."""
+        """Voltage on the actuator (A,), V."""
         self._met = np.zeros(len(self._rest), bool)  # axes whose commands pass unchanged
         self.armed = False
-        """Whether there was a command: until then there is nothing to bring to safety."""
+        """True once there was a command: until then there is nothing to bring to safety."""
         self._below: NDArray[np.bool_] | None = None  # axes that were below the command that they approach
 
     @property

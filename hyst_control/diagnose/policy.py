@@ -378,7 +378,7 @@ def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thres
 
 
 def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
-    """Whether coefficients go many tolerances away only to do what one known effect does with coefficients within theirs.
+    """True where one known effect does, with coefficients within their tolerances, what coefficients alone do many tolerances away.
 
     A rate part, loops or a gain scaled by one factor moves several coefficients together, or one of them far away.
     """
@@ -444,7 +444,7 @@ def _listed(
 
 
 def _unusual(companion: CompanionEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
-    """Whether a session differs more than chance, the practical size, and clean records have it."""
+    """True where zero or drift of a session exceed chance, the practical size, and what clean records show."""
     if np.isnan(companion.usual):
         return False  # nothing says what is usual
     least = max(thresholds.companion_deviations * companion.deviation, companion.usual)
@@ -468,7 +468,7 @@ def _remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float
 
 
 def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
-    """Whether so many effects at once are less likely than one outside the catalogue.
+    """True where so many effects at once are less likely than one outside the catalogue.
 
     They are not where few of them explain nearly all: the others are then details beside them.
     """

@@ -324,7 +324,7 @@ class PiFeedback(SignalNode):
         )
 
     def _begins(self, first: int) -> bool:
-        """Whether the first rows are those of a new run, or the node has taken a run over, in lockstep.
+        """True when the node may begin, in lockstep: the first rows are those of a new run, or it has taken a run over.
 
         The measurement that follows on a command is there only if somebody has sent that command.
         """

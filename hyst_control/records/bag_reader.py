@@ -118,7 +118,7 @@ def _by_last_part(path: Path, topics: Collection[str], namespace: str | None) ->
 
 @dataclass(frozen=True)
 class _Metadata:
-    """What metadata.yaml says of a bag; storage files by name, compression "", "file" or "message"."""
+    """Content of metadata.yaml: storage files by name; compression "", "file" or "message"."""
 
     files: tuple[str, ...]
     compression: str
@@ -212,7 +212,7 @@ class _Bag:
 
 
 def _metadata(path: Path, notes: list[str]) -> _Metadata | None:
-    """What metadata.yaml says; None where there is none, or none that can be used, which is noted."""
+    """Content of metadata.yaml; None where it is missing or cannot be used, which is noted."""
     file = path / "metadata.yaml"
     if not path.is_dir() or not file.exists():
         return None

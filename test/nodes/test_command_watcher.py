@@ -363,7 +363,7 @@ def test_plant_brings_the_actuator_to_safety_while_two_commands_contradict(bench
         falling = applied[np.argmax(applied[:, 1]) :]  # from the highest that was heard: on a busy machine not from the beginning
         falling = falling[: np.argmin(falling[:, 1]) + 1]
         slope = np.diff(falling[:, 1]) / np.diff(falling[:, 0]) / PERIOD
-        assert len(applied) and np.all(slope >= -SAFE_RATE * (1 + 1e-6))
+        assert len(slope) > 5 and slope.min() >= -SAFE_RATE * (1 + 1e-6)
     finally:
         loop.close()
 
