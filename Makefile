@@ -17,12 +17,16 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONPATH
 
-.PHONY: demo test fuzz mutate lint docs figures check-compilers check-export check-wheel check-colcon check-readme bench env clean
+.PHONY: demo test test-again fuzz mutate lint docs figures check-compilers check-export check-wheel check-colcon check-readme bench env clean
 demo: env
 	$(VENV)/bin/hyst demo $(ARGS)
 
 test: env
 	$(VENV)/bin/python -m pytest -n 2 --dist loadfile $(ARGS)
+
+# What failed in the last run, alone: tells what a busy machine did from what the code does. Nothing to run is a failure too.
+test-again: env
+	$(VENV)/bin/python -m pytest --last-failed --last-failed-no-failures none $(ARGS)
 
 fuzz: env
 	PYTHONPATH=. $(VENV)/bin/python test/fuzz $(ARGS)
