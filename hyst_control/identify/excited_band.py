@@ -24,9 +24,9 @@ LEAST_SHARE = 0.005
 QUIETEST = 0.05
 """Share of the spectrum that is taken for noise alone."""
 REACH = 6.0
-"""Multiple of the band's end up to which a pole is fitted: a lag there still turns the phase at the end by 10 degrees, one further beyond is
-not distinguished from a delay. Nor may a nearer bound stop the search on its way: at 3 the lag of the tour's record was lost, whose final
-place is within the band."""
+"""Multiple of the band's end up to which a pole is fitted: a lag there still turns the phase at the end by 10 degrees, one further beyond
+is not distinguished from a delay. Nor may a nearer bound stop the search on its way: at 3 the lag of the tour's record was lost, whose
+final place is within the band."""
 
 
 def excited_band(windows: Sequence[Window]) -> float:
