@@ -1,5 +1,7 @@
 """Identify, validate or diagnose the records of many units, on all cores or on a Dask cluster, into one Parquet table.
 
+`population` makes one model file of a study of identifications: the fleet's coefficients with their usual scatter.
+
 A manifest is a CSV or Parquet file with the columns bag, unit, time, model, baseline and any others; bags, or patterns of their names,
 make one. A study is taken up again where it was ended: what is done is not done again, unless its bag, its model, the options or the
 version changed. A record that fails costs itself only; it is listed with its reason.
@@ -8,6 +10,7 @@ examples:
   hyst fleet diagnose manifest.csv --output study
   hyst fleet diagnose "nights/*/*.bag" --names "nights/(?P<time>[^/]+)/(?P<unit>[^.]+).bag" --model model.yaml --output study
   hyst fleet identify manifest.csv --family hampi --output models --cluster tcp://10.0.0.1:8786
+  hyst fleet population models --output population.yaml      for: hyst diagnose NEW --model population.yaml
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from hyst_control.fleet.population_model import PopulationModel
     from hyst_control.fleet.study import Study
 
 NAME = "fleet"
@@ -26,11 +30,17 @@ READS = ("model",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("kind", choices=("identify", "validate", "diagnose"), help="what is computed of every record")
+    parser.add_argument("kind", choices=("identify", "validate", "diagnose", "population"), help="what is computed of every record")
     parser.add_argument(
-        "manifest", nargs="+", metavar="MANIFEST|BAG", help="CSV or Parquet file, or bags, or patterns of their names"
+        "manifest",
+        nargs="+",
+        metavar="MANIFEST|BAG",
+        help="CSV or Parquet file, or bags, or patterns of their names; population: folder of a study",
     )
-    parser.add_argument("--output", required=True, metavar="STUDY", help="folder of the study to write, or to take up again")
+    parser.add_argument(
+        "--output", required=True, metavar="STUDY", help="folder of the study to write, or to take up again; population: model file"
+    )
+    parser.add_argument("--of", metavar="UNIT", help="population: model of this unit, drawn toward the fleet's")
     parser.add_argument("--model", metavar="MODEL.yaml", help="model of the records whose manifest names none")
     parser.add_argument(
         "--baseline", nargs="+", default=[], metavar="BAG", help="clean records, for those whose manifest names none"
@@ -45,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
 
 
-def run(arguments: argparse.Namespace) -> Study:
+def run(arguments: argparse.Namespace) -> Study | PopulationModel:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from hyst_control import progress
     from hyst_control.errors import InputError
@@ -53,6 +63,14 @@ def run(arguments: argparse.Namespace) -> Study:
     from hyst_control.fleet.study import run_study
     from hyst_control.parallel import Workers
 
+    if arguments.kind == "population":
+        from hyst_control.fleet.population_model import population_of_study
+
+        if len(arguments.manifest) > 1:
+            raise InputError(f"{arguments.manifest[1]}: a population is made of one study: give one folder")
+        return population_of_study(arguments.manifest[0], arguments.output, arguments.of)
+    if arguments.of:
+        raise InputError(f"--of: goes with population, not with {arguments.kind}")
     options: dict[str, object] = {"namespace": arguments.namespace, "unit": arguments.unit}
     if arguments.kind == "identify":
         options["family"] = arguments.family

@@ -1,0 +1,248 @@
+"""What is usual in a fleet: center and scatter of the coefficients of its units, and what is known of one unit by all of them.
+
+The coefficients of a unit, identified in several nights, are taken for its level, which differs from unit to unit and walks from night
+to night, and an error of the night:
+
+    x(u, t) = level(u, t) + e(u, t),   level(u, .) - mu ~ N(0, B) at first, its steps ~ N(0, rho C), e ~ N(0, (1 - rho) / 2 C)
+
+C is the covariance of the differences of successive nights, rho the share of it that grows with the distance of the nights. Both are
+the fleet's. With them every unit's newest level has a closed form, a local level filter whose variances are multiples of C, and mu and B
+follow by the expectation-maximization of a normal population (empirical Bayes), in which units far out count less (Huber's weights), so
+that a faulty one does not make faults usual. A unit's own level is then drawn toward the fleet's as far as its own nights leave it open
+(partial pooling).
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from hyst_control.errors import InputError
+
+Array = NDArray[np.float64]
+
+FARTHEST_NIGHTS = 5
+"""Nights between two records up to which the growth of their difference is looked at."""
+WITHIN = 0.975
+"""Quantile of the distances beyond which a unit counts less."""
+PASSES = 200
+TOLERANCE = 1e-8
+"""Relative change of the scatter at which the passes end."""
+MAD = 1.4826
+"""Standard deviation of a normal variable over its median absolute deviation."""
+LEAST_UNITS = 3
+
+
+@dataclass(frozen=True)
+class Population:
+    """Center and scatter of a fleet's coefficients, and the units' own levels.
+
+    Parameters
+    ----------
+    center
+        Means over the units (K,).
+    between
+        Covariance of the units' levels (K, K).
+    night
+        Covariance C of the differences of successive nights (K, K).
+    walk
+        Share rho of it that is a walk, 1.
+    error
+        Mean covariance of the identifications' own errors (K, K), which is a part of a night's error but none of the unit's.
+    units
+        Names of the units (U,).
+    levels
+        Their newest levels by their own nights alone (U, K).
+    spreads
+        Variances of these, in multiples of `night` (U,).
+    """
+
+    center: Array
+    between: Array
+    night: Array
+    walk: float
+    error: Array
+    units: tuple[str, ...]
+    levels: Array
+    spreads: Array
+
+    def usual(self) -> tuple[Array, Array]:
+        """Mean (K,) and covariance (K, K) of the coefficients of any unit in any night."""
+        return self.center, self.between + self._single_night()
+
+    def of_unit(self, unit: str) -> tuple[Array, Array]:
+        """Mean and covariance of a unit's coefficients in its coming night, by its own nights and the fleet.
+
+        Parameters
+        ----------
+        unit
+            Name of the unit.
+
+        Returns
+        -------
+        mean : ndarray
+            (K,).
+        covariance : ndarray
+            (K, K).
+
+        Raises
+        ------
+        InputError
+            There is no such unit.
+        """
+        if unit not in self.units:
+            raise InputError(f"{unit}: no such unit in this study, there are {', '.join(self.units[:5])}, …")
+        index = self.units.index(unit)
+        share = np.linalg.solve(self.between + self.spreads[index] * self.night, self.between).T
+        mean = self.center + share @ (self.levels[index] - self.center)
+        left = self.between - share @ self.between
+        return mean, 0.5 * (left + left.T) + self.walk * self.night + self._single_night()
+
+    def _single_night(self) -> Array:
+        """Covariance of what one night does to a unit, without the errors of its identification."""
+        return _positive(0.5 * (1.0 - self.walk) * self.night - self.error)
+
+
+def find_population(units: Sequence[str], moments: Array, values: Array, errors: Array) -> Population:
+    """Center and scatter of the coefficients of a fleet.
+
+    Parameters
+    ----------
+    units
+        Unit of every record (N,).
+    moments
+        Times of the records (N,).
+    values
+        Coefficients by record (N, K).
+    errors
+        Covariances of their identification (N, K, K); zeros where nothing is stated.
+
+    Returns
+    -------
+    Population
+        The fleet's.
+
+    Raises
+    ------
+    InputError
+        There are fewer than three units.
+    """
+    rows = defaultdict(list)
+    for row, unit in enumerate(units):
+        rows[unit].append(row)
+    names = tuple(sorted(rows))
+    if len(names) < LEAST_UNITS:
+        raise InputError(f"{len(names)} units with a model of one structure: a population needs {LEAST_UNITS} at least")
+    ordered = [np.array(sorted(rows[name], key=lambda row: moments[row])) for name in names]
+    scale = _scale(values)
+    scaled, error = values / scale, errors.mean(axis=0) / np.outer(scale, scale)
+    night, walk = _nights([scaled[each] for each in ordered], error)
+    found = [_level(scaled[each], walk) for each in ordered]
+    levels, spreads = np.array([level for level, _ in found]), np.array([spread for _, spread in found])
+    center, between = _between(levels, spreads, night)
+    square = np.outer(scale, scale)
+    return Population(center * scale, between * square, night * square, walk, error * square, names, levels * scale, spreads)
+
+
+def _scale(values: Array) -> Array:
+    """Size of the scatter of every coefficient (K,), to count all of them alike."""
+    spread = MAD * np.median(np.abs(values - np.median(values, axis=0)), axis=0)
+    spread = np.where(spread > 0.0, spread, values.std(axis=0))
+    return np.asarray(np.where(spread > 0.0, spread, 1.0))
+
+
+def _nights(series: Sequence[Array], error: Array) -> tuple[Array, float]:
+    """Covariance of the differences of successive nights, and the share of it that is a walk.
+
+    Without a unit that was identified twice, nights are taken to differ by the errors of the identifications alone.
+    """
+    differences = {
+        lag: np.concatenate([each[lag:] - each[:-lag] for each in series if len(each) > lag] or [np.zeros((0, series[0].shape[1]))])
+        for lag in range(1, FARTHEST_NIGHTS + 1)
+    }
+    if len(differences[1]) < 2:
+        return 2.0 * error, 0.0
+    night = _covariance(differences[1])
+    lags = [lag for lag in differences if len(differences[lag]) > 1]
+    sizes = np.array([np.mean([_variance(column) for column in differences[lag].T]) for lag in lags])
+    if len(lags) < 2:
+        return night, 0.0
+    growth = np.polyfit(lags, sizes / sizes[0], 1)[0]
+    return night, float(np.clip(growth, 0.0, 1.0))
+
+
+def _variance(column: Array) -> float:
+    return float((MAD * np.median(np.abs(column))) ** 2)
+
+
+def _covariance(differences: Array) -> Array:
+    """Covariance about 0 in which rows far out count less, drawn toward its diagonal where there are few rows."""
+    count, width = differences.shape
+    found = np.diag([max(_variance(column), 1e-12) for column in differences.T])
+    for _ in range(PASSES):
+        weights = _weights(np.sum(differences * np.linalg.solve(found, differences.T).T, axis=1), width)
+        new = _shrunk((weights[:, None] * differences).T @ differences / count, count)
+        if np.max(np.abs(new - found)) < TOLERANCE * np.max(np.abs(found)):
+            return new
+        found = new
+    return found
+
+
+def _weights(squared: Array, width: int) -> Array:
+    """Huber's weights of squared Mahalanobis distances: 1 for what a normal population has."""
+    bound = chi2.ppf(WITHIN, width)
+    return np.asarray(np.minimum(1.0, bound / np.maximum(squared, 1e-300)))
+
+
+def _shrunk(covariance: Array, count: int) -> Array:
+    """Covariance with its correlations as far as so many rows can tell them; a floor keeps it invertible."""
+    width = len(covariance)
+    share = width / (width + count)
+    diagonal = np.diag(np.diag(covariance))
+    return (1.0 - share) * covariance + share * diagonal + 1e-9 * max(float(np.trace(covariance)), 1e-12) / width * np.eye(width)
+
+
+def _level(series: Array, walk: float) -> tuple[Array, float]:
+    """Newest level of one unit by its own nights (K,), and its variance in multiples of C: a local level filter, diffuse at first."""
+    error = 0.5 * (1.0 - walk)
+    level, spread = series[0].copy(), error
+    for night in series[1:]:
+        spread += walk
+        gain = spread / (spread + error) if spread + error > 0.0 else 0.0
+        level = level + gain * (night - level)
+        spread *= 1.0 - gain
+    return level, spread
+
+
+def _between(levels: Array, spreads: Array, night: Array) -> tuple[Array, Array]:
+    """Mean and covariance of the units' levels, whose own errors are known, by expectation-maximization."""
+    count, width = levels.shape
+    center = np.median(levels, axis=0)
+    between = np.diag(np.maximum(np.array([_variance(column) for column in (levels - center).T]), 1e-12))
+    alike = [np.flatnonzero(spreads == spread) for spread in np.unique(spreads)]  # of as many nights
+    for _ in range(PASSES):
+        weights, expected, second = np.zeros(count), np.zeros((count, width)), np.zeros((width, width))
+        for rows in alike:
+            whole = between + spreads[rows[0]] * night
+            off = levels[rows] - center
+            weights[rows] = _weights(np.sum(off * np.linalg.solve(whole, off.T).T, axis=1), width)
+            share = np.linalg.solve(whole, between).T
+            expected[rows] = off @ share.T
+            second += (weights[rows, None] * expected[rows]).T @ expected[rows] + len(rows) * (between - share @ between)
+        center = center + np.average(expected, axis=0, weights=weights)
+        new = _shrunk(0.5 * (second + second.T) / count, count)
+        if np.max(np.abs(new - between)) < TOLERANCE * np.max(np.abs(between)):
+            return center, new
+        between = new
+    return center, between
+
+
+def _positive(covariance: Array) -> Array:
+    """The nearest covariance without negative variances."""
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
