@@ -1,4 +1,4 @@
-"""What is usual in a fleet: center and scatter of the coefficients of its units, and what is known of one unit by all of them.
+"""Usual coefficients of a fleet: their center and scatter over its units, and those of one unit as far as all of them tell.
 
 The coefficients of a unit, identified in several nights, are taken for its level, which differs from unit to unit and walks from night
 to night, and an error of the night:
