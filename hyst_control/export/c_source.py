@@ -27,7 +27,7 @@ DEVIATIONS = (
     "20.10       M(fabs) names the function of the chosen type",
 )
 
-MATH = re.compile(r"\bM\((\w+)\)|\b(pow|exp|expm1|log1p|sin|cos|fabs|ceil|floor|sqrt)\(")
+MATH = re.compile(r"\bM\((\w+)\)|\b(pow|exp|expm1|log1p|sin|cos|tanh|fabs|ceil|floor|sqrt)\(")
 """Functions of math.h: of the type of the signals, or of double."""
 EXACT_MATH = ("fabs", "rint", "sqrt", "floor", "ceil")
 """Functions of math.h that give the same bits on every machine."""

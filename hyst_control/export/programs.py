@@ -1,4 +1,4 @@
-"""Programs to be exported: of a model its simulator, a feedforward or its twin; of a file of nodes' parameters the whole controller."""
+"""Programs to be exported: of a model its simulator, a feedforward, its twin or its stated error; of nodes' parameters the controller."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from hyst_control.control.static_gain import Proportional
 from hyst_control.errors import InputError
 from hyst_control.export.c_source import Program, Slot, c_identifier
 from hyst_control.export.controller import Controller, Feedforward, SafeLoop
+from hyst_control.export.stated_error import StatedError
 from hyst_control.model_file import FORMAT, Model, Simulator, load_model, model_to_document
 from hyst_control.yaml_files import read_yaml
 
@@ -193,6 +194,39 @@ def twin(model: Model, sample_time: float | None = None, real: str = "double", n
     facts = _facts(model, "twin", extra)
     named = c_identifier(name or f"{model.name}_twin")
     return Exported(Program(named, running.c_code(), len(model.axes), tuple(inputs), outputs, time, facts, real), running, spans)
+
+
+def stated_error(model: Model, sample_time: float | None = None, real: str = "double", name: str = "") -> Exported:
+    """The error that a model states of itself: a command in, mean and standard deviation of the model's error out.
+
+    Parameters
+    ----------
+    model, sample_time, real, name
+        As for `simulator`.
+
+    Raises
+    ------
+    InputError
+        The model states no error.
+    """
+    time = sample_time or model.sample_time
+    running = StatedError(model, time)
+    unit = model.units["measurement"]
+    late = f", {running.late} ticks before" if running.late else ""
+    inputs = tuple(Slot(f"command_{axis}", "V, of this tick") for axis in model.axes)
+    outputs = [Slot(f"mean_{axis}", f"{unit}, of measured minus predicted{late}") for axis in model.axes]
+    outputs += [Slot(f"deviation_{axis}", f"{unit}, its standard deviation{late}") for axis in model.axes]
+    facts = _facts(
+        model,
+        "the error that it states of itself",
+        [
+            f"It is late by {running.late} ticks: the rate of the command is known no earlier." if late else "It is not late.",
+            "Zero, drift and curvature of a record are not part of it: the mean counts from where the program has settled.",
+        ],
+    )
+    named = c_identifier(name or f"{model.name}_error")
+    program = Program(named, running.c_code(), len(model.axes), inputs, tuple(outputs), time, facts, real)
+    return Exported(program, running, _command_span(model))
 
 
 def feedforward(
