@@ -8,6 +8,7 @@ from test_every_stage import CASES, SAMPLE_TIME, command, started
 
 from hyst_control.chain import STAGES, Chain, Sampling
 from hyst_control.chain.c_code import CCode
+from hyst_control.chain.madelung import CAPACITY
 from hyst_control.chain.stage import Filter
 from hyst_control.errors import InputError
 from hyst_control.export.c_source import Program, Slot
@@ -106,17 +107,30 @@ def test_a_filter_without_c_names_itself_and_the_remedy():
         Odd().c_code()
 
 
-def test_a_full_stack_forgets_the_flattest_loop_and_counts_it():
-    """Loops within loops, deeper than the C keeps: the outer ones stay what they are, and the way out of them is Python's again."""
-    python = started("madelung", 1, "zoh")
+@pytest.mark.parametrize(
+    ("case", "loops"), [("madelung", 46), ("madelung", 90), ("madelung, bipolar", 48), ("madelung, bipolar", 90)]
+)
+def test_nested_loops_are_exact_as_deep_as_the_stack_and_counted_beyond(case, loops):
+    """Loops within loops. Deeper than the C keeps, the outer ones stay what they are, and the way out of them is Python's again."""
+    python = started(case, 1, "zoh")
     c = compiled(python.c_code(), 1)
-    inward = 50.0 + 45.0 * (-1.0) ** np.arange(90) * np.linspace(1.0, 0.02, 90)
-    outward = np.linspace(inward[-1], 99.0, 400)
+    middle, size = (50.0, 45.0) if case == "madelung" else (20.0, 45.0)
+    inward = middle + size * (-1.0) ** np.arange(loops) * np.linspace(1.0, 0.02, loops)
+    outward = np.linspace(inward[-1], middle + 1.09 * size, 400)
     u = np.concatenate([[0.0], inward, outward])[:, None]
     python.settle(u[0])
     c.settle(u[0])
     expected, found = python.process(u), c.process(u)
     same = (found == expected)[:, 0]
-    assert same[:40].all() and not same.all()
-    assert np.abs(found - expected).max() < 0.005 * np.ptp(expected)
-    assert same[-15:].all()  # beyond the outermost loop
+    forgotten = int(c.state[-4:].view(np.int32)[0])
+    if loops <= CAPACITY:
+        assert same.all() and forgotten == 0
+    else:
+        assert same[:40].all() and not same.all() and forgotten >= (loops - CAPACITY) // 2
+        assert np.abs(found - expected).max() < 0.005 * np.ptp(expected)
+        assert same[-15:].all()  # beyond the outermost loop
+
+
+@pytest.mark.parametrize("case", ["madelung", "madelung, bipolar"])
+def test_the_state_of_two_axes_of_madelung_hysteresis_is_below_2_kib(case):
+    assert compiled(started(case, 2, "zoh").c_code(), 2).state.nbytes <= 2048
