@@ -19,7 +19,7 @@ from hyst_control.control.pi import PI
 from hyst_control.control.static_gain import Proportional
 from hyst_control.errors import InputError
 from hyst_control.export.c_source import Program, Slot, c_identifier
-from hyst_control.export.controller import Controller, Feedforward, SafeLoop
+from hyst_control.export.controller import Controller, FaultResponse, Feedforward
 from hyst_control.export.stated_error import StatedError
 from hyst_control.model_file import FORMAT, Model, Simulator, load_model, model_to_document
 from hyst_control.yaml_files import read_yaml
@@ -331,17 +331,17 @@ def _controller(document: Any, path: Path, real: str, name: str, reference_ahead
     time = 1.0 / rate
     defaults = {"kp": 0.0, "ki": 0.0, "lower": 0.0, "upper": 100.0, "slew_limit": 0.0, "tracking_time": 0.0, "roll_off": 0.0}
     law = PI(sample_time=time, **{key: _number(given, key, value) for key, value in defaults.items()})
-    known: dict[str, Any] = {item.name: given[item.name] for item in fields(SafeLoop) if item.name in given}
+    known: dict[str, Any] = {item.name: given[item.name] for item in fields(FaultResponse) if item.name in given}
     for key in known:
         if key == "safe_command":
             known[key] = tuple(map(float, np.atleast_1d(np.asarray(known[key], dtype=float))))
-        elif key != "recovery":
+        elif key not in ("recovery", "axis_fault"):
             known[key] = _number(known, key, 0.0)
     feeding = [key for key in nodes if key.endswith("_feedforward")]
     if len(feeding) > 1:
         raise InputError(f"{' and '.join(feeding)}: two feedforwards: keep the one that is used")
     fed = _fed(nodes[feeding[0]], feeding[0], axes, time, path) if feeding else _Fed()
-    running = Controller(law, len(axes), SafeLoop(**known), fed.filter, fed.learned)
+    running = Controller(law, len(axes), FaultResponse(**known), fed.filter, fed.learned)
     check_preview(running.ahead, reference_ahead)
     inputs, outputs = running.slots(axes, unit)
     used = {key: value for key, value in sorted(nodes.items()) if key in ("pi_feedback", *feeding)}

@@ -123,9 +123,11 @@ def test_defaults_are_the_nodes_defaults():
     pytest.importorskip("rclpy")
     from dataclasses import fields
 
-    from hyst_control.export.controller import SafeLoop
+    from hyst_control.export.controller import FaultResponse
     from hyst_control.nodes.common_parameters import COMMON
     from hyst_control.nodes.pi_feedback import PiFeedback
 
     settings = {setting.name: setting.default for setting in (*COMMON, *PiFeedback.SETTINGS)}
-    assert {item.name: item.default for item in fields(SafeLoop)} == {item.name: settings[item.name] for item in fields(SafeLoop)}
+    assert {item.name: item.default for item in fields(FaultResponse)} == {
+        item.name: settings[item.name] for item in fields(FaultResponse)
+    }
