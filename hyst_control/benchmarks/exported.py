@@ -13,7 +13,7 @@ from hyst_control.control.feedforward import Compensator, build_compensator
 from hyst_control.control.pi import PI
 from hyst_control.export.c_source import Program
 from hyst_control.export.compiled import CompiledProgram
-from hyst_control.export.controller import Controller, SafeLoop
+from hyst_control.export.controller import Controller, FaultResponse
 from hyst_control.export.programs import Exported, FeedforwardOptions, feedforward, simulator
 from hyst_control.model_file import load_model
 from hyst_control.reporting.tables import Table
@@ -64,7 +64,7 @@ def step_time(compensator: Compensator, rate: float, unit: str) -> tuple[float, 
         Of the measurement.
     """
     axes = len(compensator.axes)
-    controller = Controller(PI(0.3, 900.0, 1.0 / rate, 0.0, 50.0, 2e5), axes, SafeLoop(frozen_time=0.0), compensator)
+    controller = Controller(PI(0.3, 900.0, 1.0 / rate, 0.0, 50.0, 2e5), axes, FaultResponse(frozen_time=0.0), compensator)
     program = Program("loop", controller.c_code(), axes, *controller.slots(compensator.axes, unit), 1.0 / rate, ("of a benchmark",))
     running = CompiledProgram(program)
     phase = 0.02 * np.arange(ROWS)[:, None] + np.arange(axes)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from hyst_control.chain.c_code import CCode, integers, reals
 from hyst_control.chain.linear import TransferFunction
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalars
@@ -188,6 +189,117 @@ def advance_without_inertia(
     state[:] = (before - z) / stiffness, 0.0, z, before, min(state[4], z), max(state[5], z)
 
 
+BRANCH = """
+/* Slope dz/dy of the branch through a force: a formula, or a table where there are knots. */
+typedef struct {
+    const double *formula;
+    const double *knots;
+    const double *rising;
+    const double *falling;
+    int size;
+} hysteretic_law;
+
+static double branch_slope(double z, int upward, const hysteretic_law *law)
+{
+    double slope = 0.0;
+    if (law->size == 0) {
+        const double power = (law->formula[3] == 1.0) ? fabs(z) : pow(fabs(z), law->formula[3]);
+        const int outward = (z > 0.0) ? 1 : 0;
+        const double against = (outward == upward) ? law->formula[1] : -law->formula[1];
+        slope = law->formula[0] - ((against + law->formula[2]) * power);
+    } else {
+        int at = 0;
+        while ((at < (law->size - 2)) && (z >= law->knots[at + 1])) {
+            at++;
+        }
+        const double share = (z - law->knots[at]) / (law->knots[at + 1] - law->knots[at]);
+        const double *branch = (upward != 0) ? law->rising : law->falling;
+        slope = branch[at] + (share * (branch[at + 1] - branch[at]));
+    }
+    return slope;
+}
+"""
+"""`branch_slope` in C; as the integration, in double also where signals are float."""
+
+OF_AXIS = """
+const hysteretic_law law = {p->formula[i], p->knots[i], p->rising[i], p->falling[i], p->table_size[i]};
+"""
+
+ADVANCE = """
+for (int i = 0; i < AXES; i++) {
+    @OF_AXIS@
+    const double mass = p->mass[i];
+    const double damping = p->damping[i];
+    const double stiffness = p->stiffness[i];
+    const double step = p->step[i];
+    const double half = 0.5 * step;
+    const double sixth = step / 6.0;
+    const double now = (double)in[i];
+    const double slope = (HELD != 0) ? 0.0 : ((now - s->before[i]) / (double)p->steps[i]);
+    double u = (HELD != 0) ? now : s->before[i];
+    double y = s->y[i];
+    double v = s->v[i];
+    double z = s->z[i];
+    for (int turn = 0; turn < p->steps[i]; turn++) {
+        const double middle = u + (0.5 * slope);
+        const double a1 = (((u - (damping * v)) - (stiffness * y)) - z) / mass;
+        const double f1 = v * branch_slope(z, (v > 0.0) ? 1 : 0, &law);
+        const double v2 = v + (half * a1);
+        const double z2 = z + (half * f1);
+        const double a2 = (((middle - (damping * v2)) - (stiffness * (y + (half * v)))) - z2) / mass;
+        const double f2 = v2 * branch_slope(z2, (v2 > 0.0) ? 1 : 0, &law);
+        const double v3 = v + (half * a2);
+        const double z3 = z + (half * f2);
+        const double a3 = (((middle - (damping * v3)) - (stiffness * (y + (half * v2)))) - z3) / mass;
+        const double f3 = v3 * branch_slope(z3, (v3 > 0.0) ? 1 : 0, &law);
+        u += slope;
+        const double v4 = v + (step * a3);
+        const double z4 = z + (step * f3);
+        const double a4 = (((u - (damping * v4)) - (stiffness * (y + (step * v3)))) - z4) / mass;
+        const double f4 = v4 * branch_slope(z4, (v4 > 0.0) ? 1 : 0, &law);
+        y += sixth * ((v + (2.0 * (v2 + v3))) + v4);
+        v += sixth * ((a1 + (2.0 * (a2 + a3))) + a4);
+        z += sixth * ((f1 + (2.0 * (f2 + f3))) + f4);
+    }
+    s->y[i] = y;
+    s->v[i] = v;
+    s->z[i] = z;
+    s->before[i] = now;
+    out[i] = (real)y;
+}
+""".replace("@OF_AXIS@", OF_AXIS.strip())
+"""`advance_oscillator` in C."""
+
+COME_TO_REST = """
+for (int i = 0; i < AXES; i++) {
+    @OF_AXIS@
+    const double now = (double)in[i];
+    const double h = now / (double)SETTLING_STEPS;
+    const int upward = (now > 0.0) ? 1 : 0;
+    double z = 0.0;
+    if (now != 0.0) {
+        for (int turn = 0; turn < SETTLING_STEPS; turn++) {
+            const double g1 = branch_slope(z, upward, &law);
+            const double f1 = g1 / (p->stiffness[i] + g1);
+            const double g2 = branch_slope(z + ((0.5 * h) * f1), upward, &law);
+            const double f2 = g2 / (p->stiffness[i] + g2);
+            const double g3 = branch_slope(z + ((0.5 * h) * f2), upward, &law);
+            const double f3 = g3 / (p->stiffness[i] + g3);
+            const double g4 = branch_slope(z + (h * f3), upward, &law);
+            const double f4 = g4 / (p->stiffness[i] + g4);
+            z += (h * ((f1 + (2.0 * (f2 + f3))) + f4)) / 6.0;
+        }
+    }
+    s->y[i] = (now - z) / p->stiffness[i];
+    s->v[i] = 0.0;
+    s->z[i] = z;
+    s->before[i] = now;
+    out[i] = (real)s->y[i];
+}
+""".replace("@OF_AXIS@", OF_AXIS.strip())
+"""`advance_without_inertia` in C, from rest at 0 V to one command."""
+
+
 @dataclass(frozen=True)
 class HystereticOscillator(Stage):
     """Base of the stages of this structure; they add the parameters of their branches and say what these are in `laws`."""
@@ -348,3 +460,36 @@ class OscillatorFilter(Filter):
             advance_oscillator(command, self.held, step, steps, self.mechanics[axis], *law, state, column)
             output[:, axis] = column
         return output
+
+    def c_code(self) -> CCode:
+        axes, knots = len(self.laws), max(law[1].size for law in self.laws)
+        tables = np.zeros((3, axes, knots))
+        for axis, law in enumerate(self.laws):
+            for table, values in zip(tables, law[1:], strict=True):
+                table[axis, : values.size] = values
+        slopes = "V/measurement unit, slope of the force at the knots while the displacement"
+        sizes = [law[1].size for law in self.laws]
+        numbers = {
+            "mass": (self.mechanics[:, 0], "V s^2/measurement unit"),
+            "damping": (self.mechanics[:, 1], "V s/measurement unit"),
+            "stiffness": (self.mechanics[:, 2], "V/measurement unit"),
+            "step": (self.sample_time / np.array(self.steps), "s, of the integration"),
+            "formula": (np.array([law[0] for law in self.laws]), "alpha, beta, gamma, exponent of the force"),
+            "knots": (tables[0], "V, forces of the table"),
+            "rising": (tables[1], f"{slopes} rises"),
+            "falling": (tables[2], f"{slopes} falls"),
+        }
+        state = {"y": "measurement unit", "v": "measurement unit/s", "z": "V, force", "before": "V, command before"}
+        return CCode(
+            "oscillator",
+            ADVANCE,
+            COME_TO_REST,
+            {"HELD": int(self.held), "SETTLING_STEPS": SETTLING_STEPS},
+            {
+                **{name: reals(value, text, wide=True) for name, (value, text) in numbers.items()},
+                "table_size": integers(sizes, "knots, 0 for the formula"),
+                "steps": integers(self.steps, "of the integration in a tick"),
+            },
+            {name: reals(np.zeros(axes), text, wide=True) for name, text in state.items()},
+            (BRANCH,),
+        )

@@ -130,8 +130,9 @@ def madelung_branches(
 
 
 CAPACITY = 48
-"""Turning points that the C of an axis keeps. Where more are nested, it forgets the loop whose end comes closest to its begin, and
-counts that in `forgotten`; the Python filter keeps all."""
+"""Turning points that the C of an axis keeps beside those of rest, which are constants. Up to there it is the Python filter to the last
+bit; where more are nested, it forgets the loop whose end comes closest to its begin, and counts that in `forgotten`: then the loops
+outside the forgotten one are still exact, and those inside it close where it would have. The Python filter keeps all."""
 
 FORGET = """
 /* Forget the loop whose end comes closest to its begin; the number of turning points that are left. */
@@ -154,6 +155,9 @@ static int without_flattest_loop(real stack[][2], int depth)
 }
 """
 
+TURNING_POINT = "((({0}) < kept) ? p->rest_stack[axis][{0}] : s->stack[axis][({0}) - kept])"
+"""A turning point by its place from the bottom: one of rest, or one since."""
+
 STEP = """
 for (int axis = 0; axis < AXES; axis++) {
     const curve rising = {p->rising_breaks[axis], p->rising[axis][0], p->rising_size[axis][0], p->rising_size[axis][1]};
@@ -168,14 +172,15 @@ for (int axis = 0; axis < AXES; axis++) {
     if (x != before) {
         const real onward = (x > before) ? R(1.0) : R(-1.0);
         int depth = s->depth[axis];
+        int kept = s->kept[axis];
         if (onward != s->last[axis][2]) {
-            if (s->stack[axis][depth - 1][KEY] != before) {
-                if (depth == CAPACITY) {
-                    depth = without_flattest_loop(s->stack[axis], depth);
+            if (@TOP 1@[KEY] != before) {
+                if ((depth - kept) == CAPACITY) {
+                    depth = kept + without_flattest_loop(s->stack[axis], CAPACITY);
                     s->forgotten[axis] = (s->forgotten[axis] < 1000000000) ? (s->forgotten[axis] + 1) : s->forgotten[axis];
                 }
-                s->stack[axis][depth][0] = u;
-                s->stack[axis][depth][1] = y;
+                s->stack[axis][depth - kept][0] = u;
+                s->stack[axis][depth - kept][1] = y;
                 depth++;
             }
             s->last[axis][2] = onward;
@@ -189,17 +194,21 @@ for (int axis = 0; axis < AXES; axis++) {
             s->stack[axis][1][0] = u;
             s->stack[axis][1][1] = y;
             depth = 2;
+            kept = 0;
             s->moved[axis] = 1;
         } else {
-            while ((depth > 2) && ((onward * (x - s->stack[axis][depth - 2][KEY])) >= R(0.0))) {
+            while ((depth > 2) && ((onward * (x - @TOP 2@[KEY])) >= R(0.0))) {
                 depth -= 2;
+                kept = (kept < depth) ? kept : depth;
                 s->moved[axis] = 1;
             }
             if (s->moved[axis] != 0) {
-                const real u_from = s->stack[axis][depth - 1][0];
-                const real y_from = s->stack[axis][depth - 1][1];
-                const real u_to = s->stack[axis][depth - 2][0];
-                const real y_to = s->stack[axis][depth - 2][1];
+                const real *begin = @TOP 1@;
+                const real *end = @TOP 2@;
+                const real u_from = begin[0];
+                const real y_from = begin[1];
+                const real u_to = end[0];
+                const real y_to = end[1];
                 const real whole = (onward > R(0.0)) ? curve_value(rising, u_to - u_from) : curve_value(falling, u_from - u_to);
                 s->branch[axis][0] = u_from;
                 s->branch[axis][1] = y_from;
@@ -210,6 +219,7 @@ for (int axis = 0; axis < AXES; axis++) {
             FOLLOW
         }
         s->depth[axis] = depth;
+        s->kept[axis] = kept;
     }
     real value = (INVERSE != 0) ? u : y;
     if (raw != x) {
@@ -220,7 +230,7 @@ for (int axis = 0; axis < AXES; axis++) {
     s->last[axis][1] = y;
     out[axis] = (INVERSE != 0) ? ((value * p->to_outside[axis]) + p->offset[axis]) : (value * p->to_outside[axis]);
 }
-"""
+""".replace("@TOP 1@", TURNING_POINT.format("depth - 1")).replace("@TOP 2@", TURNING_POINT.format("depth - 2"))
 """`madelung_branches` in C."""
 
 FORWARD = """
@@ -248,11 +258,8 @@ for (int axis = 0; axis < AXES; axis++) {
 
 SETTLE = """
 for (int axis = 0; axis < AXES; axis++) {
-    for (int i = 0; i < p->rest_depth[axis]; i++) {
-        s->stack[axis][i][0] = p->rest_stack[axis][i][0];
-        s->stack[axis][i][1] = p->rest_stack[axis][i][1];
-    }
     s->depth[axis] = p->rest_depth[axis];
+    s->kept[axis] = p->rest_depth[axis];
     for (int i = 0; i < 3; i++) {
         s->last[axis][i] = p->rest_last[axis][i];
     }
@@ -320,9 +327,7 @@ class MadelungFilter(Filter):
         rested.stack = [np.zeros_like(stack) for stack in self.stack]
         rested.stack_depth, rested.last = [depth.copy() for depth in self.stack_depth], [last.copy() for last in self.last]
         rested.rest_at_0_volt()
-        # Rest inside the loop is what a drive that died away leaves: it takes as many turning points again.
-        capacity = CAPACITY * (2 if np.any((0.0 < self.rest) & (self.rest < 1.0)) else 1)
-        begin = np.zeros((axes, capacity, 2))
+        begin = np.zeros((axes, max(int(count[0]) for count in rested.stack_depth), 2))
         for axis, (stack, count) in enumerate(zip(rested.stack, rested.stack_depth, strict=True)):
             begin[axis, : count[0]] = stack[: count[0]]
         rising, rising_breaks, rising_size = _padded(self.rising)
@@ -331,7 +336,7 @@ class MadelungFilter(Filter):
             "madelung",
             STEP.replace("FOLLOW", BACKWARD if self.inverse else FORWARD),
             SETTLE,
-            {"CAPACITY": capacity, "INVERSE": int(self.inverse), "KEY": int(self.inverse)},
+            {"CAPACITY": CAPACITY, "INVERSE": int(self.inverse), "KEY": int(self.inverse)},
             {
                 "rising_breaks": reals(rising_breaks, "normalized input"),
                 "rising": reals(rising, "[axis][1][piece, power], normalized"),
@@ -349,10 +354,11 @@ class MadelungFilter(Filter):
                 "to_outside": reals(self.to_outside, "output unit"),
             },
             {
-                "stack": reals(np.zeros((axes, capacity, 2)), "turning points, normalized input and output"),
+                "stack": reals(np.zeros((axes, CAPACITY, 2)), "turning points since rest, normalized input and output"),
                 "last": reals(np.zeros((axes, 3)), "normalized input, output, and direction"),
                 "branch": reals(np.zeros((axes, 3)), "where it began, and its stretch"),
-                "depth": integers(np.zeros(axes), "turning points in the stack"),
+                "depth": integers(np.zeros(axes), "turning points, those of rest counted"),
+                "kept": integers(np.zeros(axes), "of them, those that are still the ones of rest"),
                 "moved": integers(np.zeros(axes), "1 where another branch is entered"),
                 "forgotten": integers(np.zeros(axes), "loops that found no room"),
             },

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
+from numba import njit
 
 from hyst_control.chain.c_code import MAXIMUM, MINIMUM, CCode, each_axis
 from hyst_control.chain.linear import TransferFunction
@@ -78,6 +80,78 @@ class Offset(Stage):
         return StaticFilter(lambda u: u + offset, sampling.hold, code)
 
 
+@njit(cache=True, error_model="numpy")
+def rectified(x: float) -> float:
+    """log(1 + e^x), which is x far above 0 and 0 far below, by the functions of the C library, which the exported C calls too.
+
+    Parameters
+    ----------
+    x
+        Any number.
+    """
+    if x > 0.0:
+        return x + math.log1p(math.exp(-x))
+    return math.log1p(math.exp(x))
+
+
+@njit(cache=True, error_model="numpy")
+def gradual_limits(signal: Array, lower: Array, upper: Array, knee: Array) -> Array:
+    """Limit a signal (N, A) as `Saturation` says.
+
+    Parameters
+    ----------
+    signal
+        (N, A), signal unit.
+    lower, upper, knee
+        (A,), signal unit.
+
+    Returns
+    -------
+    ndarray
+        (N, A).
+    """
+    output = np.empty_like(signal)
+    for row in range(signal.shape[0]):
+        for axis in range(signal.shape[1]):
+            value, width = signal[row, axis], knee[axis]
+            if width > 0.0:
+                if np.isfinite(upper[axis]):
+                    value = upper[axis] - width * rectified((upper[axis] - value) / width)
+                if np.isfinite(lower[axis]):
+                    value = lower[axis] + width * rectified((value - lower[axis]) / width)
+                output[row, axis] = value
+            else:
+                output[row, axis] = np.minimum(np.maximum(value, lower[axis]), upper[axis])
+    return output
+
+
+KNEE = """
+/* log(1 + e^x). */
+static real rectified(real x)
+{
+    return (x > R(0.0)) ? (x + M(log1p)(M(exp)(-x))) : M(log1p)(M(exp)(x));
+}
+
+/* Within the limits, which set in over the width of the knee. */
+static real gradual_limit(real u, real lower, real upper, real knee)
+{
+    real value = u;
+    if (knee > R(0.0)) {
+        if (isfinite(upper)) {
+            value = upper - (knee * rectified((upper - value) / knee));
+        }
+        if (isfinite(lower)) {
+            value = lower + (knee * rectified((value - lower) / knee));
+        }
+    } else {
+        value = minimum_of(maximum_of(value, lower), upper);
+    }
+    return value;
+}
+"""
+"""`gradual_limits` in C."""
+
+
 @register
 @dataclass(frozen=True)
 class Saturation(Stage):
@@ -102,22 +176,18 @@ class Saturation(Stage):
         lower = per_axis_scalar(self.lower, sampling.axes, "lower")
         upper = per_axis_scalar(self.upper, sampling.axes, "upper")
         knee = per_axis_scalar(self.knee, sampling.axes, "knee")
+        limits = {"lower": (lower, "signal unit, least output"), "upper": (upper, "signal unit, greatest output")}
         if knee.any():
-            width, soft = np.where(knee > 0.0, knee, 1.0), knee > 0.0
-            least, most = (np.where(np.isfinite(limit), limit, 0.0) for limit in (lower, upper))
-
-            def gradual(u: Array) -> Array:
-                below = np.where(np.isfinite(upper), most - width * np.logaddexp(0.0, (most - u) / width), u)
-                both = np.where(np.isfinite(lower), least + width * np.logaddexp(0.0, (below - least) / width), below)
-                return np.where(soft, both, np.minimum(np.maximum(u, lower), upper))
-
-            return StaticFilter(gradual, sampling.hold)
-        code = each_axis(
-            "minimum_of(maximum_of(u, p->lower[i]), p->upper[i])",
-            "limits",
-            {"lower": (lower, "signal unit, least output"), "upper": (upper, "signal unit, greatest output")},
-            (MAXIMUM, MINIMUM),
-        )
+            code = each_axis(
+                "gradual_limit(u, p->lower[i], p->upper[i], p->knee[i])",
+                "knee",
+                {**limits, "knee": (knee, "signal unit, width of a limit; 0: at once")},
+                (MAXIMUM, MINIMUM, KNEE),
+            )
+            return StaticFilter(
+                lambda u: gradual_limits(np.atleast_2d(u), lower, upper, knee).reshape(u.shape), sampling.hold, code
+            )
+        code = each_axis("minimum_of(maximum_of(u, p->lower[i]), p->upper[i])", "limits", limits, (MAXIMUM, MINIMUM))
         return StaticFilter(lambda u: np.minimum(np.maximum(u, lower), upper), sampling.hold, code)
 
 

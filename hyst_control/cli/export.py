@@ -1,6 +1,7 @@
 """Write a model or a controller as C, with a harness that holds it against Python; or a bag as a file of other tools.
 
-MODEL.yaml is exported as the plant, with --kind as a feedforward, with --twin as the model beside the running system. A file of nodes'
+MODEL.yaml is exported as the plant, with --kind as a feedforward, with --twin as the model beside the running system,
+with --discrepancy as the error that it states of itself. A file of nodes'
 parameters is exported as the controller of its pi_feedback and its feedforward node.
 
 A BAG is exported with --to: as MCAP with one message a row at its sample time, which players draw, or as a table or arrays.
@@ -40,6 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, metavar="HZ", help="sample rate of a model in Hz (default: the model's)")
     parser.add_argument("--kind", help="of a model: the feedforward of this kind, such as hapi, hampi, mhl, mhl_inverse")
     parser.add_argument("--twin", action="store_true", help="of a model: measurement minus prediction beside the running system")
+    parser.add_argument(
+        "--discrepancy", action="store_true", help="of a model: mean and standard deviation of the error that it states of itself"
+    )
     parser.add_argument("--inverse", default="zpetc", help="with --kind: inverse of the dynamics (default zpetc)")
     parser.add_argument("--discretisation", default="zoh", help="with --kind: of the dynamics, zoh or tustin (default zoh)")
     parser.add_argument("--iterations", type=int, help="with --kind: of the inverse of the hysteresis (default: the kind's)")
@@ -75,12 +79,13 @@ def run(arguments: argparse.Namespace) -> Artifacts:
         return _bag(given)
     if given.rate is not None and not 0 < given.rate < 1e12:
         raise InputError(f"--rate: must be > 0 Hz and < 1e12 Hz, got {given.rate!r}")
-    if given.kind and given.twin:
-        raise InputError("--twin: give it, or --kind, not both")
+    kinds = [name for name in ("kind", "twin", "discrepancy") if getattr(given, name)]
+    if len(kinds) > 1:
+        raise InputError(f"--{kinds[1]}: give it, or --{kinds[0]}, not both")
     time = 1.0 / given.rate if given.rate else None
     files = [given.source]
     if not programs.is_model(given.source):
-        chosen = [name for name in ("rate", "kind", "twin", "causal", "limits") if getattr(given, name)]
+        chosen = [name for name in ("rate", "kind", "twin", "discrepancy", "causal", "limits") if getattr(given, name)]
         if chosen:
             raise InputError(f"--{chosen[0]}: {given.source} has nodes' parameters, which say that: change it there")
         exported = programs.controller(given.source, given.real, given.name, given.reference_ahead)
@@ -100,7 +105,8 @@ def run(arguments: argparse.Namespace) -> Artifacts:
                 files += [given.inverse_model] if given.inverse_model else []
                 exported = programs.feedforward(model, options, time, given.real, given.name, given.reference_ahead)
             else:
-                exported = (programs.twin if given.twin else programs.simulator)(model, time, given.real, given.name)
+                alone = programs.twin if given.twin else programs.stated_error if given.discrepancy else programs.simulator
+                exported = alone(model, time, given.real, given.name)
         except InputError as error:
             raise InputError(f"{given.source}: {error}") from None
     plant = None
@@ -133,7 +139,7 @@ def _bag(given: argparse.Namespace) -> Artifacts:
     from hyst_control.records.exporting import export_record
     from hyst_control.reporting.artifacts import Artifacts
 
-    for name in ("rate", "kind", "twin", "causal", "limits", "plant"):
+    for name in ("rate", "kind", "twin", "discrepancy", "causal", "limits", "plant"):
         if getattr(given, name):
             raise InputError(f"--{name}: is of a model, not of a bag: leave it out")
     if given.to != "mcap":

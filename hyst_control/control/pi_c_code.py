@@ -40,14 +40,16 @@ FUNCTIONS = (MAXIMUM, MINIMUM, *CLAMPING, RAMPED)
 
 RESUME = """
 for (int i = 0; i < AXES; i++) {
-    const real error = reference[i] - measurement[i];
-    const real integral = (p->ki_step != R(0.0)) ? ((last[i] - feedforward[i]) - ((p->kp + p->ki_step) * error)) : R(0.0);
-    s->integral[i] = isfinite(integral) ? integral : R(0.0);
-    s->command[i] = last[i];
-    s->rolled[i] = isfinite(error) ? error : R(0.0);
+    if (back[i] != 0) {
+        const real error = reference[i] - measurement[i];
+        const real integral = (p->ki_step != R(0.0)) ? ((last[i] - feedforward[i]) - ((p->kp + p->ki_step) * error)) : R(0.0);
+        s->integral[i] = isfinite(integral) ? integral : R(0.0);
+        s->command[i] = last[i];
+        s->rolled[i] = isfinite(error) ? error : R(0.0);
+    }
 }
 """
-"""`RunningPI.resume` in C, of the arrays reference, measurement, feedforward and last."""
+"""`RunningPI.resume` in C, of the arrays reference, measurement, feedforward, last, and the mask back."""
 
 STEP = """
 for (int i = 0; i < AXES; i++) {

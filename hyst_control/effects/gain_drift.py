@@ -2,19 +2,35 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numba import njit
 
 from hyst_control.chain.c_code import CCode, each_axis
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
-from hyst_control.chain.stage import per_axis_scalars, register
+from hyst_control.chain.stage import Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings
-from hyst_control.effects.time_dependent import TimedStage, relaxed
+from hyst_control.effects.time_dependent import TimedStage
 
 STEPS = (np.arange(6) + 0.5) / 6.0 - 0.5
+"""Places of the time constants in their decades."""
+
+ARRIVED = """
+/* Share of a drift that has come at a time in s: the mean over its time constants. */
+static real arrived_share(double t, const double times[], int count)
+{
+    double sum = 0.0;
+    for (int k = 0; k < count; k++) {
+        sum -= expm1(-t / times[k]);
+    }
+    return (real)(sum / (double)count);
+}
+"""
+"""`arrived` in C."""
 
 
 @register
@@ -29,34 +45,78 @@ class GainDrift(TimedStage):
     initial: ScalarPerAxis = scalar("", "part of the change that is there at the start", default=0.0)
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
-        change, tau, decades, initial = per_axis_scalars(self, axes, "change", "tau", "decades", "initial")
-        return lambda u, t: u * (1.0 + change * (initial + arrived(t, tau, decades)))
+        change, initial = per_axis_scalars(self, axes, "change", "initial")
+        times = drift_times(*per_axis_scalars(self, axes, "tau", "decades"))
+        return lambda u, t: u * (1.0 + change * (initial + arrived(t[:, 0], times)))
 
-    def function_in_c(self, axes: int) -> CCode | None:
-        change, tau, decades, initial = per_axis_scalars(self, axes, "change", "tau", "decades", "initial")
-        if decades.any() or initial.any():
-            return None
-        return each_axis(
-            "u * (R(1.0) - (p->change[i] * (real)expm1(-t / (double)p->tau[i])))",
-            "gain drift",
-            {"change": (change, "in the end"), "tau": (tau, "s")},
-        )
+    def function_in_c(self, axes: int) -> CCode:
+        return drift_code(self, axes, "u * (R(1.0) + (p->change[i] * (p->initial[i] + SHARE)))", "gain drift")
 
 
-def arrived(times: Array, tau: Array, decades: Array) -> Array:
-    """Share of a drift that has come: the mean of 1 - exp(-t / τ_i) over 6 time constants spread over `decades` around `tau`.
+def drift_times(tau: Array, decades: Array) -> Array:
+    """Time constants (A, 1) of a drift, or (A, 6) where they are spread.
+
+    Parameters
+    ----------
+    tau, decades
+        (A,), s and decimal logarithm; 0 decades everywhere: one time constant.
+    """
+    if not decades.any():
+        return np.ascontiguousarray(tau[:, None])
+    spread: Array = tau[:, None] * 10.0 ** (decades[:, None] * STEPS)
+    return spread
+
+
+@njit(cache=True, error_model="numpy")
+def arrived(times: Array, constants: Array) -> Array:
+    """Share of a drift that has come: the mean of 1 - exp(-t / τ_i) over its time constants.
 
     Parameters
     ----------
     times
-        (N, 1), s.
-    tau, decades
-        (A,), s and decimal logarithm; 0 decades: one time constant.
+        (N,), s.
+    constants
+        (A, K), s; see `drift_times`.
+
+    Returns
+    -------
+    ndarray
+        (N, A).
     """
-    if not decades.any():
-        return -relaxed(-times / tau)
-    share: Array = np.mean([-np.expm1(-times / (tau * 10.0 ** (decades * step))) for step in STEPS], axis=0)
-    return share
+    axes, count = constants.shape
+    output = np.empty((times.size, axes))
+    for row in range(times.size):
+        for axis in range(axes):
+            total = 0.0
+            for k in range(count):
+                total -= math.expm1(-times[row] / constants[axis, k])
+            output[row, axis] = total / count
+    return output
+
+
+def drift_code(stage: Stage, axes: int, expression: str, title: str) -> CCode:
+    """C of a drift.
+
+    Parameters
+    ----------
+    stage
+        Drift.
+    axes
+        Number of axes.
+    expression
+        Output for the input `u` and the share `SHARE` that has come.
+    title
+        As in `CCode`.
+    """
+    change, tau, decades, initial = per_axis_scalars(stage, axes, "change", "tau", "decades", "initial")
+    times = drift_times(tau, decades)
+    return each_axis(
+        expression.replace("SHARE", f"arrived_share(t, p->times[i], {times.shape[1]})"),
+        title,
+        {"change": (change, "in the end"), "initial": (initial, "part of the change that is there at the start")},
+        (ARRIVED,),
+        {"times": (times, "s, time constants")},
+    )
 
 
 def drift_parameters(around: Surroundings) -> tuple[Parameter, ...]:

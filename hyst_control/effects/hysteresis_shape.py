@@ -26,6 +26,7 @@ static real bend_value(real x, real even, real odd, real tilt, real stroke)
     return stroke * ((((even * x) * rest) + (((odd * x) * rest) * aside)) + (tilt * aside));
 }
 """
+BENT = "bend_value((u - p->{}[i]) / p->span[i], p->even[i], p->odd[i], p->tilt[i], p->stroke[i])"
 
 
 @register
@@ -76,24 +77,39 @@ class HysteresisShape(Modifier):
             return stroke * height
 
         stages: tuple[Stage, ...] = (before[index],)
+        bend = {
+            "even": (amount * 4.0, "share of the stroke, four times the even bend midway"),
+            "odd": (odd * CUBIC, "share of the stroke, of the cubic"),
+            "tilt": (tilt, "share of the stroke, from end to end"),
+            "stroke": (stroke, "output unit"),
+        }
         if not behind.all():
             code = each_axis(
-                "bend_value((u - p->lower[i]) / p->span[i], p->even[i], p->odd[i], p->tilt[i], p->stroke[i])",
+                f"p->share[i] * {BENT.format('lower')}",
                 "bend",
                 {
+                    **bend,
+                    "share": (1.0 - behind, "0 where the bend is one of the output"),
                     "lower": (lower, "V, where the bend begins"),
                     "span": (upper - lower, "V"),
-                    "even": (amount * 4.0, "share of the stroke, four times the even bend midway"),
-                    "odd": (odd * CUBIC, "share of the stroke, of the cubic"),
-                    "tilt": (tilt, "share of the stroke, from end to end"),
-                    "stroke": (stroke, "output unit"),
                 },
                 (BEND,),
             )
-            bend = Memoryless(lambda u: (1.0 - behind) * curve((u - lower) / (upper - lower)), None if behind.any() else code)
-            stages = (beside(before[index], bend),)
+            stages = (beside(before[index], Memoryless(lambda u: (1.0 - behind) * curve((u - lower) / (upper - lower)), code)),)
         if behind.any():
-            stages = (*stages, Memoryless(lambda y: y + behind * curve((y - begin) / np.where(span, span, 1.0))))
+            whole = np.where(span, span, 1.0)
+            code = each_axis(
+                f"u + (p->share[i] * {BENT.format('begin')})",
+                "bend behind",
+                {
+                    **bend,
+                    "share": (behind, "0 where the bend is one of the command"),
+                    "begin": (begin, "output unit, where the bend begins"),
+                    "span": (whole, "output unit"),
+                },
+                (BEND,),
+            )
+            stages = (*stages, Memoryless(lambda y: y + behind * curve((y - begin) / whole), code))
         return (*before[:index], *stages, *before[index + 1 :])
 
 

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from hyst_control.chain.c_code import CCode, each_axis
+from hyst_control.chain.c_code import CCode
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import per_axis_scalars, register
 from hyst_control.effects.effect import Companion, Effect, Parameter
-from hyst_control.effects.gain_drift import arrived, drift_parameters
+from hyst_control.effects.gain_drift import arrived, drift_code, drift_parameters, drift_times
 from hyst_control.effects.time_dependent import TimedStage
 
 
@@ -26,18 +26,12 @@ class OffsetDrift(TimedStage):
     initial: ScalarPerAxis = scalar("", "part of the change that is there at the start", default=0.0)
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
-        change, tau, decades, initial = per_axis_scalars(self, axes, "change", "tau", "decades", "initial")
-        return lambda u, t: u + change * (initial + arrived(t, tau, decades))
+        change, initial = per_axis_scalars(self, axes, "change", "initial")
+        times = drift_times(*per_axis_scalars(self, axes, "tau", "decades"))
+        return lambda u, t: u + change * (initial + arrived(t[:, 0], times))
 
-    def function_in_c(self, axes: int) -> CCode | None:
-        change, tau, decades, initial = per_axis_scalars(self, axes, "change", "tau", "decades", "initial")
-        if decades.any() or initial.any():
-            return None
-        return each_axis(
-            "u - (p->change[i] * (real)expm1(-t / (double)p->tau[i]))",
-            "offset drift",
-            {"change": (change, "in the end"), "tau": (tau, "s")},
-        )
+    def function_in_c(self, axes: int) -> CCode:
+        return drift_code(self, axes, "u + (p->change[i] * (p->initial[i] + SHARE))", "offset drift")
 
 
 EFFECT = Effect(

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from hyst_control.chain.c_code import each_axis
+from hyst_control.chain.c_code import MAXIMUM, MINIMUM, each_axis
 from hyst_control.chain.memoryless import StaticFilter
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalars, register
@@ -20,10 +20,23 @@ static real bent_value(real u, real lower, real upper, real second, real third, 
     const real x = ((R(2.0) * (u - lower)) / (upper - lower)) - R(1.0);
     const real even = (second * R(0.5)) * (((R(3.0) * x) * x) - R(1.0));
     const real odd = ((third * R(0.5)) * (((R(5.0) * x) * x) - R(3.0))) * x;
-    return u + ((even + odd) + zero);
+    return (even + odd) + zero;
 }
 """
 """The second and third Legendre polynomial in C, in the order of `SensorNonlinearity.filter`."""
+
+
+HIGHER = """
+static real higher_bend(real bend, real u, real lower, real upper, real fourth, real fifth)
+{
+    const real x = ((R(2.0) * (u - lower)) / (upper - lower)) - R(1.0);
+    const real square = minimum_of(maximum_of(x * x, R(0.0)), R(2.25));
+    const real even = (fourth * ((((R(35.0) * square) - R(30.0)) * square) + R(3.0))) / R(8.0);
+    const real odd = ((fifth * ((((R(63.0) * square) - R(70.0)) * square) + R(15.0))) * x) / R(8.0);
+    return (bend + even) + odd;
+}
+"""
+"""The bend with the fourth and fifth polynomial added."""
 
 
 @register
@@ -58,19 +71,18 @@ class SensorNonlinearity(Stage):
                 bend = bend + fifth * ((63.0 * square - 70.0) * square + 15.0) * x / 8.0
             return u + bend
 
+        unit = "measurement unit"
+        constants = {"second": second, "third": third, "lower": lower, "upper": upper, "zero": zero}
+        bend = "bent_value(u, p->lower[i], p->upper[i], p->second[i], p->third[i], p->zero[i])"
+        functions: tuple[str, ...] = (BENT,)
+        if higher:
+            constants |= {"fourth": fourth, "fifth": fifth}
+            bend = f"higher_bend({bend}, u, p->lower[i], p->upper[i], p->fourth[i], p->fifth[i])"
+            functions = (BENT, MAXIMUM, MINIMUM, HIGHER)
         code = each_axis(
-            "bent_value(u, p->lower[i], p->upper[i], p->second[i], p->third[i], p->zero[i])",
-            "sensor nonlinearity",
-            {
-                "second": (second, "measurement unit"),
-                "third": (third, "measurement unit"),
-                "lower": (lower, "measurement unit"),
-                "upper": (upper, "measurement unit"),
-                "zero": (zero, "measurement unit"),
-            },
-            (BENT,),
+            f"u + {bend}", "sensor nonlinearity", {name: (value, unit) for name, value in constants.items()}, functions
         )
-        return StaticFilter(bent, sampling.hold, None if higher else code)
+        return StaticFilter(bent, sampling.hold, code)
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
 from hyst_control.chain.c_code import CCode, reals
 from hyst_control.chain.parameter import Array
@@ -50,22 +48,6 @@ class TimedStage(Stage):
 
     def filter(self, sampling: Sampling) -> Filter:
         return TimedFilter(self.function(sampling.axes), sampling, self.function_in_c(sampling.axes))
-
-
-@njit(cache=True, error_model="numpy")
-def relaxed(exponent: Array) -> Array:
-    """e^x - 1 of every number (N, A), by the function of the C library, which the exported C calls too.
-
-    Parameters
-    ----------
-    exponent
-        x.
-    """
-    output = np.empty_like(exponent)
-    for row in range(exponent.shape[0]):
-        for axis in range(exponent.shape[1]):
-            output[row, axis] = math.expm1(exponent[row, axis])
-    return output
 
 
 class TimedFilter(Filter):

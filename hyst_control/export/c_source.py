@@ -27,8 +27,9 @@ DEVIATIONS = (
     "20.10       M(fabs) names the function of the chosen type",
 )
 
-MATH = re.compile(r"\bM\((\w+)\)")
-EXACT_MATH = ("fabs", "rint", "sqrt", "floor")
+MATH = re.compile(r"\bM\((\w+)\)|\b(pow|exp|expm1|log1p|sin|cos|tanh|fabs|ceil|floor|sqrt)\(")
+"""Functions of math.h: of the type of the signals, or of double."""
+EXACT_MATH = ("fabs", "rint", "sqrt", "floor", "ceil")
 """Functions of math.h that give the same bits on every machine."""
 
 
@@ -87,7 +88,7 @@ class Program:
     def exact(self) -> bool:
         """True where double gives the same bits on every machine: nothing of math.h that may differ between libraries."""
         used = {name for unit in _units(self) for text in (unit.code.step, unit.code.settle, *unit.code.functions)
-                for name in MATH.findall(text)}  # fmt: skip
+                for found in MATH.findall(text) for name in found if name}  # fmt: skip
         return used <= set(EXACT_MATH)
 
 

@@ -1,9 +1,10 @@
 """A whole controller: feedforward, learned rows, PI feedback, and what the feedback node does about faults; in Python and as C.
 
 Every tick takes the newest reference and measurement. A row that is not finite is left out: the one before stands for it, and after
-`timeout` it is a fault. A fault, also a measurement that is frozen or out of range, or `enable` at 0, sends the command to
+`timeout` it is a fault of every axis. A fault, also a measurement that is frozen or out of range, or `enable` at 0, sends the command to
 `safe_command` at `safe_rate`; the loop returns without a jump once there was none for `recovery_time`, with `recovery: manual` when
-`enable` is raised again. Before the first complete inputs the command rests at 0 V.
+`enable` is raised again. Which axes run and which do not is `control.safe_loop`, in Python the very one. Before the first complete inputs
+the command rests at 0 V.
 
 It is what `nodes/pi_feedback.py` does under the timer, tick by tick, with a feedforward node before it.
 """
@@ -20,12 +21,12 @@ from hyst_control.chain.c_code import CCode, Member, integers, reals
 from hyst_control.chain.parameter import Array
 from hyst_control.control import pi_c_code
 from hyst_control.control.pi import PI, RunningPI
+from hyst_control.control.safe_loop import OVERFLOW, SafeLoop, Safety
+from hyst_control.control.sensor_watch import FROZEN, MOTION, OUT_OF_RANGE, MeasurementWatch
 from hyst_control.errors import InputError
 from hyst_control.export.c_source import Slot
 
-MOTION = 0.01
-"""Share of the command's range by which it must move before a constant measurement counts as frozen, as in the node."""
-FAULTS = ("none", "no reference", "no measurement", "measurement out of range", "measurement frozen")
+FAULTS = ("none", "no reference", "no measurement", OUT_OF_RANGE, FROZEN, OVERFLOW)
 """Faults by their code."""
 
 
@@ -47,7 +48,7 @@ class Feedforward(Protocol):
 
 
 @dataclass(frozen=True)
-class SafeLoop:
+class FaultResponse:
     """Answer of the loop to faults; parameters as those of the feedback node.
 
     Parameters
@@ -56,6 +57,8 @@ class SafeLoop:
         V, (A,).
     safe_rate
         V/s.
+    axis_fault
+        Axes that go to their safe value when one axis has a fault: "all", or only that one, "own".
     timeout
         s, after which inputs that are not finite are a fault.
     recovery
@@ -70,6 +73,7 @@ class SafeLoop:
 
     safe_command: tuple[float, ...] = (0.0,)
     safe_rate: float = 1000.0
+    axis_fault: str = "all"
     timeout: float = 0.1
     recovery: str = "automatic"
     recovery_time: float = 0.1
@@ -78,8 +82,9 @@ class SafeLoop:
     frozen_time: float = 0.1
 
     def __post_init__(self) -> None:
-        if self.recovery not in ("automatic", "manual"):
-            raise InputError(f"recovery: {self.recovery!r} is not one of automatic, manual")
+        for name, choices in (("recovery", ("automatic", "manual")), ("axis_fault", ("all", "own"))):
+            if getattr(self, name) not in choices:
+                raise InputError(f"{name}: {getattr(self, name)!r} is not one of {', '.join(choices)}")
         if not (np.isfinite(self.safe_rate) and self.safe_rate > 0):
             raise InputError(f"safe_rate: must be a positive rate in V/s, got {self.safe_rate!r}")
         for name in ("timeout", "recovery_time", "frozen_time"):
@@ -105,8 +110,8 @@ class Controller(Filter):
         Gains and limits.
     axes
         Number of axes.
-    loop
-        Faults.
+    response
+        What it does about faults.
     feedforward
         None: zero.
     learned
@@ -119,34 +124,40 @@ class Controller(Filter):
     """
 
     def __init__(
-        self, pi: PI, axes: int, loop: SafeLoop, feedforward: Feedforward | None = None, learned: Array | None = None
+        self, pi: PI, axes: int, response: FaultResponse, feedforward: Feedforward | None = None, learned: Array | None = None
     ) -> None:
         self.hold = "zoh"
-        self.axes, self.loop, self.feedforward = axes, loop, feedforward
-        if len(loop.safe_command) not in (1, axes):
-            raise InputError(f"safe_command: {len(loop.safe_command)} values for {axes} axes")
+        self.axes, self.response, self.feedforward = axes, response, feedforward
+        if len(response.safe_command) not in (1, axes):
+            raise InputError(f"safe_command: {len(response.safe_command)} values for {axes} axes")
         if learned is not None and (learned.ndim != 2 or learned.shape[1] != axes or not len(learned)):
             raise InputError(f"learned: must be rows by {axes} axes, got shape {learned.shape}")
-        self.safe = np.clip(np.broadcast_to(np.array(loop.safe_command, dtype=float), axes), pi.lower, pi.upper)
+        self.safe = np.clip(np.broadcast_to(np.array(response.safe_command, dtype=float), axes), pi.lower, pi.upper)
         self.learned = learned
         self.pi = pi
         self.ahead = feedforward.preview if feedforward else 0
-        self.rate = float(min(loop.safe_rate, pi.slew_limit or np.inf))
         self.timeout, self.recovery, self.frozen = (
-            loop.ticks(value, pi.sample_time) for value in (loop.timeout, loop.recovery_time, loop.frozen_time)
+            response.ticks(value, pi.sample_time) for value in (response.timeout, response.recovery_time, response.frozen_time)
         )
         self.settle(np.zeros(2 * axes + 1))
 
     def settle(self, value: Array) -> Array:
         """Begin a run: at rest at 0 V, nothing known of the inputs; the output (3 A + 1,) is 0, whatever the `value` is."""
+        given = self.response
         self.controller: RunningPI = self.pi.start(self.axes)
         self.controller.reset(np.zeros(self.axes))
+        self.loop = SafeLoop(
+            self.controller,
+            MeasurementWatch(
+                given.measurement_lower, given.measurement_upper, self.frozen, MOTION * (self.pi.upper - self.pi.lower)
+            ),
+            Safety(self.safe, given.safe_rate, self.recovery, given.recovery == "manual", given.axis_fault == "all"),
+        )
         self.inputs = np.zeros((2, self.axes))
         self.known, self.age = [False, False], [0, 0]
-        self.begun = self.away = self.enabled = False
-        self.fault = self.well = self.row = self.same = self.place = 0
+        self.begun = self.enabled = False
+        self.row = self.place = 0
         self.ring = np.zeros((self.ahead + 1, self.axes))
-        self.watched: Array | None = None
         return np.zeros(3 * self.axes + 1)
 
     def process(self, block: Array) -> Array:
@@ -161,35 +172,15 @@ class Controller(Filter):
                 self.age[i] = min(self.age[i] + 1, self.timeout + 1)
         enabled = bool(row[2 * axes] > 0.5)
         if enabled and not self.enabled:
-            self.fault = self.well = 0
-        self.enabled = enabled
+            self.loop.faults.clear()
+        self.enabled = self.loop.enabled = enabled
         if not all(self.known):
             return np.concatenate([self.controller.command, np.zeros(2 * axes), [0.0]])
         reference, ahead = self._feedforward(self.inputs[0])
-        measurement = self.inputs[1].copy()
-        last = self.controller.command
-        stale = next((i + 1 for i in (0, 1) if self.age[i] > self.timeout), 0)
-        wrong = self._watch(measurement, last)
-        found = stale or wrong
-        self.well = 0 if found else min(self.well + 1, self.recovery + 1)
-        if found or self.loop.recovery == "automatic" and self.well >= self.recovery:
-            self.fault = found
-        feedback = np.zeros(axes)
-        if self.fault or not enabled:
-            self.away = True
-            command = self.controller.ramp(self.safe, self.rate)[0]
-        else:
-            if self.away:
-                self.controller.resume(last, reference, measurement, ahead)
-            command, feedback = self.controller.step(reference, measurement, ahead)
-            if self.away and not self.pi.ki:  # no integral action to lead back
-                wanted = command
-                self.controller.resume(last, reference, measurement, ahead)
-                command = self.controller.ramp(wanted, self.rate)[0]
-                self.away = not np.array_equal(command, wanted)
-            else:
-                self.away = False
-        return np.concatenate([command, feedback, ahead, [float(self.fault)]])
+        stale = next((FAULTS[i + 1] for i in (0, 1) if self.age[i] > self.timeout), "")
+        command, feedback = self.loop.closed(reference[None], self.inputs[1][None].copy(), ahead[None], stale)
+        fault = next((fault for fault in self.loop.faults.present if fault), "none")
+        return np.concatenate([command[0], feedback[0], ahead, [float(FAULTS.index(fault))]])
 
     def _feedforward(self, newest: Array) -> tuple[Array, Array]:
         """Reference of this tick, and its feedforward (V)."""
@@ -206,25 +197,13 @@ class Controller(Filter):
             self.row = (self.row + 1) % len(self.learned)
         return self.ring[self.place].copy(), ahead
 
-    def _watch(self, measurement: Array, sent: Array) -> int:
-        """Fault of the measurement, as `control/sensor_watch.py` has it."""
-        if self.watched is None or np.any(measurement != self.watched):
-            self.watched, self.same, self.least, self.most = measurement, 0, sent, sent
-        else:
-            self.least, self.most = np.minimum(self.least, sent), np.maximum(self.most, sent)
-            if np.max(self.most - self.least) > MOTION * (self.pi.upper - self.pi.lower):
-                self.same = min(self.same + 1, self.frozen)
-        if measurement.min() < self.loop.measurement_lower or measurement.max() > self.loop.measurement_upper:
-            return 3
-        return 4 if 0 < self.frozen <= self.same else 0
-
     def c_code(self) -> CCode:
         axes, learned = self.axes, self.learned
         limits = {
             "safe": reals(self.safe, "V, command of a stopped loop"),
-            "safe_step": reals(self.rate * self.pi.sample_time, "V, on the way to it, in a step"),
-            "measurement_lower": reals(self.loop.measurement_lower, "measurement unit"),
-            "measurement_upper": reals(self.loop.measurement_upper, "measurement unit"),
+            "safe_step": reals(self.loop.rate * self.pi.sample_time, "V, on the way to it, in a step"),
+            "measurement_lower": reals(self.response.measurement_lower, "measurement unit"),
+            "measurement_upper": reals(self.response.measurement_upper, "measurement unit"),
             "motion": reals(MOTION * (self.pi.upper - self.pi.lower), "V, beyond which a constant measurement is frozen"),
         }
         table = {} if learned is None else {"learned": reals(learned, "V, one period")}
@@ -233,18 +212,18 @@ class Controller(Filter):
             "reference": reals(np.zeros(axes), "newest finite one"),
             "measurement": reals(np.zeros(axes), "newest finite one"),
             "ring": reals(self.ring, "references of the ticks to come"),
-            "watched": reals(np.zeros(axes), "measurement that was the same"),
+            "watched": reals(np.zeros(axes), "measurement that was the same; NaN before the first"),
             "least": reals(np.zeros(axes), "V, command meanwhile"),
             "most": reals(np.zeros(axes), "V, command meanwhile"),
             "age": integers([0, 0], "ticks without a finite reference, measurement"),
             "known": integers([0, 0], "1 once there was a reference, a measurement"),
             "begun": integers(0, "1 once the feedforward is settled"),
-            "seen": integers(0, "1 once a measurement was watched"),
-            "away": integers(0, "1 on the way back from the safe command"),
+            "away": integers(np.zeros(axes), "1 where the command is not that of the controller"),
+            "overflow": integers(np.zeros(axes), "1 where the arithmetic of the last tick left the finite"),
             "enabled": integers(0, "last enable"),
-            "fault": integers(0, ", ".join(f"{code}: {text}" for code, text in enumerate(FAULTS))),
-            "well": integers(0, "ticks without a fault"),
-            "same": integers(0, "ticks of a frozen measurement"),
+            "fault": integers(np.zeros(axes), ", ".join(f"{code}: {text}" for code, text in enumerate(FAULTS))),
+            "well": integers(np.zeros(axes), "ticks since a fault was last found"),
+            "same": integers(np.zeros(axes), "ticks of a frozen measurement"),
             "place": integers(0, "in the ring"),
             "row": integers(0, "in the learned period"),
         }
@@ -269,7 +248,8 @@ class Controller(Filter):
                 "AHEAD": self.ahead,
                 "TIMEOUT": self.timeout,
                 "RECOVERY": self.recovery,
-                "AUTOMATIC": int(self.loop.recovery == "automatic"),
+                "AUTOMATIC": int(self.response.recovery == "automatic"),
+                "STOP_ALL": int(self.response.axis_fault == "all"),
                 "FROZEN": self.frozen,
                 "ROWS": 0 if learned is None else len(learned),
             },
@@ -294,7 +274,9 @@ class Controller(Filter):
         inputs += [Slot(f"measurement_{axis}", unit) for axis in axes]
         inputs.append(Slot("enable", "1: run, 0: go to the safe command; raising it ends a fault"))
         outputs = [Slot(f"{name}_{axis}", "V") for name in ("command", "feedback", "feedforward") for axis in axes]
-        outputs.append(Slot("fault", ", ".join(f"{code}: {text}" for code, text in enumerate(FAULTS))))
+        outputs.append(
+            Slot("fault", f"of the first axis that has one, {', '.join(f'{code}: {text}' for code, text in enumerate(FAULTS))}")
+        )
         return tuple(inputs), tuple(outputs)
 
 
@@ -330,14 +312,18 @@ for (int i = 0; i < 2; i++) {
     s->age[i] = 0;
     s->known[i] = 0;
 }
+for (int i = 0; i < AXES; i++) {
+    s->overflowed[i] = R(0.0);
+    s->watched[i] = (real)NAN;
+    s->away[i] = 0;
+    s->overflow[i] = 0;
+    s->fault[i] = 0;
+    s->well[i] = 0;
+    s->same[i] = 0;
+}
 s->saturated = 0;
 s->begun = 0;
-s->seen = 0;
-s->away = 0;
 s->enabled = 0;
-s->fault = 0;
-s->well = 0;
-s->same = 0;
 s->place = 0;
 s->row = 0;
 """
@@ -365,8 +351,10 @@ if (all_finite(&in[AXES], AXES) != 0) {
 }
 const int enabled = (in[2 * AXES] > R(0.5)) ? 1 : 0;
 if ((enabled != 0) && (s->enabled == 0)) {
-    s->fault = 0;
-    s->well = 0;
+    for (int i = 0; i < AXES; i++) {
+        s->fault[i] = 0;
+        s->well[i] = 0;
+    }
 }
 s->enabled = enabled;
 real feedback[AXES];
@@ -395,77 +383,84 @@ if ((s->known[0] != 0) && (s->known[1] != 0)) {
     const real *measurement = s->measurement;
     @STEP_FEEDFORWARD@
     @ADD_LEARNED@
-    /* Faults. */
+    /* Faults of the axes, and which of them run. */
+    const int stale = (s->age[0] > TIMEOUT) ? 1 : ((s->age[1] > TIMEOUT) ? 2 : 0);
     real last[AXES];
-    real motion = R(0.0);
-    int same = s->seen;
-    int outside = 0;
+    int back[AXES];
+    int running[AXES];
+    int stopped = 0;
     for (int i = 0; i < AXES; i++) {
         last[i] = s->command[i];
         if (measurement[i] != s->watched[i]) {
-            same = 0;
+            s->watched[i] = measurement[i];
+            s->same[i] = 0;
+            s->least[i] = last[i];
+            s->most[i] = last[i];
+        } else {
+            s->least[i] = (last[i] < s->least[i]) ? last[i] : s->least[i];
+            s->most[i] = (last[i] > s->most[i]) ? last[i] : s->most[i];
+            if (((s->most[i] - s->least[i]) > p->motion) && (s->same[i] < FROZEN)) {
+                s->same[i] = s->same[i] + 1;
+            }
         }
-        if ((measurement[i] < p->measurement_lower) || (measurement[i] > p->measurement_upper)) {
-            outside = 1;
+        int found = 0;
+        if (stale != 0) {
+            found = stale;
+        } else if ((measurement[i] < p->measurement_lower) || (measurement[i] > p->measurement_upper)) {
+            found = 3;
+        } else if ((FROZEN > 0) && (s->same[i] >= FROZEN)) {
+            found = 4;
+        } else {
+            found = (s->overflow[i] != 0) ? 5 : 0;
         }
+        s->overflow[i] = 0;
+        if (found != 0) {
+            s->fault[i] = found;
+            s->well[i] = 0;
+        } else if (s->fault[i] != 0) {
+            s->well[i] = (s->well[i] <= RECOVERY) ? (s->well[i] + 1) : s->well[i];
+            if ((AUTOMATIC != 0) && (s->well[i] >= RECOVERY)) {
+                s->fault[i] = 0;
+            }
+        } else {
+            /* it has none */
+        }
+        stopped += (s->fault[i] != 0) ? 1 : 0;
+        shown = (shown == 0) ? s->fault[i] : shown;
     }
+    int run = 0;
     for (int i = 0; i < AXES; i++) {
-        s->watched[i] = measurement[i];
-        s->least[i] = ((same == 0) || (last[i] < s->least[i])) ? last[i] : s->least[i];
-        s->most[i] = ((same == 0) || (last[i] > s->most[i])) ? last[i] : s->most[i];
-        motion = larger_of(motion, s->most[i] - s->least[i]);
+        const int held = ((enabled == 0) || (s->fault[i] != 0) || ((STOP_ALL != 0) && (stopped > 0))) ? 1 : 0;
+        running[i] = 1 - held;
+        back[i] = ((held == 0) && (s->away[i] != 0)) ? 1 : 0;
+        run += running[i];
     }
-    if (same == 0) {
-        s->same = 0;
-    } else if ((motion > p->motion) && (s->same < FROZEN)) {
-        s->same = s->same + 1;
-    } else {
-        /* the command rests, too */
-    }
-    s->seen = 1;
-    int found = 0;
-    if (s->age[0] > TIMEOUT) {
-        found = 1;
-    } else if (s->age[1] > TIMEOUT) {
-        found = 2;
-    } else if (outside != 0) {
-        found = 3;
-    } else if ((FROZEN > 0) && (s->same >= FROZEN)) {
-        found = 4;
-    } else {
-        /* no fault */
-    }
-    s->well = (found != 0) ? 0 : ((s->well <= RECOVERY) ? (s->well + 1) : s->well);
-    if ((found != 0) || ((AUTOMATIC != 0) && (s->well >= RECOVERY))) {
-        s->fault = found;
-    }
-    shown = s->fault;
-    if ((s->fault != 0) || (enabled == 0)) {
-        s->away = 1;
+    if (run == 0) {
         for (int i = 0; i < AXES; i++) {
+            s->away[i] = 1;
             s->command[i] = ramped_command(last[i], p->safe[i], p->lower, p->upper, p->safe_step);
         }
     } else {
-        if (s->away != 0) {
+        @RESUME@
+        @STEP_PI@
+        real wanted[AXES];
+        for (int i = 0; i < AXES; i++) {
+            wanted[i] = s->command[i];
+            s->overflow[i] = ((running[i] != 0) && (s->overflowed[i] > R(0.0))) ? 1 : 0;
+            s->overflowed[i] = R(0.0);
+        }
+        if (p->ki_step == R(0.0)) {
+            /* no integral action to lead back */
             @RESUME@
         }
-        @STEP_PI@
-        if ((s->away != 0) && (p->ki_step == R(0.0))) {
-            /* no integral action to lead back */
-            real wanted[AXES];
-            for (int i = 0; i < AXES; i++) {
-                wanted[i] = s->command[i];
+        for (int i = 0; i < AXES; i++) {
+            s->command[i] = wanted[i];
+            if ((running[i] == 0) || ((p->ki_step == R(0.0)) && (back[i] != 0))) {
+                const real target = (running[i] != 0) ? wanted[i] : p->safe[i];
+                s->command[i] = ramped_command(last[i], target, p->lower, p->upper, p->safe_step);
             }
-            @RESUME@
-            s->away = 0;
-            for (int i = 0; i < AXES; i++) {
-                s->command[i] = ramped_command(last[i], wanted[i], p->lower, p->upper, p->safe_step);
-                if (s->command[i] != wanted[i]) {
-                    s->away = 1;
-                }
-            }
-        } else {
-            s->away = 0;
+            feedback[i] = (running[i] != 0) ? feedback[i] : R(0.0);
+            s->away[i] = ((running[i] == 0) || (s->command[i] != wanted[i])) ? 1 : 0;
         }
     }
 }

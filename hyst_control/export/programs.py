@@ -1,4 +1,4 @@
-"""Programs to be exported: of a model its simulator, a feedforward or its twin; of a file of nodes' parameters the whole controller."""
+"""Programs to be exported: of a model its simulator, a feedforward, its twin or its stated error; of nodes' parameters the controller."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from hyst_control.control.pi import PI
 from hyst_control.control.static_gain import Proportional
 from hyst_control.errors import InputError
 from hyst_control.export.c_source import Program, Slot, c_identifier
-from hyst_control.export.controller import Controller, Feedforward, SafeLoop
+from hyst_control.export.controller import Controller, FaultResponse, Feedforward
+from hyst_control.export.stated_error import StatedError
 from hyst_control.model_file import FORMAT, Model, Simulator, load_model, model_to_document
 from hyst_control.yaml_files import read_yaml
 
@@ -195,6 +196,39 @@ def twin(model: Model, sample_time: float | None = None, real: str = "double", n
     return Exported(Program(named, running.c_code(), len(model.axes), tuple(inputs), outputs, time, facts, real), running, spans)
 
 
+def stated_error(model: Model, sample_time: float | None = None, real: str = "double", name: str = "") -> Exported:
+    """The error that a model states of itself: a command in, mean and standard deviation of the model's error out.
+
+    Parameters
+    ----------
+    model, sample_time, real, name
+        As for `simulator`.
+
+    Raises
+    ------
+    InputError
+        The model states no error.
+    """
+    time = sample_time or model.sample_time
+    running = StatedError(model, time)
+    unit = model.units["measurement"]
+    late = f", {running.late} ticks before" if running.late else ""
+    inputs = tuple(Slot(f"command_{axis}", "V, of this tick") for axis in model.axes)
+    outputs = [Slot(f"mean_{axis}", f"{unit}, of measured minus predicted{late}") for axis in model.axes]
+    outputs += [Slot(f"deviation_{axis}", f"{unit}, its standard deviation{late}") for axis in model.axes]
+    facts = _facts(
+        model,
+        "the error that it states of itself",
+        [
+            f"It is late by {running.late} ticks: the rate of the command is known no earlier." if late else "It is not late.",
+            "Zero, drift and curvature of a record are not part of it: the mean counts from where the program has settled.",
+        ],
+    )
+    named = c_identifier(name or f"{model.name}_error")
+    program = Program(named, running.c_code(), len(model.axes), inputs, tuple(outputs), time, facts, real)
+    return Exported(program, running, _command_span(model))
+
+
 def feedforward(
     model: Model,
     options: FeedforwardOptions,
@@ -297,17 +331,17 @@ def _controller(document: Any, path: Path, real: str, name: str, reference_ahead
     time = 1.0 / rate
     defaults = {"kp": 0.0, "ki": 0.0, "lower": 0.0, "upper": 100.0, "slew_limit": 0.0, "tracking_time": 0.0, "roll_off": 0.0}
     law = PI(sample_time=time, **{key: _number(given, key, value) for key, value in defaults.items()})
-    known: dict[str, Any] = {item.name: given[item.name] for item in fields(SafeLoop) if item.name in given}
+    known: dict[str, Any] = {item.name: given[item.name] for item in fields(FaultResponse) if item.name in given}
     for key in known:
         if key == "safe_command":
             known[key] = tuple(map(float, np.atleast_1d(np.asarray(known[key], dtype=float))))
-        elif key != "recovery":
+        elif key not in ("recovery", "axis_fault"):
             known[key] = _number(known, key, 0.0)
     feeding = [key for key in nodes if key.endswith("_feedforward")]
     if len(feeding) > 1:
         raise InputError(f"{' and '.join(feeding)}: two feedforwards: keep the one that is used")
     fed = _fed(nodes[feeding[0]], feeding[0], axes, time, path) if feeding else _Fed()
-    running = Controller(law, len(axes), SafeLoop(**known), fed.filter, fed.learned)
+    running = Controller(law, len(axes), FaultResponse(**known), fed.filter, fed.learned)
     check_preview(running.ahead, reference_ahead)
     inputs, outputs = running.slots(axes, unit)
     used = {key: value for key, value in sorted(nodes.items()) if key in ("pi_feedback", *feeding)}

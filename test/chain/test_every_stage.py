@@ -209,6 +209,34 @@ VARIANTS = {
             "output_scale": 2.0,
         },
     ),
+    "saturation, knee": (
+        "saturation",
+        lambda n: {"lower": spread(n, 10.0, -np.inf), "upper": spread(n, 70.0, 50.0), "knee": spread(n, 5.0, 2.0, 0.0)},
+    ),
+    "gain_drift, several time constants": (
+        "gain_drift",
+        lambda n: {"change": spread(n, 0.1, -0.2), "tau": spread(n, 0.02, 0.1), "decades": spread(n, 1.5, 0.0), "initial": -0.4},
+    ),
+    "offset_drift, several time constants": (
+        "offset_drift",
+        lambda n: {"change": spread(n, 0.1, -2.0), "tau": 0.02, "decades": spread(n, 0.5, 3.0), "initial": spread(n, -1.0, 0.0)},
+    ),
+    "hysteresis_shape, behind": (
+        "hysteresis_shape",
+        lambda n: {"amount": 0.05, "odd": 0.02, "tilt": -0.03, "lower": 0.0, "upper": 100.0, "behind": spread(n, 1.0, 0.0)},
+    ),
+    "sensor_nonlinearity, to the fifth": (
+        "sensor_nonlinearity",
+        lambda n: {
+            "second": 0.5,
+            "third": 0.2,
+            "lower": 0.0,
+            "upper": 100.0,
+            "zero": 0.1,
+            "fourth": 0.3,
+            "fifth": spread(n, 0.1, 0.2),
+        },
+    ),
     "madelung, bipolar": (
         "madelung",
         lambda n: {
@@ -252,7 +280,7 @@ def test_any_cutting_into_blocks_gives_the_same_bits(case, hold, seed, axes, cut
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
-@pytest.mark.parametrize("case", [case for case in CASES if case not in RESTLESS])
+@pytest.mark.parametrize("case", [case for case in CASES if CASES[case][0] not in RESTLESS])
 def test_settle_is_where_a_long_constant_input_ends(case, hold):
     """From rest at 0, a slow rise and then a constant: the output must come to the settled one."""
     axes, value = 2, np.array([37.0, 61.0])

@@ -12,7 +12,7 @@ from hyst_control.control.pi import PI
 from hyst_control.errors import InputError
 from hyst_control.export.c_source import Program
 from hyst_control.export.compiled import CompiledProgram
-from hyst_control.export.controller import Controller, SafeLoop
+from hyst_control.export.controller import Controller, FaultResponse
 from hyst_control.model_file import load_model
 
 RATE = 20000.0
@@ -36,6 +36,7 @@ def rows(seed: int, count: int, axes: int) -> np.ndarray:
     table[2000:2003, axes] = 900.0
     table[2400:2600, -1] = 0.0
     table[:3, axes] = np.nan
+    table[300, axes - 1] = 1e308  # too large for the steep law
     table[700:3000:600, -1] = 0.0  # raised again one tick later: ends a fault with manual recovery
     return table
 
@@ -43,21 +44,24 @@ def rows(seed: int, count: int, axes: int) -> np.ndarray:
 LAWS = {
     "integral": PI(0.3, 900.0, 1 / RATE, 0.0, 50.0, 2e5),
     "roll-off": PI(0.3, 900.0, 1 / RATE, 0.0, 50.0, 2e4, roll_off=300.0),
+    "steep": PI(30.0, 900.0, 1 / RATE, 0.0, 50.0, 2e5),
     "proportional": PI(0.8, 0.0, 1 / RATE, -5.0, 50.0),
 }
 
 
 @pytest.mark.parametrize("recovery", ["automatic", "manual"])
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("axes", [1, 2])
-def test_c_and_python_agree_to_the_last_bit(law, recovery, axes):
+@pytest.mark.parametrize(("axes", "axis_fault"), [(1, "all"), (2, "all"), (2, "own")])
+def test_c_and_python_agree_to_the_last_bit(law, recovery, axes, axis_fault):
     learned = np.random.default_rng(3).normal(0.0, 2.0, (37, axes))
-    loop = SafeLoop((2.0,), 3000.0, 0.005, recovery, 0.01, -10.0, 30.0, 0.005)
+    loop = FaultResponse((2.0,), 3000.0, axis_fault, 0.005, recovery, 0.01, -10.0, 30.0, 0.005)
     controller = Controller(LAWS[law], axes, loop, None, learned)
     c = compiled(controller, ("x", "y")[:axes])
     table = rows(4, 3000, axes)
     expected = controller.process(table)
-    assert set(expected[:, -1]) >= {0.0, 1.0, 2.0, 3.0}, "faults are in the test"
+    assert set(expected[:, -1]) >= {0.0, 1.0, 2.0, 3.0} | ({5.0} if law == "steep" else set()), "faults are in the test"
+    if axis_fault == "own":
+        assert np.any((expected[:, 0] == 2.0) != (expected[:, 1] == 2.0)), "one axis stops alone"
     assert np.isfinite(expected).all()
     if LAWS[law].slew_limit:
         step = LAWS[law].slew_limit / RATE
@@ -71,7 +75,7 @@ def test_c_and_python_agree_to_the_last_bit(law, recovery, axes):
 
 
 def test_a_frozen_measurement_sends_the_command_to_safety_and_back():
-    controller = Controller(LAWS["integral"], 1, SafeLoop((7.0,), 1e4, frozen_time=0.005, recovery_time=0.01))
+    controller = Controller(LAWS["integral"], 1, FaultResponse((7.0,), 1e4, frozen_time=0.005, recovery_time=0.01))
     c = compiled(controller)
     random = np.random.default_rng(0)
     table = np.concatenate([random.normal(4.0, 0.1, (2000, 2)), np.ones((2000, 1))], axis=1)
@@ -84,7 +88,7 @@ def test_a_frozen_measurement_sends_the_command_to_safety_and_back():
 
 
 def test_float_follows_double():
-    controller = Controller(LAWS["roll-off"], 1, SafeLoop(frozen_time=0.0))
+    controller = Controller(LAWS["roll-off"], 1, FaultResponse(frozen_time=0.0))
     c = compiled(controller, real="float")
     time = np.arange(3000) / RATE
     table = np.stack([3.0 + np.sin(60 * time), 3.0 + np.sin(60 * time - 0.01), np.ones(3000)], axis=1).astype(np.float32)
@@ -99,7 +103,7 @@ def test_a_feedforward_that_previews_meets_the_feedback_at_its_tick(preview):
     model = load_model(config_path("models/pea_hampi.yaml"))
     compensator = build_compensator(model, "hampi", sample_time=1 / RATE, preview=preview)
     pi = LAWS["integral"]
-    controller = Controller(pi, 1, SafeLoop(frozen_time=0.0), compensator)
+    controller = Controller(pi, 1, FaultResponse(frozen_time=0.0), compensator)
     c = compiled(controller)
     count, ahead = 2000, compensator.preview
     assert bool(ahead) == preview
@@ -123,27 +127,10 @@ def test_a_feedforward_that_previews_meets_the_feedback_at_its_tick(preview):
         np.testing.assert_array_equal(found[:, 1], feedback[:, 0])
 
 
-def test_the_watch_is_the_nodes_watch():
-    pytest.importorskip("rclpy")
-    from hyst_control.control.sensor_watch import MOTION, MeasurementWatch
-
-    loop = SafeLoop(measurement_lower=-10.0, measurement_upper=30.0, frozen_time=0.005)
-    controller = Controller(LAWS["integral"], 2, loop)
-    watch = MeasurementWatch(-10.0, 30.0, loop.ticks(0.005, 1 / RATE), MOTION * 50.0)
-    codes = {"": 0, "measurement out of range": 3, "measurement frozen": 4}
-    table = rows(9, 3000, 2)
-    random = np.random.default_rng(1)
-    seen = set()
-    for row in table[np.isfinite(table).all(axis=1)]:
-        sent = 20.0 + random.normal(0.0, 1.0, 2)
-        found = controller._watch(row[2:4].copy(), sent)
-        assert found == codes[next((fault for fault in watch.check(row[2:4], sent) if fault), "")]
-        seen.add(found)
-    assert seen == {0, 3, 4}
-
-
 def test_unusable_settings_are_one_line():
     with pytest.raises(InputError, match="safe_command: 3 values for 2 axes"):
-        Controller(LAWS["integral"], 2, SafeLoop((1.0, 2.0, 3.0)))
+        Controller(LAWS["integral"], 2, FaultResponse((1.0, 2.0, 3.0)))
     with pytest.raises(InputError, match="recovery: 'never' is not one of automatic, manual"):
-        SafeLoop(recovery="never")
+        FaultResponse(recovery="never")
+    with pytest.raises(InputError, match="axis_fault: 'none' is not one of all, own"):
+        FaultResponse(axis_fault="none")

@@ -8,6 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from exported_folder import compared, export, make
 
 from hyst_control.cli import main
 from hyst_control.config_files import config_path
@@ -33,24 +34,6 @@ hampi_feedforward:
 pi_feedback:
   ros__parameters: {kp: 0.34, ki: 13600.0, upper: 50.0, slew_limit: 2.0e+6, safe_command: [1.0]}
 """
-
-
-def export(model: str, *options: str, output: Path) -> None:
-    assert main(["export", str(config_path(f"models/{model}")), *options, "--output", str(output)]) == 0
-
-
-def make(folder: Path, target: str, *words: str) -> str:
-    done = subprocess.run(
-        ["make", "-s", "-C", str(folder), target, *words], capture_output=True, text=True, check=False, timeout=250
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
-
-
-def compared(folder: Path) -> None:
-    told = make(folder, "test")
-    lines = [line for line in told.splitlines() if "rows" in line]
-    assert lines and all(" 0 wrong" in line for line in lines), told
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -140,9 +123,11 @@ def test_defaults_are_the_nodes_defaults():
     pytest.importorskip("rclpy")
     from dataclasses import fields
 
-    from hyst_control.export.controller import SafeLoop
+    from hyst_control.export.controller import FaultResponse
     from hyst_control.nodes.common_parameters import COMMON
     from hyst_control.nodes.pi_feedback import PiFeedback
 
     settings = {setting.name: setting.default for setting in (*COMMON, *PiFeedback.SETTINGS)}
-    assert {item.name: item.default for item in fields(SafeLoop)} == {item.name: settings[item.name] for item in fields(SafeLoop)}
+    assert {item.name: item.default for item in fields(FaultResponse)} == {
+        item.name: settings[item.name] for item in fields(FaultResponse)
+    }

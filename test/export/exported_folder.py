@@ -1,0 +1,27 @@
+"""Export a folder and run its harness, as the tests of several files do."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+from hyst_control.cli import main
+from hyst_control.config_files import config_path
+
+
+def export(model: str, *options: str, output: Path) -> None:
+    assert main(["export", str(config_path(f"models/{model}")), *options, "--output", str(output)]) == 0
+
+
+def make(folder: Path, target: str, *words: str) -> str:
+    done = subprocess.run(
+        ["make", "-s", "-C", str(folder), target, *words], capture_output=True, text=True, check=False, timeout=250
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def compared(folder: Path) -> None:
+    told = make(folder, "test")
+    lines = [line for line in told.splitlines() if "rows" in line]
+    assert lines and all(" 0 wrong" in line for line in lines), told
