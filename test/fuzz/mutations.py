@@ -113,7 +113,8 @@ def passes(folder: Path, tests: tuple[str, ...]) -> bool:
         os.environ["PYTHONPATH"] = str(folder)
         sys.dont_write_bytecode = True
         sys.path[:] = [str(folder), *(each for each in sys.path if each != str(Path(__file__).parent))]
-        os._exit(int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-p", "no:faulthandler", *tests])))
+        imported = "ignore::pytest.PytestAssertRewriteWarning"  # of a plugin that this process has
+        os._exit(int(pytest.main(["-x", "-q", "-W", imported, "-p", "no:cacheprovider", "-p", "no:faulthandler", *tests])))
     end = time.monotonic() + LONGEST
     while time.monotonic() < end:
         done, status = os.waitpid(child, os.WNOHANG)
