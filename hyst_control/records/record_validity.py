@@ -497,7 +497,9 @@ class Spectra:
         if self.auto.shape[1] > 1 and (apart := self.independent).any():
             response = np.linalg.solve(self.auto[apart], self.cross[apart][:, :, index : index + 1])[:, :, 0]
             cross[apart] = response[:, index] * own[apart]
-            explained = np.einsum("fa,fa->f", response.conj(), self.cross[apart][:, :, index]).real / np.maximum(power[apart], 1e-300)
+            explained = np.einsum("fa,fa->f", response.conj(), self.cross[apart][:, :, index]).real / np.maximum(
+                power[apart], 1e-300
+            )
             direct = np.abs(cross[apart]) ** 2 / np.maximum(own[apart] * power[apart], 1e-300)
             made[apart] = np.where(direct > INDEPENDENT, explained, 0.0)
         return cross, np.asarray(made, dtype=np.float64)
