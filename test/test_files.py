@@ -92,6 +92,23 @@ def test_what_fails_leaves_the_old_file(tmp_path):
         write_text(tmp_path, "x")
 
 
+def test_what_cannot_be_written_is_told_before(tmp_path, monkeypatch):
+    with pytest.raises(InputError, match="is a directory: give the name of a file"):
+        check_writable(tmp_path)
+    with pytest.raises(InputError, match="its folder does not exist or cannot be written: create it first"):
+        check_writable(tmp_path / "none" / "a.txt")
+    check_outputs({"--output": tmp_path / "a.txt"}, ["a\0b"])  # a text that no file can be called, as a signal's name may be
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(InputError, match="/dev/null: cannot be written: choose another name"):
+        check_writable("/dev/null")
+
+
+def test_a_name_that_is_taken_meanwhile_is_one_line(tmp_path):
+    with pytest.raises(InputError, match="Is a directory: choose a file name that can be written"), replacing(tmp_path / "a"):
+        (tmp_path / "a").mkdir()
+    assert os.listdir(tmp_path) == ["a"]
+
+
 def test_names_that_are_no_text_are_written(tmp_path):
     write_json(tmp_path / "a.json", {"bag": "run\udcff"})
     assert json.loads((tmp_path / "a.json").read_text()) == {"bag": "run\udcff"}

@@ -100,6 +100,35 @@ def test_aliases_and_merges_of_honest_size_are_read():
         parse_yaml("k: 1\nk: 2\n", "here")
 
 
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        (BOMB, "its aliases counted"),
+        ("[" * 100, "nested more than 64 deep"),
+        (HOSTILE["many keys"], "a mapping of more than 10000 keys"),
+        (HOSTILE["a long text"], "longer than 4 MiB"),
+        ("x: " + "1" * 70_000, "a value of 70000 characters"),
+        (HOSTILE["an alias within itself"], "stands within itself"),
+        (HOSTILE["control characters"], "is not valid YAML: unreadable"),
+        (HOSTILE["a wrong date"], "does not fit its tag"),
+        ("{[1]: 2}", "a list or mapping cannot be a key"),
+        ("a: 1\nb: [\n", "line 3 is not valid YAML"),
+    ],
+)
+def test_a_refusal_says_what_the_matter_is(text, words):
+    with pytest.raises(InputError, match=f"^here:.*{words}"):
+        parse_yaml(text, "here")
+
+
+def test_a_file_that_is_none_is_named(tmp_path):
+    for path in (tmp_path / "none.yaml", tmp_path, f"{tmp_path}/a\0b"):
+        with pytest.raises(InputError, match="give the path of a YAML file"):
+            read_yaml(path)
+    (tmp_path / "bytes").write_bytes(b"\xff\xfe")
+    with pytest.raises(InputError, match="is not a text file"):
+        read_yaml(tmp_path / "bytes")
+
+
 @pytest.mark.parametrize("path", sorted(config_path("models/pea_hampi.yaml").parent.glob("*.yaml")), ids=lambda path: path.stem)
 def test_shipped_models_are_far_from_the_limits(path):
     assert path.stat().st_size < MOST_BYTES / 100 and load_model(path)

@@ -374,7 +374,7 @@ class _Topic:
             table = np.frombuffer(b"".join(raws[begin:end]), np.uint8).reshape(-1, size)
             # The padding inside a header is whatever the sender's memory held: only a wholly equal one is taken as read.
             if raws[begin][1] == 1 and (table[:, :head] == table[0, :head]).all():
-                rows = np.ascontiguousarray(table[:, head:]).view("<f8").reshape(-1, first.shape[1])
+                rows = np.ascontiguousarray(table[:, head:]).view("<f8").reshape((end - begin) * len(first), first.shape[1])
                 self._keep(label, rows, self._decoded + begin, end - begin)
             else:
                 self._append_singly(raws[begin:end], self._decoded + begin)

@@ -242,7 +242,8 @@ class Record:
                 raise InputError(f"{self.source}: {topic}: {len(time)} sample{'s' * (len(time) != 1)}, at least two are needed")
             step = commonest_step(time)
             if step > 0 and self.signal(topic).timing == "layout":
-                step = (time[-1] - time[0]) / max(np.rint((time[-1] - time[0]) / step), 1.0)
+                with np.errstate(over="ignore"):  # a step of next to nothing, which is no sample time
+                    step = (time[-1] - time[0]) / max(np.rint((time[-1] - time[0]) / step), 1.0)
             steps[topic] = float(f"{step:.12g}")
         first = steps[topics[0]]
         for topic, step in steps.items():

@@ -39,8 +39,8 @@ LONGEST_LAGGED = 2**20
 EXPLAINED = 0.3
 """Share of a measurement's power that some linear system makes of the commands. Sound records: 0.46 and more, shuffled ones 0.1 at most."""
 
-REVERSED = 0.25
-"""By how much the command read backwards explains more."""
+REVERSED = 0.15
+"""By how much the command read backwards explains more. Of sound records it explains less, by 0.05 and more."""
 
 COHERENT = 0.5
 """Coherence from which a frequency's phase counts; between records `SURE` and `EXCITED`."""
@@ -54,6 +54,18 @@ FEWEST_LINES = 3
 LEAD = 1.5
 """deg by which a measurement leads, on the mean. Sound records lag, by 0 deg at least."""
 
+CLEAR_PHASE = 0.2
+"""rad, standard deviation of the phase that belongs to a gain, from which it tells which way time runs."""
+
+CLEAR_VOTE = 0.1
+"""Difference of the two agreements from which they are believed."""
+
+INDEPENDENT = 0.1
+"""Smallest eigenvalue of the commands' coherence matrix from which the responses to each of them are told apart."""
+
+MOST_PAIRED = 4
+"""Axes up to which every order is tried."""
+
 PAIRED = 0.3
 """Mean share per axis by which another pairing of commands and measurements explains more."""
 
@@ -65,6 +77,9 @@ VERY_DIFFERENT = 0.9
 
 LIKE_RANGES = 3.0
 """Ratio of two records' command ranges up to which they are alike."""
+
+EMPTY = 0.01
+"""Power relative to the mean below which a frequency is not excited."""
 
 LATER = 0.1
 """By how much more of a measurement's power is explained when what was expected of it comes late."""
@@ -194,25 +209,28 @@ def _of_trial(trial: Trial) -> list[Finding]:
     if found:
         return found
     backwards: Array | None = None
+    leading: list[tuple[int, float]] = []
     for index in moving:
-        if _comes_late(trial, index):
-            continue
         axis, explained = trial.axes[index], float(spectra.explained[index])
-        lead = -spectra.lag(index) if explained >= EXPLAINED else 0.0
-        if index in frozen and lead <= LEAD:
-            found.append(_dead(trial, index, frozen[index]))
-            continue
-        if explained < EXPLAINED + REVERSED + 0.2:
+        if explained + REVERSED < 1.0:
             if backwards is None:
                 backwards = Spectra.of(trial.command[::-1], trial.measurement, _segment(len(trial.command))).explained
             if backwards[index] > max(explained, EXPLAINED) + REVERSED:
                 found.append(Finding("reversed_command", trial.name, axis, float(backwards[index]), explained + REVERSED))
                 continue
+        if _comes_late(trial, index):
+            continue
+        lead = -spectra.lag(index) if explained >= EXPLAINED else 0.0
+        if index in frozen and lead <= LEAD:
+            found.append(_dead(trial, index, frozen[index]))
+            continue
         if explained < EXPLAINED:
             found.append(Finding(_kind_of_incoherence(trial, index), trial.name, axis, explained, EXPLAINED))
         elif lead > LEAD:
-            cleaner = _roughness(trial.measurement[:, index]) < _roughness(trial.command[:, index])
-            found.append(Finding("swapped_signals" if cleaner else "reversed_time", trial.name, axis, lead, LEAD))
+            leading.append((index, lead))
+    if leading:
+        name = "swapped_signals" if _exchanged(trial, spectra, [index for index, _ in leading]) else "reversed_time"
+        found += [Finding(name, trial.name, trial.axes[index], lead, LEAD) for index, lead in leading]
     return found or list(_against_the_model(trial, moving))
 
 
@@ -259,7 +277,7 @@ def _frozen(trial: Trial, index: int) -> float:
 def _kind_of_incoherence(trial: Trial, index: int) -> str:
     """Name of the finding on an axis that its command does not explain."""
     command, values = trial.command[:, index], trial.measurement[:, index]
-    smooth, driven = _next_sample_correlation(values), _next_sample_correlation(command)
+    smooth = _next_sample_correlation(values)
     centered = (values - values.mean()) * np.hanning(len(values))
     power = np.abs(np.fft.rfft(centered)) ** 2
     power[0] = 0.0
@@ -270,27 +288,74 @@ def _kind_of_incoherence(trial: Trial, index: int) -> str:
         return "unplugged_sensor"
     if abs(smooth) < 0.3:
         return "noise_alone"
-    if driven < 0.5:
+    if _in_no_order(command):
         return "shuffled_command"
     return "unplugged_sensor" if float(power[:4].sum()) > 0.5 * float(power.sum()) else "unrelated_measurement"
 
 
+def _exchanged(trial: Trial, spectra: Spectra, leading: Sequence[int]) -> bool:
+    """Whether axes lead because command and measurement are exchanged; else time runs backwards.
+
+    By Bode's relation the phase of a plant without surplus zeros follows from its gain, and so does its inverse's; where time runs
+    backwards it has the other sign. Of coupled axes this holds for the determinant of the responses. Where the gain hardly changes, it
+    is the measurement that has noise.
+    """
+    votes = 0.0
+    for response, known in spectra.determinant(leading):
+        lines = np.flatnonzero(known)
+        phase = _phase_of_gain(lines, np.abs(response[lines]), len(response)) if len(lines) >= FEWEST_LINES else np.zeros(1)
+        if float(np.std(phase)) > CLEAR_PHASE:
+            forwards, backwards = (_agreement(np.angle(response[lines]) - sign * phase, lines, len(response)) for sign in (1, -1))
+            votes += forwards - backwards
+    if abs(votes) > CLEAR_VOTE:
+        return votes > 0
+    return all(_roughness(trial.measurement[:, index]) < _roughness(trial.command[:, index]) for index in leading)
+
+
+def _phase_of_gain(lines: NDArray[np.intp], gains: Array, count: int) -> Array:
+    """Phase (L,) at `lines` of the minimum-phase system of these gains (L,), constant beyond them, of `count` frequencies in all."""
+    cepstrum = np.fft.irfft(np.interp(np.arange(count), lines, np.log(np.maximum(gains, 1e-300))))
+    cepstrum[1 : count - 1] *= 2.0
+    cepstrum[count:] = 0.0
+    return np.asarray(np.fft.rfft(cepstrum).imag[lines], dtype=np.float64)
+
+
+def _agreement(phase: Array, lines: NDArray[np.intp], count: int) -> float:
+    """How far phases (L,) are those of a delay, or of a lead, of some samples: 1 where they are."""
+    turned = np.zeros(count, complex)
+    turned[lines] = np.exp(1j * phase)
+    turns = np.fft.fft(turned, 4 * count)
+    return float(np.max(np.abs(turns[np.r_[-64:65]]))) / len(lines)
+
+
 def _pairing(trial: Trial, spectra: Spectra, moving: Sequence[int]) -> list[Finding]:
     """Axes whose measurements follow each other's commands; of up to four that move, more are not paired."""
-    if not 2 <= len(moving) <= 4:
+    if not 2 <= len(moving) <= MOST_PAIRED:
         return []
-    shares = spectra.shares[np.ix_(moving, moving)]
-    own = float(np.trace(shares))
-    best = max(permutations(range(len(moving))), key=lambda order: sum(shares[order[k], k] for k in range(len(moving))))
-    gained = (sum(float(shares[best[k], k]) for k in range(len(moving))) - own) / len(moving)
+    return _exchanged_axes(spectra.shares[np.ix_(moving, moving)], trial.name, [trial.axes[index] for index in moving])
+
+
+def _exchanged_axes(likeness: Array, name: str, axes: Sequence[str]) -> list[Finding]:
+    """Axes that are better matched in another order; likeness (A, A) of what is expected of one axis and what is measured on another."""
+    count = len(axes)
+    best = max(permutations(range(count)), key=lambda order: sum(likeness[order[k], k] for k in range(count)))
+    gained = (sum(float(likeness[best[k], k]) for k in range(count)) - float(np.trace(likeness))) / count
     if gained <= PAIRED:
         return []
-    return [Finding("swapped_axes", trial.name, trial.axes[moving[k]], gained, PAIRED) for k in range(len(moving)) if best[k] != k]
+    return [Finding("swapped_axes", name, axes[k], gained, PAIRED) for k in range(count) if best[k] != k]
 
 
 def _against_the_model(trial: Trial, moving: Sequence[int]) -> Iterator[Finding]:
     if trial.simulated is None:
         return
+    expressive = [index for index in moving if np.ptp(trial.simulated[:, index]) > 0 and np.ptp(trial.measurement[:, index]) > 0]
+    if 2 <= len(expressive) <= MOST_PAIRED:
+        both = np.hstack([trial.simulated[:, expressive], trial.measurement[:, expressive]])
+        likeness = np.corrcoef(both, rowvar=False)[: len(expressive), len(expressive) :]
+        exchanged = _exchanged_axes(np.abs(likeness), trial.name, [trial.axes[index] for index in expressive])
+        if exchanged:
+            yield from exchanged
+            return
     for index in moving:
         expected, measured = trial.simulated[:, index], trial.measurement[:, index]
         if np.ptp(expected) == 0 or np.ptp(measured) == 0 or _comes_late(trial, index):
@@ -314,6 +379,10 @@ def _between(one: Trial, other: Trial) -> Iterator[Finding]:
     if min(lengths) < SHORTEST_SEGMENT or max(lengths) > LONGEST_SEGMENT:
         return
     spectra = [Spectra.of(trial.command, trial.measurement, length) for trial, length in zip((one, other), lengths, strict=True)]
+    exchanged = _exchanged_axes_between(spectra, name, one.axes)
+    if exchanged:
+        yield from exchanged
+        return
     for index, axis in enumerate(one.axes):
         spans = [float(np.ptp(trial.command[:, index])) for trial in (one, other)]
         if min(spans) <= 0:
@@ -335,6 +404,23 @@ def _between(one: Trial, other: Trial) -> Iterator[Finding]:
             yield Finding("scaled_measurement", name, axis, ratio, SCALE if ratio > 1 else 1.0 / SCALE)
         elif difference > limit:
             yield Finding("different_plants", name, axis, difference, limit)
+
+
+def _exchanged_axes_between(spectra: Sequence[Spectra], name: str, axes: Sequence[str]) -> list[Finding]:
+    """Axes of one record that respond to all commands as others of another record do."""
+    if not 2 <= len(axes) <= MOST_PAIRED:
+        return []
+    count = min(len(each.power) for each in spectra)
+    shared = np.ones(count, bool)
+    for each in spectra:
+        for index in range(len(axes)):
+            shared &= each.response(index)[1][:count] & each.independent[:count]
+    if shared.sum() < FEWEST_LINES:
+        return []
+    first, second = (np.linalg.solve(each.auto[:count][shared], each.cross[:count][shared]) for each in spectra)
+    sizes = [np.sqrt(np.sum(np.abs(each) ** 2, axis=(0, 1))) for each in (first, second)]
+    likeness = np.einsum("fab,fac->bc", first.conj(), second).real / np.maximum(np.outer(*sizes), 1e-300)
+    return _exchanged_axes(np.abs(likeness), name, axes)
 
 
 @dataclass(frozen=True)
@@ -393,10 +479,43 @@ class Spectra:
         made = (np.abs(self.cross) ** 2 / np.maximum(own, 1e-300)[:, :, None]).sum(axis=0)
         return np.asarray(made / np.maximum(self.power.sum(axis=0), 1e-300), dtype=np.float64)
 
-    def coherence(self, index: int) -> Array:
-        """Coherence (F,) of the command and the measurement of axis `index`."""
-        own = self.auto[:, index, index].real * self.power[:, index]
-        return np.asarray(np.abs(self.cross[:, index, index]) ** 2 / np.maximum(own, 1e-300), dtype=np.float64)
+    @property
+    def independent(self) -> NDArray[np.bool_]:
+        """Frequencies (F,) at which no command is a sum of others."""
+        own = np.sqrt(np.maximum(np.einsum("faa->fa", self.auto).real, 1e-300))
+        normal = self.auto / (own[:, :, None] * own[:, None, :])
+        return np.asarray(np.linalg.eigvalsh(normal)[:, 0] > INDEPENDENT)
+
+    def path(self, index: int) -> tuple[Complex, Array]:
+        """Cross spectrum (F,) of the command and the measurement of axis `index`, and the share (F,) of its power made so.
+
+        Where the commands are independent, without what the others make of it.
+        """
+        own, power = self.auto[:, index, index].real, self.power[:, index]
+        cross = self.cross[:, index, index].copy()
+        made = np.abs(cross) ** 2 / np.maximum(own * power, 1e-300)
+        if self.auto.shape[1] > 1 and (apart := self.independent).any():
+            response = np.linalg.solve(self.auto[apart], self.cross[apart][:, :, index : index + 1])[:, :, 0]
+            cross[apart] = response[:, index] * own[apart]
+            explained = np.einsum("fa,fa->f", response.conj(), self.cross[apart][:, :, index]).real / np.maximum(
+                power[apart], 1e-300
+            )
+            direct = np.abs(cross[apart]) ** 2 / np.maximum(own[apart] * power[apart], 1e-300)
+            made[apart] = np.where(direct > INDEPENDENT, explained, 0.0)
+        return cross, np.asarray(made, dtype=np.float64)
+
+    def determinant(self, axes: Sequence[int]) -> list[tuple[Complex, NDArray[np.bool_]]]:
+        """Determinant (F,) of the responses of all axes to independent commands, and a mask (F,) of where it is known.
+
+        Of commands that are not independent, and of a single one: the response of every one of `axes` to its own command.
+        """
+        every = range(self.auto.shape[1])
+        known = np.all([self.response(index)[1] for index in every], axis=0) & self.independent
+        if len(every) == 1 or known.sum() < FEWEST_LINES:
+            return [self.response(index) for index in axes]
+        found = np.zeros(len(known), complex)
+        found[known] = np.linalg.det(np.linalg.solve(self.auto[known], self.cross[known]))
+        return [(found, known)]
 
     def lag(self, index: int) -> float:
         """Mean angle (deg) by which the measurement of axis `index` lags its command, negative where it leads.
@@ -404,8 +523,10 @@ class Spectra:
         Weighted with the coherent power, over the frequencies below the first at which it is turned by more than a right angle; a
         plant whose gain is negative is turned around first.
         """
-        cross, counted = self.cross[:, index, index], self.coherence(index) > COHERENT
-        turned = cross * (1.0 if cross[:2].real.sum() >= 0 else -1.0)
+        own = self.auto[:, index, index].real
+        cross, made = self.path(index)
+        counted = (made > COHERENT) & (own > EXCITED * own.max(initial=0.0))
+        turned = cross * (1.0 if cross[np.flatnonzero(counted)[:2]].real.sum() >= 0 else -1.0)
         beyond = np.flatnonzero(counted & (turned.real < 0))
         used = slice(1, max(int(beyond[0]) if len(beyond) else len(cross), 2))
         weights = (np.abs(cross) * counted)[used]
@@ -417,14 +538,24 @@ class Spectra:
     def response(self, index: int) -> tuple[Complex, NDArray[np.bool_]]:
         """Frequency response (F,) of axis `index` to its command, and a mask (F,) of the frequencies at which it is known."""
         own = self.auto[:, index, index].real
-        sure = self.coherence(index) > SURE
+        cross, made = self.path(index)
+        sure = made > SURE
         for power in (own, self.power[:, index]):
             sure &= power > EXCITED * power[1:].max(initial=0.0)
-        return self.cross[:, index, index] / np.maximum(own, 1e-300), sure
+        return cross / np.maximum(own, 1e-300), sure
 
 
 def _segment(count: int) -> int:
     return min(max(count // SEGMENTS, SHORTEST_SEGMENT), LONGEST_SEGMENT)
+
+
+def _in_no_order(values: Array) -> bool:
+    """Whether a signal's power is the same at all frequencies, as that of noise and of shuffled samples is.
+
+    Of what was built to drive a stage many frequencies are empty; of noise's about one in a hundred have a hundredth of the mean.
+    """
+    power = np.abs(np.fft.rfft(values - values.mean()))[1:] ** 2
+    return bool(np.mean(power < EMPTY * power.mean()) < 3.0 * EMPTY)
 
 
 def _next_sample_correlation(values: Array) -> float:

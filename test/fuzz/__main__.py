@@ -13,7 +13,7 @@ from typing import Any
 from hypothesis import HealthCheck, Phase, given, settings
 from targets import TARGETS
 
-HANG = 20.0
+HANG = 60.0
 """s that one input may take; it is interrupted then, and the process ended where it does not take notice."""
 
 GROWTH = 500 * 2**20

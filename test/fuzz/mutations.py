@@ -31,8 +31,9 @@ ROOT = Path(__file__).resolve().parents[2]
 LONGEST = 300.0
 """s, of the tests of one mutant; one that hangs is noticed."""
 
-BAGS = ("test/records/test_hostile_bags.py", "test/records/test_bag_writer.py", "test/records/test_record.py")
-TABLES = ("test/records/test_hostile_tables.py", "test/records/test_importing.py")
+REFUSALS = "test/records/test_refusals.py"
+BAGS = (REFUSALS, "test/records/test_hostile_bags.py", "test/records/test_bag_writer.py", "test/records/test_record.py")
+TABLES = (REFUSALS, "test/records/test_hostile_tables.py", "test/records/test_importing.py")
 MODULES: dict[str, tuple[str, ...]] = {
     "hyst_control/records/foreign_rows.py": ("test/records/test_foreign_rows.py",),
     "hyst_control/nodes/signal_ports.py": ("test/nodes/test_entry.py",),
@@ -44,7 +45,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "hyst_control/records/signal_message.py": ("test/records/test_signal_message.py",),
     "hyst_control/yaml_files.py": ("test/test_yaml_files.py",),
     "hyst_control/files.py": ("test/test_files.py",),
-    "hyst_control/foreign_readers.py": (*TABLES, "test/records/test_hostile_bags.py"),
+    "hyst_control/foreign_readers.py": TABLES,
     "hyst_control/records/array_files.py": TABLES,
     "hyst_control/records/importing.py": TABLES,
     "hyst_control/records/bag_reader.py": BAGS,
@@ -113,7 +114,8 @@ def passes(folder: Path, tests: tuple[str, ...]) -> bool:
         os.environ["PYTHONPATH"] = str(folder)
         sys.dont_write_bytecode = True
         sys.path[:] = [str(folder), *(each for each in sys.path if each != str(Path(__file__).parent))]
-        os._exit(int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-p", "no:faulthandler", *tests])))
+        imported = "ignore::pytest.PytestAssertRewriteWarning"  # of a plugin that this process has
+        os._exit(int(pytest.main(["-x", "-q", "-W", imported, "-p", "no:cacheprovider", "-p", "no:faulthandler", *tests])))
     end = time.monotonic() + LONGEST
     while time.monotonic() < end:
         done, status = os.waitpid(child, os.WNOHANG)

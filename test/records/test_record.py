@@ -140,6 +140,12 @@ def test_a_bag_cut_anywhere_gives_a_prefix_or_one_clear_line(tmp_path, share):
         assert read.notes
 
 
+def test_steps_of_next_to_nothing_are_no_sample_time():
+    times = Signal(np.array([0.0, 0.0, 2.3e-313, 1.0]), np.zeros((4, 1)), ("x",), "V", "layout")
+    with np.errstate(all="raise", under="ignore"), pytest.raises(InputError, match="sample time 0 s"):
+        Record({"command": times, "measurement": times}, "made").aligned(["command", "measurement"])
+
+
 @pytest.mark.parametrize(
     "change, words",
     [
