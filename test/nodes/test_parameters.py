@@ -10,6 +10,9 @@ from rclpy.parameter import Parameter
 
 from hyst_control.config_files import config_folders, config_path
 from hyst_control.nodes.common_parameters import COMMON
+from hyst_control.hardware.linux_iio import IioStage
+from hyst_control.hardware.physik_instrumente import PhysikInstrumenteStage
+from hyst_control.hardware.simulated_converter import SimulatedStage
 from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.hampi_feedforward import HampiFeedforward
 from hyst_control.nodes.identification import Identification
@@ -28,6 +31,9 @@ NODES = {
     "mhl_feedforward": MhlFeedforward,
     "pi_feedback": PiFeedback,
     "plant": PlantNode,
+    "simulated_stage": SimulatedStage,
+    "pi_stage": PhysikInstrumenteStage,
+    "iio_stage": IioStage,
     "recorder": Recorder,
     "identification": Identification,
     "diagnosis": DiagnosisNode,
@@ -37,6 +43,9 @@ NEEDED = {
     "hampi_feedforward": {"kind": "proportional", "gain": [1.0]},
     "mhl_feedforward": {"kind": "proportional", "gain": [1.0]},
     "plant": {"plant": "pea"},
+    "simulated_stage": {"autostart": False},
+    "pi_stage": {"autostart": False},
+    "iio_stage": {"autostart": False},
     "diagnosis": {"model": str(config_path("models/pea_hampi.yaml"))},
 }
 """What a node does not start without."""
