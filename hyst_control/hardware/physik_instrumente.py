@@ -49,7 +49,9 @@ class GcsController:
         self._axes = axes
         known = list(self._device.qSAI())
         if unknown := [axis for axis in axes if axis not in known]:
-            raise InputError(f"{host}: has no axis {', '.join(unknown)} (axes: {', '.join(known)}): set the parameter controller_axes")
+            raise InputError(
+                f"{host}: has no axis {', '.join(unknown)} (axes: {', '.join(known)}): set the parameter controller_axes"
+            )
         self._device.SVO(axes, [False] * len(axes))  # the loop is closed here
         self._device.errcheck = False
         self._checked = time.monotonic()

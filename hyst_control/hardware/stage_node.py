@@ -57,7 +57,9 @@ class StageNode(ManagedNode):
         Setting("upper", 100.0, "V", "highest voltage that is ever written", -1e6, 1e6),
         Setting("slew_limit", 0.0, "V/s", "greatest slope of what is written, 0 for none", 0.0, 1e12),
         *SAFE_SETTINGS,
-        Setting("failures", 100, "ticks", "failed reads or writes in a row after which the node disconnects, 0 for never", 0, 10**9),
+        Setting(
+            "failures", 100, "ticks", "failed reads or writes in a row after which the node disconnects, 0 for never", 0, 10**9
+        ),
         AUTOSTART,
     )
     """A subclass that has parameters of its own adds them: ``SETTINGS = (*StageNode.SETTINGS, Setting(...))``."""
