@@ -109,7 +109,7 @@ def test_stage_keeps_its_own_limits_and_goes_to_its_safe_value_without_commands(
     bench.until(lambda: bed.last == 40.0)
     for value, expected in ((500.0, UPPER), (-500.0, LOWER), (30.0, 30.0)):
         bed.value = value
-        bench.until(lambda: bed.last == expected)
+        bench.until(lambda expected=expected: bed.last == expected)
     bench.until(lambda: bench.says("stage", "limited ticks"))
     bed.sending = False
     bench.until(lambda: bed.last == SAFE)
@@ -271,7 +271,7 @@ def test_second_measurement_of_a_tick_does_not_stop_the_feedback(bench):
 
     def feed():
         tick = int(time.monotonic() / PERIOD)
-        for topic, sender in senders.items():
+        for sender in senders.values():
             sender.send(np.array([[tick * PERIOD, 2.0]]))
         if next(count) % 10 == 0:
             senders["measurement"].send(np.array([[tick * PERIOD, 3.0]]))

@@ -9,10 +9,10 @@ import yaml
 from rclpy.parameter import Parameter
 
 from hyst_control.config_files import config_folders, config_path
-from hyst_control.nodes.common_parameters import COMMON
 from hyst_control.hardware.linux_iio import IioStage
 from hyst_control.hardware.physik_instrumente import PhysikInstrumenteStage
 from hyst_control.hardware.simulated_converter import SimulatedStage
+from hyst_control.nodes.common_parameters import COMMON
 from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.hampi_feedforward import HampiFeedforward
 from hyst_control.nodes.identification import Identification
