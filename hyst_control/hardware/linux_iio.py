@@ -114,11 +114,13 @@ class IioStage(StageNode):
 
     def initial_command(self) -> Array:
         """Voltage (A,) on the actuator, V, from what the DAC holds."""
-        return np.array([channel.present() for channel in self._outputs]) * self.settings.amplifier_gain
+        gain = float(self.settings.amplifier_gain)
+        return np.array([channel.present() * gain for channel in self._outputs])
 
     def read(self) -> Array:
         """Measurement (A,), um or mrad."""
-        return np.array([channel.volts() for channel in self._inputs]) * self.settings.sensor_gain + self.settings.sensor_zero
+        gain, zero = float(self.settings.sensor_gain), float(self.settings.sensor_zero)
+        return np.array([channel.volts() * gain + zero for channel in self._inputs])
 
     def write(self, command: Array) -> None:
         """Put out a `command` (A,), V on the actuator."""

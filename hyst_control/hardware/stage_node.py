@@ -50,7 +50,7 @@ class StageNode(ManagedNode):
 
     NAME = "stage"
     """Name of the node, unless another one is given."""
-    SETTINGS = (
+    SETTINGS: tuple[Setting, ...] = (
         Setting("schedule", TIMER, "", "a stage runs on the wall clock", choices=(TIMER,)),
         Setting("block", 1, "samples", "a stage is read tick by tick", 1, 1),
         Setting("lower", 0.0, "V", "lowest voltage that is ever written", -1e6, 1e6),

@@ -99,7 +99,9 @@ def test_the_list_of_nodes_is_what_there_is():
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)
 def test_a_shipped_file_holds_what_its_nodes_declare(file, ros_context, tmp_path):
     document = yaml.safe_load(file.read_text(encoding="utf-8"))
-    for name, entry in document.items():
+    for key, entry in document.items():
+        assert key.startswith("/**")  # whatever the namespace
+        name = key.rpartition("/")[2]
         given = entry["ros__parameters"]
         settings = {setting.name: setting for setting in COMMON}
         if name in NODES:
@@ -115,5 +117,5 @@ def test_a_shipped_file_holds_what_its_nodes_declare(file, ros_context, tmp_path
 
 
 def test_every_node_has_a_parameter_file():
-    named = {name for file in FILES for name in yaml.safe_load(file.read_text(encoding="utf-8"))}
+    named = {key.rpartition("/")[2] for file in FILES for key in yaml.safe_load(file.read_text(encoding="utf-8"))}
     assert set(NODES) - {"mhl_feedforward"} <= named  # which takes the parameters of hampi_feedforward
