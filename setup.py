@@ -8,7 +8,10 @@ from setuptools import find_packages, setup
 NAME = "hyst_control"
 root = Path(__file__).parent
 NODES = runpy.run_path(str(root / "hyst_control" / "processes" / "node_list.py"))["NODES"]
-folders = [Path("config"), *(path.relative_to(root) for path in sorted((root / "config").rglob("*")) if path.is_dir())]
+INSTALLED = ("config", "docs", "launch")
+folders = [
+    path.relative_to(root) for name in INSTALLED for path in sorted([root / name, *(root / name).rglob("*")]) if path.is_dir()
+]
 # Without versions: a ROS 2 machine has its distribution's. What `make` and the checks install is pinned in requirements.txt.
 REQUIRED = [
     "numpy",
@@ -38,6 +41,7 @@ setup(
     extras_require={
         "fleet": ["distributed", "bokeh", "pyarrow"],
         "parquet": ["pyarrow"],
+        "pi": ["pipython"],
         "test": ["pytest", "pytest-timeout", "hypothesis", "rosbags"],  # by which colcon test knows that pytest runs them
     },
     packages=find_packages(include=["hyst_control*", "hyst_plant_sim*"]),
@@ -47,7 +51,7 @@ setup(
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}", ["package.xml", "README.md", "CHANGELOG.rst", "LICENSE"]),
         *(
             (
                 f"share/{NAME}/{folder}",

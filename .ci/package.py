@@ -51,10 +51,12 @@ def versions(package: Package) -> Iterator[str]:
     given = setup_arguments()
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     changelog = re.search(r"^## (\d\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    for_bloom = re.search(r"^(\d\S+) \(", (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8"), re.MULTILINE)
     for where, version in (
         ("setup.py", given["version"]),
         ("CITATION.cff", str(citation["version"])),
         ("CHANGELOG.md", changelog.group(1) if changelog else "none"),
+        ("CHANGELOG.rst", for_bloom.group(1) if for_bloom else "none"),
     ):
         if version != package.version:
             yield f"version {package.version}, {where} has {version}"
@@ -78,7 +80,7 @@ def dependencies(package: Package) -> Iterator[str]:
     by_pip = optional | set(re.findall(r"^([\w-]+)==", (ROOT / WITHOUT_KEY).read_text(encoding="utf-8"), re.MULTILINE))
     needed = {
         KEYS.get(module, module)
-        for folder in ("hyst_control", "hyst_plant_sim")
+        for folder in ("hyst_control", "hyst_plant_sim", "launch")
         for file in (ROOT / folder).rglob("*.py")
         for module in imported(file)
         if module not in by_pip

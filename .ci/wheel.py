@@ -16,7 +16,7 @@ IMPORT_ALL = """
 import importlib, pkgutil, hyst_control, hyst_plant_sim
 names = [found.name for package in (hyst_control, hyst_plant_sim)
          for found in pkgutil.walk_packages(package.__path__, package.__name__ + ".")]
-names = [name for name in names if not name.startswith("hyst_control.nodes") and name != "hyst_plant_sim.node"]
+names = [name for name in names if not name.startswith(("hyst_control.nodes", "hyst_control.hardware")) and name != "hyst_plant_sim.node"]
 for name in names:
     importlib.import_module(name)
 print(len(names), "modules imported without ROS")

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from std_msgs.msg import Int64
 
 from hyst_control.config_files import config_path
-from hyst_control.control.command_watchdog import CommandWatchdog
 from hyst_control.control.loop import Plant
 from hyst_control.errors import InputError
 from hyst_control.model_file import Simulator, load_model
-from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.duration_histogram import Durations
+from hyst_control.nodes.actuator import SAFE_SETTINGS, Actuator
+from hyst_control.nodes.loop_latency import LoopLatency
+from hyst_control.nodes.managed import AUTOSTART, ManagedNode
 from hyst_control.nodes.message_io import QUEUE
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
@@ -28,15 +28,12 @@ from hyst_control.yaml_files import parse_yaml
 
 Array = NDArray[np.float64]
 
-AWAITED = 64
-"""Most measurements whose command is awaited, for the latency of the loop."""
 MOST_AHEAD = 2048  # ticks that the plant may be ahead of a recorder it waits for
 REPETITIONS_BEFORE_JOINING = 5
 """Successive repetitions without an answer after which a plant restarted during a run continues at the tick of that run."""
-APPLIED_INTERVAL = 0.005  # s, at least, between two messages that say what is applied
 
 
-class PlantNode(SignalNode):
+class PlantNode(ManagedNode):
     """Node that receives `command` (V) and publishes `measurement`.
 
     In lockstep it publishes measurement[0] first, then for command rows k0 … k1 the measurement rows k0 + 1 … k1 + 1. As long as no
@@ -68,10 +65,8 @@ class PlantNode(SignalNode):
             choices=("rest", "first_command"),
         ),
         Setting("retry", 0.2, "s", "time without a command after which the newest measurement is repeated", 1e-3, 60.0),
-        Setting(
-            "safe_command", (0.0,), "V", "actuator without a command, under the timer: one value for all axes or each", -1e6, 1e6
-        ),
-        Setting("safe_rate", 1000.0, "V/s", "slope towards it, and back to the command", 1e-6, 1e12),
+        *SAFE_SETTINGS,
+        AUTOSTART,
         Setting("wait_for_recorder", False, "", "stay close to the rows that the recorder has stored, in lockstep"),
     )
 
@@ -94,31 +89,30 @@ class PlantNode(SignalNode):
         self._plant.reset(rest)  # compiled before the first tick
         self._plant.step(rest[None])
         self._tick: int | None = None  # of the newest measurement
-        if len(self.settings.safe_command) not in (1, len(self.axes)):
-            raise InputError(
-                f"{self.get_name()}: parameter safe_command: {len(self.settings.safe_command)} values, {len(self.axes)} axes"
-            )
-        safe = np.broadcast_to(np.array(self.settings.safe_command), len(self.axes))
-        self._watchdog = CommandWatchdog(rest, safe, self.settings.safe_rate, self.period)
         self._held = rest  # newest command, in lockstep
         self._stalled_offer: int | None = None  # first tick of the commands offered at a standstill that others precede
-        self._said = 0  # tick at which it was said last what is applied
         self._recorded = -1
         self._recorded_at = time.monotonic()  # s: time of the recorder's last progress
         self._standstill = Standstill()
-        self._sent: dict[int, int] = {}  # time of sending of the newest measurements, ns since the epoch, by tick
-        self._latency = Durations()
+        self._latency = LoopLatency()
         self.measurement = self.output("measurement", self.unit)
-        self.applied = self.output("applied", "V")
-        self.command = self.input("command", "V")
+        self._actuator = Actuator(self)
+        self.command, self.applied = self._actuator.command, self._actuator.output
         if self.settings.wait_for_recorder and self.lockstep:
             self.create_subscription(Int64, "recorded", self._on_recorded, QUEUE)
-        self.reset()
+        self.begin()
         if self.lockstep:
             self.every(self.settings.retry, self._retry)
         self.start_timer(0.1)
 
+    def activate(self) -> None:
+        if self._tick is None:
+            self.reset()
+        self.once(self.advance)
+
     def advance(self) -> None:
+        if not self.active:
+            return
         rows, length = self.command.rows, self.settings.ticks
         while rows.available:
             tick = self._settle(self._newest_command()) if self._tick is None else self._tick
@@ -140,37 +134,28 @@ class PlantNode(SignalNode):
             self.measurement.send(first, measurements)
 
     def tick(self, tick: int) -> None:
-        rows, period = self.command.rows, self.period
         if self._tick is None:
             self._tick = tick
-            self.measurement.send(tick, self._plant.reset(self._watchdog.applied)[None])
+            self.measurement.send(tick, self._plant.reset(self._actuator.watchdog.applied)[None])
             return
-        first = max(self._tick, tick - max(self.settings.block, round(LONGEST_GAP / period)))
+        first = max(self._tick, tick - max(self.settings.block, round(LONGEST_GAP / self.period)))
         commands = np.empty((tick - first, len(self.axes)))
-        longest = self.longest_age
-        contradicted = time.monotonic() - rows.conflicted < longest
         for row in range(len(commands)):
-            newest = rows.newest(first + row)
-            commands[row] = self._watchdog.apply(newest, not contradicted and rows.behind(first + row) * period <= longest)
-        if not self._watchdog.following:
-            self._say_applied(tick, contradicted)
+            commands[row] = self._actuator.voltage(first + row, self.working)
+        self._actuator.report(tick)
         measurements = self._plant.step(commands)
-        self._sent[tick] = time.time_ns()
-        if len(self._sent) > AWAITED:
-            del self._sent[next(iter(self._sent))]
+        self._latency.sent(tick)
         self.measurement.send(first + 1, measurements)  # those of missed ticks too: the sensor was there
         self._tick = tick
         if self.settings.ticks and self.counts["ticks"] * self.settings.block >= self.settings.ticks:
             self.finish(self.measurement.publisher)
 
     def arrived(self, source: Input, tick: int, stamp: int) -> None:
-        sent = self._sent.pop(tick, None)
-        if sent is not None:
-            self._latency.add(1e-9 * (stamp - sent))
+        self._latency.answered(tick, stamp)
 
     def reset(self) -> None:
         self._tick = None
-        self._watchdog.reset()
+        self._actuator.reset()
         self.measurement.clear()
         if self.lockstep:
             self.command.rows.expect(0)
@@ -190,9 +175,7 @@ class PlantNode(SignalNode):
             source.rows.expect(tick)
 
     def trouble(self) -> str:
-        if self.lockstep or self._watchdog.following or not self._watchdog.armed:
-            return ""
-        return "no trusted command: the actuator goes to its safe value, or back to the command"
+        return "" if self.lockstep else self._actuator.trouble()
 
     def waits(self, now: float) -> list[Wait]:
         """Signals that the node is waiting for: the command, or the recorder while commands or the end of the run depend on it."""
@@ -202,7 +185,7 @@ class PlantNode(SignalNode):
         return super().waits(now)
 
     def status(self) -> dict[str, Any]:
-        return {"tick": self._tick, "recorded": self._recorded, **self._latency.entries("loop latency")}
+        return {"tick": self._tick, "recorded": self._recorded, **self._latency.entries()}
 
     def _settle(self, command: Array) -> int:
         """Settle the plant at a command (A,), publish the measurement, and return its tick."""
@@ -210,16 +193,6 @@ class PlantNode(SignalNode):
         self._tick = tick
         self.measurement.send(tick, first[None])
         return tick
-
-    def _say_applied(self, tick: int, contradicted: bool) -> None:
-        """Publish what is on the actuator, for a feedback that starts, and warn when the watchdog has taken over."""
-        if self._watchdog.armed and self.command.rows.behind(tick) * self.period > self.longest_age:
-            self.warn("stale", f"no command for {self.longest_age:g} s: the actuator goes to its safe value")
-        elif contradicted:
-            self.warn("contradicted", "two sources of command: the actuator goes to its safe value")
-        if tick - self._said >= APPLIED_INTERVAL / self.period:
-            self._said = tick
-            self.applied.send(tick, self._watchdog.applied[None])
 
     def _newest_command(self) -> Array:
         row = self.command.rows.newest(self.command.rows.start)
@@ -239,7 +212,7 @@ class PlantNode(SignalNode):
             self.finish(self.measurement.publisher)
 
     def _retry(self) -> None:
-        if self.finished.done():
+        if self.finished.done() or not self.active:
             return
         looks = self._standstill.look((self.command.rows.end, self._tick))
         if looks and self._tick:

@@ -13,9 +13,10 @@ from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.fit_report import residual
 from hyst_control.identify.initial_memory import with_beginning
 from hyst_control.identify.record_segmentation import stretches_between_rests
-from hyst_control.identify.workflow import datasets_of
+from hyst_control.identify.workflow import TOPICS, datasets_of
 from hyst_control.model_file import Model, load_model
 from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.clock_alignment import aligned_by_reception
 from hyst_control.records.row_store import blocks, largest_size, mean_square
 from hyst_control.records.session_zero import SHAPES, without_zero
 from hyst_control.reporting.tables import Table
@@ -58,7 +59,9 @@ def validate_bags(
     table = Table(source)
     for bag in bags:
         progress.step(f"read {bag}")
-        for data in map(with_beginning, datasets_of(read_bag(bag, namespace, unit), hold, start, True)):
+        for data in map(
+            with_beginning, datasets_of(aligned_by_reception(read_bag(bag, namespace, unit), TOPICS), hold, start, True)
+        ):
             for name, model in loaded.items():
                 progress.step(f"{name} on {data.name}")
                 check_pair(name, model, data)

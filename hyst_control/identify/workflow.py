@@ -19,7 +19,8 @@ from hyst_control.identify.model_choice import best_family, choice_lines
 from hyst_control.identify.record_consistency import disagreements
 from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, Model, save_model
 from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.record import Record
+from hyst_control.records.clock_alignment import aligned_by_reception
+from hyst_control.records.record import Aligned, Record
 from hyst_control.records.record_validity import Trial, refuse_invalid
 
 AUTO = "auto"
@@ -27,6 +28,9 @@ AUTO = "auto"
 TOPICS = ("command", "measurement")
 LONGEST_JUDGED = 2**22
 """Rows of a record, from its beginning, by which it is judged whether it is a measurement of its command: 84 s at 50 kHz."""
+
+SHORTEST_SHARE, SHORTEST_STRETCH = 0.05, 32
+"""Least length of a stretch between gaps that is used: share of the longest one, and samples."""
 
 
 @dataclass(frozen=True)
@@ -133,9 +137,9 @@ def identify_bags(
     notes: list[str] = []
     for bag in bags:
         progress.step(f"read {bag}")
-        record = read_bag(bag, namespace, unit)
+        record = aligned_by_reception(read_bag(bag, namespace, unit), TOPICS)
         notes += record.notes
-        datasets += datasets_of(record, hold, start, allow_gaps)
+        datasets += datasets_of(record, hold, start, allow_gaps, notes)
     if not force:
         looked_at = [each.rows(0, LONGEST_JUDGED) for each in datasets]
         refuse_invalid([Trial(each.name, each.command, each.measurement, each.sample_time, each.axes) for each in looked_at])
@@ -242,7 +246,9 @@ def chosen_families(family: str | None, method: str, options: Mapping[str, objec
     return having
 
 
-def datasets_of(record: Record, hold: str | None = None, start: str = "auto", allow_gaps: bool = False) -> list[Dataset]:
+def datasets_of(
+    record: Record, hold: str | None = None, start: str = "auto", allow_gaps: bool = False, notes: list[str] | None = None
+) -> list[Dataset]:
     """Cut a record into its gapless stretches.
 
     Parameters
@@ -255,7 +261,9 @@ def datasets_of(record: Record, hold: str | None = None, start: str = "auto", al
         "settled" at the first command, reached from 0 V on the virgin curve, "unknown", or "auto", found from the record; what follows
         a gap is unknown.
     allow_gaps
-        Use the stretches between lost samples instead of raising an error.
+        Use the stretches between lost samples instead of raising an error; those that are short beside the longest are left out.
+    notes
+        List to which a sentence is added on what was left out.
 
     Returns
     -------
@@ -282,8 +290,12 @@ def datasets_of(record: Record, hold: str | None = None, start: str = "auto", al
             f"{record.source}: command has axes {', '.join(command.axes)}, measurement has {', '.join(measurement.axes)}: "
             "record both with the same axes in the same order"
         )
+    stretches = record.aligned(TOPICS, allow_gaps)
+    used = _long_enough(record, stretches, notes)
     datasets = []
-    for index, part in enumerate(record.aligned(TOPICS, allow_gaps)):
+    for index, part in enumerate(stretches):
+        if index not in used:
+            continue
         name = Path(record.source).name + (f"[{index}]" if index else "")
         data = Dataset(
             name,
@@ -297,3 +309,17 @@ def datasets_of(record: Record, hold: str | None = None, start: str = "auto", al
         )
         datasets.append(data)
     return datasets
+
+
+def _long_enough(record: Record, stretches: Sequence[Aligned], notes: list[str] | None) -> set[int]:
+    """Numbers of the stretches that are long enough to tell something."""
+    lengths = [len(part.time) for part in stretches]
+    due = min(max(SHORTEST_SHARE * max(lengths), SHORTEST_STRETCH), max(lengths))
+    used = {index for index, length in enumerate(lengths) if length >= due}
+    if len(used) < len(lengths) and notes is not None:
+        lost = sum(lengths) - sum(lengths[index] for index in used)
+        notes.append(
+            f"{record.source}: {len(lengths) - len(used)} of {len(lengths)} stretches between gaps, {lost} of {sum(lengths)} samples, "
+            "are too short to be used"
+        )
+    return used

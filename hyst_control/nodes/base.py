@@ -31,6 +31,7 @@ from hyst_control.nodes.node_diagnostics import DIAGNOSTICS_INTERVAL, Diagnostic
 from hyst_control.nodes.parameters import Setting, declare
 from hyst_control.nodes.realtime_scheduling import set_scheduler
 from hyst_control.nodes.signal_ports import Input, Output
+from hyst_control.nodes.source_clocks import CLOCK_REMEDY, SourceClocks, describe
 from hyst_control.nodes.tick_timer import TickTimer
 from hyst_control.records.signal_message import label_for
 from hyst_control.records.signal_rows import Missing, SignalRows, Wait, waits
@@ -165,6 +166,8 @@ class SignalNode(EndingNode):
         """State of every received signal, by topic."""
         self.counts: Counter[str] = Counter()
         self.tick_timer = TickTimer(self, self.period, self.settings.block)
+        self._simulated = bool(self.get_parameter("use_sim_time").value)
+        self._source_clocks = SourceClocks()
         self._warnings = ThrottledWarnings(self)
         self._diagnostics = DiagnosticsPublisher(self)
         self._diagnosed = (time.monotonic(), 0)
@@ -234,6 +237,11 @@ class SignalNode(EndingNode):
             Its new value.
         """
 
+    @property
+    def working(self) -> bool:
+        """False while the node was told to stop."""
+        return self.enabled
+
     def trouble(self) -> str:
         """Fault that keeps the node from its work, for the diagnostics; "" when there is none."""
         return ""
@@ -242,6 +250,34 @@ class SignalNode(EndingNode):
     def latest_tick(self) -> float:
         """Tick that no row of an input may be beyond, under the timer."""
         return float((self.tick_timer.now + self.settings.ahead) / self.period)
+
+    @property
+    def control_time(self) -> float:
+        """Time in s of the clock whose ticks the rows have, under the timer: that of the machine since its start, or the simulated one."""
+        return self.ros_time if self._simulated else time.monotonic()
+
+    @property
+    def ros_time(self) -> float:
+        """ROS time, s."""
+        return float(self.get_clock().now().nanoseconds * 1e-9)
+
+    @property
+    def offset_to_ros_time(self) -> float:
+        """ROS time of the control clock's zero, s."""
+        return self.ros_time - self.control_time
+
+    def heard(self, topic: str, newest: float) -> None:
+        """Compare a source's clock with this node's, under the timer.
+
+        Parameters
+        ----------
+        topic : str
+            Topic.
+        newest : float
+            Time of the newest row of a message, s.
+        """
+        if not self.lockstep:
+            self._source_clocks.heard(topic, newest - self.control_time)
 
     @property
     def longest_age(self) -> float:
@@ -301,7 +337,12 @@ class SignalNode(EndingNode):
         self.destroy_subscription(intake.subscription)
 
     def signal_rows(
-        self, topic: str, missing: Missing, drop_oldest: bool = False, clock_may_be_set_back: bool = False
+        self,
+        topic: str,
+        missing: Missing,
+        drop_oldest: bool = False,
+        clock_may_be_set_back: bool = False,
+        replace: bool = False,
     ) -> SignalRows:
         """Create the state of a signal that the node receives.
 
@@ -315,6 +356,8 @@ class SignalNode(EndingNode):
             Drop the oldest rows when too many wait, instead of refusing new ones.
         clock_may_be_set_back : bool
             Distinguish rows that go back by the parameter `backwards` from duplicates.
+        replace : bool
+            Let a second row of a tick replace the first; see `SignalRows`.
 
         Returns
         -------
@@ -328,10 +371,11 @@ class SignalNode(EndingNode):
             self.period,
             (lambda: float(self.settings.backwards)) if clock_may_be_set_back else (lambda: math.inf),
             drop_oldest,
+            replace,
         )
         return self.received[topic]
 
-    def input(self, topic: str, unit: str, every_row: bool = True) -> Input:
+    def input(self, topic: str, unit: str, every_row: bool = True, replace: bool = False) -> Input:
         """Subscribe to a signal.
 
         Parameters
@@ -340,6 +384,8 @@ class SignalNode(EndingNode):
             Topic, and the unit of its values.
         every_row : bool
             Refuse rows that skip earlier ones, in lockstep.
+        replace : bool
+            Let a second row of a tick replace the first, under the timer.
 
         Returns
         -------
@@ -350,6 +396,7 @@ class SignalNode(EndingNode):
             topic,
             Missing.REFUSE if self.lockstep and every_row else Missing.SKIP,
             clock_may_be_set_back=not self.lockstep,
+            replace=replace and not self.lockstep,
         )
         signal = Input(self, topic, label_for(self.axes, unit), rows, None if self.lockstep else self.intake(topic))
         if self.lockstep:
@@ -382,8 +429,7 @@ class SignalNode(EndingNode):
             Share of a tick after its beginning at which the node is called, 0 to 1.
         """
         if not self.lockstep:
-            simulated = bool(self.get_parameter("use_sim_time").value)
-            self.tick_timer.start(self, self.get_clock() if simulated else self._steady, phase, simulated)
+            self.tick_timer.start(self, self.get_clock() if self._simulated else self._steady, phase, self._simulated)
 
     def tick_by(self, callback: Callable[[], None] | None) -> None:
         """Set the function that the node's timer calls at every tick.
@@ -464,12 +510,16 @@ class SignalNode(EndingNode):
         ticks = max((signal.rows.end or 0 for signal in self.inputs), default=0) if self.lockstep else self.counts["ticks"]
         before, ticks_before = self._diagnosed
         self._diagnosed = (now, ticks)
+        wrong_clocks = self._source_clocks.look(self.longest_age, self.settings.ahead)
+        for topic, seconds in wrong_clocks.items():
+            self.warn(f"{topic}: clock", f"{topic}: its times are {describe(seconds)} this node's clock: {CLOCK_REMEDY}")
         health = NodeHealth(
             trouble=self.trouble(),
+            wrong_clocks=list(wrong_clocks),
             stale=[signal.topic for signal in self.inputs if not self.lockstep and signal.age > self.settings.timeout],
             contested=[signal.topic for signal in self.inputs if self.count_publishers(signal.topic) > self.settings.most_sources],
             waits=self.waits(now),
-            enabled=self.enabled,
+            enabled=self.working,
         )
         for topic in health.contested:
             self.warn(
@@ -477,6 +527,8 @@ class SignalNode(EndingNode):
             )
         values = {
             "schedule": self.settings.schedule,
+            **({} if self.lockstep else {"offset to ROS time [s]": f"{self.offset_to_ros_time:.6f}"}),
+            **self._source_clocks.entries(),
             "rate [Hz]": f"{(ticks - ticks_before) / (now - before):.1f}",
             "ticks": ticks,
             "jitter [us]": f"{self.tick_timer.jitter.take() * 1e6:.1f}",

@@ -33,6 +33,8 @@ class NodeHealth:
         Inputs that are too old, under the timer.
     contested : sequence of str
         Inputs that several nodes publish.
+    wrong_clocks : sequence of str
+        Sources whose clock is not this node's, under the timer.
     waits : sequence of Wait
         Signals that the node is waiting for, in lockstep.
     enabled : bool
@@ -42,6 +44,7 @@ class NodeHealth:
     trouble: str = ""
     stale: Sequence[str] = ()
     contested: Sequence[str] = ()
+    wrong_clocks: Sequence[str] = ()
     waits: Sequence[Wait] = ()
     enabled: bool = True
 
@@ -56,6 +59,7 @@ class NodeHealth:
         return {
             "stale": ", ".join(self.stale) or "none",
             "several sources": ", ".join(self.contested) or "none",
+            "other clock": ", ".join(self.wrong_clocks) or "none",
             "waiting_for": self.waiting_for,
             "enabled": self.enabled,
         }
@@ -65,6 +69,8 @@ class NodeHealth:
         """First reason for a warning; "" when there is none."""
         if self.trouble:
             return self.trouble
+        if self.wrong_clocks:
+            return f"other clock: {', '.join(self.wrong_clocks)}"
         if self.stale:
             return f"stale: {', '.join(self.stale)}"
         if self.contested:

@@ -14,8 +14,8 @@ from hyst_control.control.safe_loop import SafeLoop, Safety
 from hyst_control.control.sensor_watch import MOTION, MeasurementWatch
 from hyst_control.errors import InputError
 from hyst_control.export.backend import CompiledPI
-from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.common_parameters import BACKEND, TIMER, C
+from hyst_control.nodes.managed import AUTOSTART, ManagedNode
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.rival_watch import RivalWatch
 from hyst_control.nodes.run import main as run_main
@@ -30,7 +30,7 @@ TAKEOVER_INTERVAL = 0.01  # s, between two looks whether the present command was
 LONGEST_RAMP = 100_000  # rows, in lockstep
 
 
-class PiFeedback(SignalNode):
+class PiFeedback(ManagedNode):
     """Node that publishes `command` = limited (`feedforward` + `feedback`), in V.
 
     With `feedback: true` it runs tick by tick, as measurements arrive; otherwise it passes on blocks of any length (open loop).
@@ -127,6 +127,7 @@ class PiFeedback(SignalNode):
             1e6,
         ),
         BACKEND,
+        AUTOSTART,
         Setting("saturation_time", 0.5, "s", "time after which a command at its limits is a warning", 1e-6, 1e6, live=True),
         Setting(
             "overrun_ticks",
@@ -180,7 +181,7 @@ class PiFeedback(SignalNode):
         self.measurement: Input | None = None
         if given.feedback:
             self.reference = self.input("reference", self.unit)
-            self.measurement = self.input("measurement", self.unit)
+            self.measurement = self.input("measurement", self.unit, replace=True)
         self._paced_by = self.measurement or self.feedforward
         self._takeover = Takeover(self)
         self._rivals = RivalWatch(self, self.command, label_for(self.axes, "V"))
@@ -188,9 +189,16 @@ class PiFeedback(SignalNode):
         self._waiting = True  # for the command to take over
         self._waking = self.every(TAKEOVER_INTERVAL, self._wake) if self.lockstep else None
         self.reset()
+        self.begin()
         self.start_timer(0.5)
 
+    def activate(self) -> None:
+        if self.lockstep:
+            self.once(self.advance)
+
     def advance(self) -> None:
+        if not self.ever_active:
+            return
         rows = [signal.rows for signal in self.inputs]
         if any(not each.available for each in rows):
             return
@@ -261,7 +269,7 @@ class PiFeedback(SignalNode):
         else:
             self.loop.restart(np.zeros(len(self.axes)) if timed or self.settings.start == "rest" else None, away=False)
             self._newest, self._from = None, 0
-        self.loop.enabled = self.enabled
+        self.loop.enabled = self.working
         self._saturated = self._saturated_ticks = self._longest_saturation = 0
         self.command.clear()
         self.feedback.clear()
@@ -358,7 +366,7 @@ class PiFeedback(SignalNode):
 
     def _fault_of_loop(self) -> str:
         """Fault of the loop as a whole; "" when there is none."""
-        self.loop.enabled = self.enabled
+        self.loop.enabled = self.working
         if self._ending:
             return ENDING
         return RIVAL if self._rival_active else ""

@@ -131,6 +131,9 @@ class Recorder(SignalNode):
             for topic in self._topics:
                 topic.drain()
                 topic.close()
+            if not self.lockstep:
+                clock = "simulated" if self._simulated else "CLOCK_MONOTONIC"
+                self._writer.custom_data = {"clock": clock, "offset_to_ros_time": f"{self.offset_to_ros_time:.6f}"}
             self._writer.close()
         except OSError as error:
             self._failed(error)

@@ -31,6 +31,9 @@ class InputOwner(Protocol):
     def latest_tick(self) -> float:
         """Tick that no row may be beyond, under the timer."""
 
+    def heard(self, topic: str, newest: float) -> None:
+        """Compare the clock of a `topic`, whose newest row has the time `newest` in s, with the node's."""
+
     def drop(self, topic: str, kind: str, reason: str) -> None:
         """Count a refused message of a `topic` by its `kind`, and log the `reason` at most once per interval."""
 
@@ -109,6 +112,8 @@ class Input:
         if isinstance(tick, Refusal):
             owner.drop(self.topic, tick.kind, tick.reason)
             return
+        if not owner.lockstep:
+            owner.heard(self.topic, float(block[-1, 0]))
         if not owner.lockstep and tick + len(block) > owner.latest_tick:
             owner.drop(
                 self.topic,
@@ -161,6 +166,8 @@ class Input:
             )
         elif receipt is Receipt.LATE and not owner.lockstep:
             owner.counts[f"{self.topic}: late"] += 1
+        elif receipt is Receipt.REPLACED:
+            owner.counts[f"{self.topic}: replaced"] += 1
         else:
             owner.counts[f"{self.topic}: duplicate"] += 1
             if receipt is Receipt.CONFLICT:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import BufferedReader
 from pathlib import Path
 from shutil import copyfileobj
@@ -33,6 +34,9 @@ STORAGE = (".mcap", ".db3")
 COMPRESSED = tuple(f"{suffix}.zstd" for suffix in STORAGE)
 PENDING = 2048
 """Messages decoded at a time: enough for numpy's speed, few enough that the raw bytes take no room."""
+
+MEDIAN_OF = 2**16
+"""Messages, from the first on, of which a topic's clock is held against the time of reception."""
 
 FOREIGN_SHARE = 0.1
 """Rows of another label or width, per row of the topic's own, up to which they are left out."""
@@ -414,13 +418,22 @@ def _signal(path: Path, name: str, topic: _Topic, origin: int, unit: str, notes:
     if len(set(units)) > 1:
         raise InputError(f"{path}: {name}: label must have one unit for all axes, got {label!r}")
     if rows.time is not None:
-        return _ordered(path, name, Signal(rows.time.array(), rows.values.array(), axes, units[0]), notes)
+        time = rows.time.array()
+        received = math.nan
+        if len(time):
+            received = float(np.median(stamps[:MEDIAN_OF]) * 1e-9 - np.median(time[: _share(MEDIAN_OF, len(stamps), len(time))]))
+        return _ordered(path, name, Signal(time, rows.values.array(), axes, units[0], received=received), notes)
     values = rows.values.array()
     if not increasing(stamps, equal=True):
         order = np.argsort(stamps, kind="stable")
         stamps, values = stamps[order], values[order]
     time = np.asarray((stamps - origin) * 1e-9, dtype=np.float64)
     return Signal(time, values, axes, "V" if name in COMMAND_SIDE else unit, "receive")
+
+
+def _share(count: int, messages: int, rows: int) -> int:
+    """Rows that so many messages hold."""
+    return rows if count >= messages else max(rows * count // messages, 1)
 
 
 def _ordered(path: Path, name: str, signal: Signal, notes: list[str]) -> Signal:
@@ -440,4 +453,4 @@ def _ordered(path: Path, name: str, signal: Signal, notes: list[str]) -> Signal:
         notes.append(f"{path}: {name}: {len(repeated)} rows were sent twice and kept once")
     if np.any(np.diff(first) < 0):
         notes.append(f"{path}: {name}: rows came out of order and were put in order of their time")
-    return Signal(time[first], np.ascontiguousarray(signal.values[first]), signal.axes, signal.unit, signal.timing)
+    return replace(signal, time=time[first], values=np.ascontiguousarray(signal.values[first]))

@@ -61,7 +61,7 @@ class BagWriter:
         Raises `InputError` when the path exists or cannot be created.
         """
         self.path = Path(path)
-        self._custom_data = custom_data
+        self.custom_data = custom_data
         try:
             self.path.mkdir(parents=True)
             self._file = open(self.path / f"{self.path.name}_0.mcap", "wb")
@@ -154,7 +154,7 @@ class BagWriter:
             "compression_mode": "",
             "relative_file_paths": [file],
             "files": [{"path": file, **span}],
-            "custom_data": self._custom_data,
+            "custom_data": self.custom_data,
             "ros_distro": "jazzy",
         }
         # one text per value, as rosbag2 writes it: its reader knows no YAML anchors

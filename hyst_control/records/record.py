@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -112,7 +113,7 @@ class Signal:
     """One topic: sample times (N,) in s, values (N, A), the axes' names and their unit.
 
     timing: "layout" when the times are the control clock's own, "receive" when they are those of the reception and have its
-    jitter in them.
+    jitter in them. received: time of reception minus sample time, s, the median over the messages; NaN where it is not known.
     """
 
     time: Array
@@ -120,6 +121,7 @@ class Signal:
     axes: tuple[str, ...]
     unit: str
     timing: str = "layout"
+    received: float = math.nan
 
     def consecutive_ticks(self, step: float) -> range | None:
         """Ticks round(t / step) of the samples where each is one more than that before; None where they are not.

@@ -41,6 +41,8 @@ GAP_PATIENCE = 5.0
 """s, for which rows that are missing are waited for with `HOLD`: the plant repeats what it sent long before that."""
 MAX_GAPS = 1024
 """Gaps that are remembered, to know their rows when they come late."""
+MAX_REPLACED = 3
+"""Ticks in a row that come with two values, from which on these are two sources."""
 MAX_TICK = 2**53
 """Largest tick: beyond it the time of a row, a double, cannot tell one tick from the next."""
 
@@ -62,6 +64,8 @@ class Receipt(Enum):
     """All its ticks were there before."""
     CONFLICT = "conflict"
     """All its ticks were there before, with other values."""
+    REPLACED = "replaced"
+    """All its ticks were there before, with other values, which are replaced."""
     LATE = "late"
     """Its ticks were given up as lost."""
     GAP = "gap"
@@ -108,6 +112,9 @@ class SignalRows:
         change.
     drop_oldest : bool
         Drop the oldest rows rather than refuse new ones.
+    replace : bool
+        Let other values of a tick replace those that came first, as of a sensor with a clock of its own that falls twice into one
+        tick, unless that happens in `MAX_REPLACED` ticks in a row, as with two sources: that is a `CONFLICT`.
 
     Attributes
     ----------
@@ -135,8 +142,9 @@ class SignalRows:
         period: float = 1.0,
         clock_reset_threshold: Callable[[], float] = lambda: math.inf,
         drop_oldest: bool = False,
+        replace: bool = False,
     ) -> None:
-        self.missing, self.max_queued_rows, self.drop_oldest = missing, max_queued_rows, drop_oldest
+        self.missing, self.max_queued_rows, self.drop_oldest, self.replace = missing, max_queued_rows, drop_oldest, replace
         self.arrived = now
         self.missed = self.dropped = 0
         self._period, self._clock_reset_threshold = period, clock_reset_threshold
@@ -150,6 +158,7 @@ class SignalRows:
         self.available = 0
         self.joined = False
         self.conflicted = -math.inf
+        self._replaced_end = self._replaced_in_a_row = 0  # tick after the last one that was replaced, and how many before it were
         self.gaps: deque[tuple[int, int]] = deque(maxlen=MAX_GAPS)
         self._blocks: deque[tuple[int, Array]] = deque()
         self._newest: tuple[int, Array] | None = None  # rows that came last, and the tick of the first of them
@@ -338,6 +347,8 @@ class SignalRows:
         if any(first <= tick < end for first, end in self.gaps):
             return Receipt.LATE
         if self._contradicts(tick, rows):
+            if self.replace and self._replaces(tick, rows):
+                return Receipt.REPLACED
             self.conflicted = now
             return Receipt.CONFLICT
         return Receipt.DUPLICATE
@@ -349,6 +360,23 @@ class SignalRows:
         first, newest = self._newest
         begin, end = max(first, tick), min(first + len(newest), tick + len(rows))
         return begin < end and not np.array_equal(rows[begin - tick : end - tick], newest[begin - first : end - first])
+
+    def _replaces(self, tick: int, rows: Array) -> bool:
+        """Put these rows in the place of those that came last; False when that was done too many ticks in a row."""
+        assert self._newest is not None
+        if tick >= self._replaced_end:
+            self._replaced_in_a_row = self._replaced_in_a_row + 1 if tick == self._replaced_end else 1
+            self._replaced_end = tick + len(rows)
+        if self._replaced_in_a_row >= MAX_REPLACED:
+            return False
+        first, newest = self._newest
+        begin, end = max(first, tick), min(first + len(newest), tick + len(rows))
+        changed = newest.copy()
+        changed[begin - first : end - first] = rows[begin - tick : end - tick]
+        self._newest = first, changed
+        if self._blocks and self._blocks[-1][1] is newest:
+            self._blocks[-1] = self._blocks[-1][0], changed
+        return True
 
     def _hold(self, tick: int, rows: Array, now: float) -> None:
         if not self._held:

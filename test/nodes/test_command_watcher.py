@@ -356,7 +356,7 @@ def test_plant_brings_the_actuator_to_safety_while_two_commands_contradict(bench
             lambda: loop.bench.says("plant", "no trusted command: the actuator goes to its safe value, or back to the command")
         )
         swinging.cancel()
-        loop.until(lambda: loop.plant._watchdog.following)
+        loop.until(lambda: loop.plant._actuator.watchdog.following)
         applied = np.array(
             [[tick, *values] for topic, tick, values in loop.watcher.rows if topic == "applied" and tick is not None]
         )

@@ -18,7 +18,7 @@ def test_pipeline_runs_with_the_lockstep_file(tmp_path, domain):
     count = 400
     document = yaml.safe_load(config_path("nodes/lockstep.yaml").read_text())
     for node in ("plant", "recorder"):
-        document[node]["ros__parameters"]["ticks"] = count
+        document[f"/**/{node}"]["ros__parameters"]["ticks"] = count
     file = tmp_path / "parameters.yaml"
     file.write_text(yaml.safe_dump(document))
     ended = subprocess.run(

@@ -9,6 +9,9 @@ import yaml
 from rclpy.parameter import Parameter
 
 from hyst_control.config_files import config_folders, config_path
+from hyst_control.hardware.linux_iio import IioStage
+from hyst_control.hardware.physik_instrumente import PhysikInstrumenteStage
+from hyst_control.hardware.simulated_converter import SimulatedStage
 from hyst_control.nodes.common_parameters import COMMON
 from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.hampi_feedforward import HampiFeedforward
@@ -28,6 +31,9 @@ NODES = {
     "mhl_feedforward": MhlFeedforward,
     "pi_feedback": PiFeedback,
     "plant": PlantNode,
+    "simulated_stage": SimulatedStage,
+    "pi_stage": PhysikInstrumenteStage,
+    "iio_stage": IioStage,
     "recorder": Recorder,
     "identification": Identification,
     "diagnosis": DiagnosisNode,
@@ -37,6 +43,9 @@ NEEDED = {
     "hampi_feedforward": {"kind": "proportional", "gain": [1.0]},
     "mhl_feedforward": {"kind": "proportional", "gain": [1.0]},
     "plant": {"plant": "pea"},
+    "simulated_stage": {"autostart": False},
+    "pi_stage": {"autostart": False},
+    "iio_stage": {"autostart": False},
     "diagnosis": {"model": str(config_path("models/pea_hampi.yaml"))},
 }
 """What a node does not start without."""
@@ -90,7 +99,9 @@ def test_the_list_of_nodes_is_what_there_is():
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)
 def test_a_shipped_file_holds_what_its_nodes_declare(file, ros_context, tmp_path):
     document = yaml.safe_load(file.read_text(encoding="utf-8"))
-    for name, entry in document.items():
+    for key, entry in document.items():
+        assert key.startswith("/**")  # whatever the namespace
+        name = key.rpartition("/")[2]
         given = entry["ros__parameters"]
         settings = {setting.name: setting for setting in COMMON}
         if name in NODES:
@@ -106,5 +117,5 @@ def test_a_shipped_file_holds_what_its_nodes_declare(file, ros_context, tmp_path
 
 
 def test_every_node_has_a_parameter_file():
-    named = {name for file in FILES for name in yaml.safe_load(file.read_text(encoding="utf-8"))}
+    named = {key.rpartition("/")[2] for file in FILES for key in yaml.safe_load(file.read_text(encoding="utf-8"))}
     assert set(NODES) - {"mhl_feedforward"} <= named  # which takes the parameters of hampi_feedforward

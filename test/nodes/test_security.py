@@ -12,6 +12,7 @@ from loop_case import MODEL
 
 from hyst_control.config_files import config_path
 from hyst_control.nodes.identification import Identification
+from hyst_control.nodes.managed import ManagedNode
 from hyst_control.nodes.pipeline import COMPOSABLE, node_class
 from hyst_control.processes import environment
 
@@ -20,9 +21,13 @@ SETTINGS = {
     "recorder": {"topics": ["reference", "learned", "feedforward", "feedback", "command", "measurement"]},
     "plant": {"model": MODEL, "wait_for_recorder": True},
     "diagnosis": {"model": MODEL},
+    "simulated_stage": {"autostart": False},
+    "pi_stage": {"autostart": False},
+    "iio_stage": {"autostart": False},
     "hampi_feedforward": {"kind": "proportional", "learning": "feedback_error"},
     "mhl_feedforward": {"kind": "proportional", "learning": "feedback_error"},
 }
+STAGES = ["plant", "simulated_stage", "pi_stage", "iio_stage"]
 ROS_OWN = ("/rosout", "/parameter_events", "/clock")
 
 
@@ -50,6 +55,8 @@ def test_policy_allows_what_a_node_does_and_no_more(bench, tmp_path, name):
         each.topic for each in getattr(node, "polled", ())
     }
     published = {each.topic_name for each in node.publishers}
+    if isinstance(node, ManagedNode):
+        published.add(f"/{name}/transition_event")  # which rcl publishes
     own = {topic for topic in allowed[name, "topics publish"] if topic not in ROS_OWN}
     assert own == {topic for topic in published if topic not in ROS_OWN}
     heard = {topic for topic in allowed[name, "topics subscribe"] if topic not in ROS_OWN}
@@ -59,12 +66,12 @@ def test_policy_allows_what_a_node_does_and_no_more(bench, tmp_path, name):
     assert offered <= allowed["operator", "services request"]
 
 
-def test_only_the_feedback_may_command_and_only_the_plant_measures():
+def test_only_the_feedback_may_command_and_only_a_plant_or_a_stage_measures():
     who = {
         topic: [name for (name, right), topics in policy().items() if right == "topics publish" and topic in topics]
         for topic in ("/command", "/measurement", "/applied")
     }
-    assert who == {"/command": ["pi_feedback"], "/measurement": ["plant"], "/applied": ["plant"]}
+    assert who == {"/command": ["pi_feedback"], "/measurement": STAGES, "/applied": STAGES}
 
 
 CASES = [

@@ -1,0 +1,46 @@
+"""Limits that whoever drives an actuator keeps on its own side, whatever it is told."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CommandLimits:
+    """Range and slope of the voltage on an actuator.
+
+    Attributes
+    ----------
+    lower, upper : float
+        Range, V.
+    step : float
+        Greatest change from one tick to the next, V.
+    """
+
+    lower: float = -math.inf
+    upper: float = math.inf
+    step: float = math.inf
+
+    def limited(self, command: Array, applied: Array) -> Array:
+        """Command within the limits.
+
+        Parameters
+        ----------
+        command : ndarray, shape (A,)
+            Command, V.
+        applied : ndarray, shape (A,)
+            Voltage that is on the actuator, V.
+
+        Returns
+        -------
+        ndarray, shape (A,)
+            The nearest voltage that is allowed after `applied`, V. From outside the range the way back has the slope as well.
+        """
+        within = np.clip(command, self.lower, self.upper)
+        return np.clip(within, applied - self.step, applied + self.step) if math.isfinite(self.step) else within

@@ -1,0 +1,9 @@
+"""Stages on real converters: a base class of which a node for any hardware is made, and three complete nodes (docs/hardware.md)."""
+
+from __future__ import annotations
+
+from hyst_control.hardware.stage_node import StageNode
+from hyst_control.nodes.parameters import Setting
+from hyst_control.nodes.run import main
+
+__all__ = ["Setting", "StageNode", "main"]

@@ -1,0 +1,137 @@
+"""Stage on a controller of Physik Instrumente (PI) over TCP/IP, through PI's own package `pipython` and its General Command Set (GCS).
+
+The controller's servo is switched off: the loop is closed here. `SVA` sets an axis' piezo voltage, `POS?` reads its sensor. One tick
+needs two exchanges over the network, about a millisecond each: 100 to 300 Hz are usual, faster loops belong on the controller.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.errors import InputError
+from hyst_control.hardware.stage_node import StageNode
+from hyst_control.nodes.parameters import Setting
+from hyst_control.nodes.run import main as run_main
+
+Array = NDArray[np.float64]
+
+ERROR_CHECK_INTERVAL = 1.0
+"""s, between two questions for the controller's error, which would cost a third exchange at every tick."""
+
+
+class GcsController:
+    """Connection with one controller; all that is used of `pipython` is here.
+
+    Parameters
+    ----------
+    host : str
+        Its address.
+    port : int
+        Its port.
+    axes : list of str
+        The controller's names of the axes.
+    """
+
+    def __init__(self, host: str, port: int, axes: list[str]) -> None:
+        try:
+            from pipython import GCSDevice
+            from pipython.pidevice.interfaces.pisocket import PISocket
+        except ImportError as error:
+            raise InputError(f"pipython cannot be imported ({error}): pip install PIPython") from None
+        try:
+            self._device: Any = GCSDevice(gateway=PISocket(host, port))
+        except OSError as error:
+            raise InputError(f"{host}:{port}: {error.strerror}: is the controller on, and is this its address?") from None
+        self._axes = axes
+        known = list(self._device.qSAI())
+        if unknown := [axis for axis in axes if axis not in known]:
+            raise InputError(
+                f"{host}: has no axis {', '.join(unknown)} (axes: {', '.join(known)}): set the parameter controller_axes"
+            )
+        self._device.SVO(axes, [False] * len(axes))  # the loop is closed here
+        self._device.errcheck = False
+        self._checked = time.monotonic()
+
+    @property
+    def identity(self) -> str:
+        """The controller's own name and version."""
+        return str(self._device.qIDN()).strip()
+
+    def voltages(self) -> list[float]:
+        """Voltages that are set, V."""
+        found = self._device.qSVA(self._axes)
+        return [float(found[axis]) for axis in self._axes]
+
+    def positions(self) -> list[float]:
+        """Readings of the sensors, in the controller's unit, um or mrad."""
+        found = self._device.qPOS(self._axes)
+        return [float(found[axis]) for axis in self._axes]
+
+    def set_voltages(self, volts: list[float]) -> None:
+        """Set `volts` (V). Raises an error of the controller at most once per `ERROR_CHECK_INTERVAL`."""
+        self._device.SVA(self._axes, volts)
+        if time.monotonic() - self._checked > ERROR_CHECK_INTERVAL:
+            self._checked = time.monotonic()
+            if code := self._device.qERR():
+                raise OSError(f"the controller reports error {code}")
+
+    def close(self) -> None:
+        """End the connection; the controller holds its voltages."""
+        self._device.CloseConnection()
+
+
+class PhysikInstrumenteStage(StageNode):
+    """Node on a controller of Physik Instrumente."""
+
+    NAME = "pi_stage"
+    SETTINGS = (
+        *StageNode.SETTINGS,
+        Setting("host", "", "", "address of the controller"),
+        Setting("port", 50000, "number", "its TCP port", 1, 65535),
+        Setting("controller_axes", ("1",), "", "the controller's name of every axis"),
+    )
+
+    def connect(self) -> None:
+        """Connect, and switch the servo off.
+
+        Raises
+        ------
+        InputError
+            When there is no such controller or axis.
+        """
+        given = self.settings
+        if not given.host:
+            raise InputError("parameter host: give the address of the controller")
+        if len(given.controller_axes) != len(self.axes):
+            raise InputError(f"parameter controller_axes: {len(given.controller_axes)} names, {len(self.axes)} axes")
+        self.controller = GcsController(given.host, given.port, list(given.controller_axes))
+        self.get_logger().info(f"connected with {self.controller.identity}")
+
+    def disconnect(self) -> None:
+        """End the connection."""
+        self.controller.close()
+
+    def initial_command(self) -> list[float]:
+        """Voltages that the controller has, V."""
+        return self.controller.voltages()
+
+    def read(self) -> list[float]:
+        """Readings of the sensors."""
+        return self.controller.positions()
+
+    def write(self, command: Array) -> None:
+        """Set a `command` (A,), V."""
+        self.controller.set_voltages(command.tolist())
+
+
+def main() -> int:
+    """Run the executable; its exit status."""
+    return run_main(PhysikInstrumenteStage)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,140 @@
+"""Side of the actuator under the timer: the newest command through limits and watchdog, one voltage per tick."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.control.command_limits import CommandLimits
+from hyst_control.control.command_watchdog import CommandWatchdog
+from hyst_control.errors import InputError
+from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.parameters import Setting
+
+Array = NDArray[np.float64]
+
+APPLIED_INTERVAL = 0.005  # s, at least, between two messages that say what is applied
+CLOSE = 1e-9
+"""V; a voltage that differs by less was not limited."""
+
+SAFE_SETTINGS = (
+    Setting("safe_command", (0.0,), "V", "actuator without a command, under the timer: one value for all axes or each", -1e6, 1e6),
+    Setting("safe_rate", 1000.0, "V/s", "slope towards it, and back to the command", 1e-6, 1e12),
+)
+"""Parameters of the watchdog."""
+
+
+class Actuator:
+    """Voltages of an actuator, tick by tick, from the commands that a node receives.
+
+    It creates the node's input `command` and its output `applied`, on which it says what is on the actuator while that is not the
+    command, for a feedback that starts.
+
+    Parameters
+    ----------
+    node : SignalNode
+        The node, which has the parameters `SAFE_SETTINGS`.
+    limits : CommandLimits
+        Limits that every command is held to.
+    """
+
+    def __init__(self, node: SignalNode, limits: CommandLimits | None = None) -> None:
+        self.node, self.limits = node, limits or CommandLimits()
+        self.command = node.input("command", "V")
+        self.output = node.output("applied", "V")
+        self.limited = 0
+        """Ticks whose command was beyond the limits."""
+        given, axes = node.settings, len(node.axes)
+        if len(given.safe_command) not in (1, axes):
+            raise InputError(f"{node.get_name()}: parameter safe_command: {len(given.safe_command)} values, {axes} axes")
+        safe = np.broadcast_to(np.array(given.safe_command), axes)
+        if np.any(safe < self.limits.lower) or np.any(safe > self.limits.upper):
+            raise InputError(
+                f"{node.get_name()}: parameter safe_command: must be within lower and upper, {self.limits.lower:g} to "
+                f"{self.limits.upper:g} V, got {list(given.safe_command)}"
+            )
+        self._safe, self._rate = safe, min(given.safe_rate, self.limits.step / node.period)
+        self._said = 0  # tick at which it was said last what is applied
+        self.start_from(np.zeros(axes))
+
+    def start_from(self, rest: Array) -> None:
+        """Begin anew.
+
+        Parameters
+        ----------
+        rest : ndarray, shape (A,)
+            What the actuator has, V.
+        """
+        self.watchdog = CommandWatchdog(rest, self._safe, self._rate, self.node.period)
+
+    def reset(self) -> None:
+        """Return to the start."""
+        self.watchdog.reset()
+
+    @property
+    def safe(self) -> bool:
+        """True when the actuator is at its safe value, or never had a command."""
+        return not self.watchdog.armed or bool(np.all(np.abs(self.watchdog.applied - self._safe) <= CLOSE))
+
+    def voltage(self, tick: int, allowed: bool = True) -> Array:
+        """Voltage of a tick.
+
+        Parameters
+        ----------
+        tick : int
+            The tick.
+        allowed : bool
+            False: the actuator goes to its safe value, whatever the command is.
+
+        Returns
+        -------
+        ndarray, shape (A,)
+            The voltage, V.
+        """
+        rows, node = self.command.rows, self.node
+        command = rows.newest(tick)
+        trusted = allowed and not self._contradicted and rows.behind(tick) * node.period <= node.longest_age
+        if command is not None and trusted:
+            within = self.limits.limited(command, self.watchdog.applied)
+            self.limited += bool(np.abs(within - command).max() > CLOSE)
+            command = within
+        return self.watchdog.apply(command, trusted)
+
+    def report(self, tick: int) -> None:
+        """Publish what is on the actuator, unless that is the command, and warn when the watchdog has taken over.
+
+        Parameters
+        ----------
+        tick : int
+            Present tick.
+        """
+        watchdog, node = self.watchdog, self.node
+        if watchdog.following:
+            return
+        if watchdog.armed and self.command.rows.behind(tick) * node.period > node.longest_age:
+            node.warn("stale", f"no command for {node.longest_age:g} s: the actuator goes to its safe value")
+        elif self._contradicted:
+            node.warn("contradicted", "two sources of command: the actuator goes to its safe value")
+        if tick - self._said >= APPLIED_INTERVAL / node.period:
+            self._said = tick
+            self.output.send(tick, watchdog.applied[None])
+
+    def trouble(self) -> str:
+        """Reason for a warning; "" when the actuator follows the command or never had one."""
+        if self.watchdog.following or not self.watchdog.armed:
+            return ""
+        return "no trusted command: the actuator goes to its safe value, or back to the command"
+
+    def status(self) -> dict[str, Any]:
+        """Entries of the diagnostics."""
+        return {
+            "applied [V]": ", ".join(f"{value:.6g}" for value in self.watchdog.applied),
+            **({"limited ticks": self.limited} if self.limited else {}),
+        }
+
+    @property
+    def _contradicted(self) -> bool:
+        return time.monotonic() - self.command.rows.conflicted < self.node.longest_age

@@ -1,0 +1,370 @@
+"""Nodes of real stages: what reaches the device, what its failures lead to, managed states, and the three examples on small stand-ins."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from gcs_controller import GAIN, RANGE, GcsController
+from lifecycle_msgs.srv import ChangeState, GetState
+from loop_case import MODEL
+from std_srvs.srv import Trigger
+
+from hyst_control.control.command_limits import CommandLimits
+from hyst_control.errors import InputError
+from hyst_control.hardware import StageNode
+from hyst_control.hardware import simulated_converter as simulated
+from hyst_control.hardware.linux_iio import IioStage
+from hyst_control.hardware.physik_instrumente import PhysikInstrumenteStage
+from hyst_control.model_file import Simulator, load_model, simulate
+from hyst_control.nodes.pi_feedback import PiFeedback
+from hyst_control.records.signal_rows import Missing, Receipt, SignalRows
+
+RATE = 200.0
+PERIOD = 1 / RATE
+LOWER, UPPER, SLEW, SAFE, SAFE_RATE, TIMEOUT = -5.0, 60.0, 2000.0, 3.0, 1000.0, 0.25
+SETTINGS = dict(
+    rate_hz=RATE,
+    lower=LOWER,
+    upper=UPPER,
+    slew_limit=SLEW,
+    safe_command=[SAFE],
+    safe_rate=SAFE_RATE,
+    timeout=TIMEOUT,
+    failures=5,
+)
+
+
+class Drive(StageNode):
+    """A stage of 0.1 um/V that remembers what was written."""
+
+    def __init__(self, **options):
+        self.written: list[float] = []
+        self.connections = self.open = 0
+        self.fault = ""
+        self.answer = None
+        super().__init__(**options)
+
+    def connect(self):
+        if self.fault == "connect":
+            raise OSError("no such device")
+        self.connections += 1
+        self.open += 1
+
+    def disconnect(self):
+        self.open -= 1
+
+    def initial_command(self):
+        return [20.0]
+
+    def read(self):
+        if self.fault == "read":
+            raise OSError("sensor error")
+        return self.answer if self.answer is not None else [0.1 * (self.written[-1] if self.written else 20.0)]
+
+    def write(self, command):
+        if self.fault == "write":
+            raise OSError("converter error")
+        assert command.shape == (1,)
+        self.written.append(float(command[0]))
+
+
+class Bed:
+    """A stage, and a source of commands on the clock of this machine."""
+
+    def __init__(self, bench, make=Drive, label="t[s],x[V]", **changes):
+        self.bench, self.value, self.sending = bench, 40.0, True
+        bench.listen("measurement", "applied")
+        bench.listen_to_diagnostics()
+        self.node = bench.add(make, **{**SETTINGS, **changes})
+        self.sender = bench.sender("command", label)
+        self.timer = bench.probe.create_timer(PERIOD, self.feed)
+
+    def feed(self):
+        if self.sending:
+            tick = int(time.monotonic() / PERIOD)
+            self.sender.send(np.array([[tick * PERIOD, *np.atleast_1d(self.value)]]))
+
+    @property
+    def last(self):
+        return self.node.written[-1] if self.node.written else None
+
+    def assert_sound(self, begin=20.0):
+        """Every written value is in range, and none is further from the one before than the slope allows."""
+        written = np.array([begin, *self.node.written])
+        assert np.isfinite(written).all() and written.min() >= LOWER and written.max() <= UPPER
+        assert np.abs(np.diff(written)).max() <= SLEW * PERIOD * (1 + 1e-9)
+
+
+def test_limits_are_kept_from_where_the_actuator_is():
+    limits = CommandLimits(0.0, 10.0, 2.0)
+    assert limits.limited(np.array([50.0, -50.0, 5.0]), np.array([9.0, 1.0, 4.0])).tolist() == [10.0, 0.0, 5.0]
+    assert limits.limited(np.array([5.0]), np.array([14.0])).tolist() == [12.0]
+    assert CommandLimits().limited(np.array([1e9]), np.array([0.0])).tolist() == [1e9]
+
+
+def test_stage_keeps_its_own_limits_and_goes_to_its_safe_value_without_commands(bench):
+    bed = Bed(bench)
+    bench.until(lambda: bed.last == 40.0)
+    for value, expected in ((500.0, UPPER), (-500.0, LOWER), (30.0, 30.0)):
+        bed.value = value
+        bench.until(lambda expected=expected: bed.last == expected)
+    bench.until(lambda: bench.says("stage", "limited ticks"))
+    bed.sending = False
+    bench.until(lambda: bed.last == SAFE)
+    bench.until(lambda: bench.says("stage", "no trusted command: the actuator goes to its safe value, or back to the command"))
+    assert bench.rows("applied")[-1, 1] == SAFE
+    bed.sending = True
+    bench.until(lambda: bed.last == 30.0)
+    assert bench.call(Trigger, "stage/stop", Trigger.Request()).success
+    bench.until(lambda: bed.last == SAFE)
+    assert bench.call(Trigger, "stage/reset", Trigger.Request()).success
+    bench.until(lambda: bed.last == 30.0)
+    bed.node.wind_down()
+    bench.until(lambda: bed.node.wound_down)
+    assert bed.last == SAFE
+    bed.assert_sound()
+
+
+def test_measurements_have_the_tick_of_the_machines_clock_once_and_nothing_is_written_before_a_command(bench):
+    bed = Bed(bench)
+    bed.sending = False
+    bench.until(lambda: len(bench.rows("measurement")) > 20)
+    rows = bench.rows("measurement")
+    assert abs(rows[-1, 0] - time.monotonic()) < 5.0 and np.all(np.diff(rows[:, 0]) > 0.5 * PERIOD)
+    ticks = rows[:, 0] / PERIOD
+    assert np.abs(ticks - np.rint(ticks)).max() < 1e-6
+    assert rows[-1, 1] == 2.0 and not bed.node.written
+    bench.until(lambda: "offset to ROS time [s]" in bench.said.get("/stage: loop", {}))
+    assert abs(float(bench.said["/stage: loop"]["offset to ROS time [s]"]) - (time.time() - time.monotonic())) < 1.0
+
+
+def test_failed_reads_are_counted_and_end_in_a_device_that_can_be_connected_again(bench):
+    bed = Bed(bench, failures=40)
+    bench.until(lambda: bed.last == 40.0)
+    bed.node.fault = "read"
+    bench.until(lambda: bed.node.counts["read: failed"] >= 3)
+    assert bed.node.state == "active" and bed.node.trouble() == "read fails"
+    bench.until(lambda: bed.node.state == "unconfigured")
+    assert bed.node.open == 0 and "call ~/reset" in bed.node.trouble()
+    count = len(bed.node.written)
+    answer = bench.call(Trigger, "stage/reset", Trigger.Request())
+    assert not answer.success and "sensor error" in answer.message
+    bed.node.fault = ""
+    assert bench.call(Trigger, "stage/reset", Trigger.Request()).success
+    bench.until(lambda: len(bed.node.written) > count and bed.last == 40.0)
+    assert bed.node.connections == 3 and bed.node.open == 1
+    bed.assert_sound(begin=20.0) if count == 0 else None
+
+
+def test_failed_writes_and_useless_readings_are_counted(bench):
+    bed = Bed(bench, failures=0)
+    bench.until(lambda: bed.last == 40.0)
+    bed.node.fault = "write"
+    bench.until(lambda: bed.node.counts["write: failed"] > 10)
+    bed.node.fault, count = "", len(bench.rows("measurement"))
+    for answer, key in (([np.nan], "measurement: not finite"), ([1.0, 2.0], "read: failed")):
+        bed.node.answer = answer
+        bench.until(lambda key=key: bed.node.counts[key] > 3)
+    bed.node.answer = None
+    bench.until(lambda: len(bench.rows("measurement")) > count + 5)
+    assert bed.node.state == "active" and np.isfinite(bench.rows("measurement")).all()
+
+
+WRONG = [
+    (dict(upper=-10.0), "parameter upper: must be above lower"),
+    (dict(safe_command=[90.0]), "parameter safe_command: must be within lower and upper"),
+    (dict(safe_command=[0.0, 0.0]), "parameter safe_command: 2 values, 1 axes"),
+    (dict(axes=["x", "y"], safe_command=[0.0]), r"initial_command\(\) must return 2 values"),
+    (dict(schedule="lockstep"), "must be one of timer"),
+    (dict(block=10), "parameter block"),
+]
+
+
+@pytest.mark.parametrize("changes, reason", WRONG)
+def test_what_a_stage_cannot_be_is_one_line(bench, changes, reason):
+    with pytest.raises(InputError, match=reason) as error:
+        bench.add(Drive, **{**SETTINGS, **changes})
+    assert "\n" not in str(error.value) and str(error.value).startswith("stage: ")
+
+
+def change(bench, node, label):
+    request = ChangeState.Request()
+    request.transition.label = label
+    return bench.call(ChangeState, f"{node}/change_state", request).success
+
+
+def state(bench, node):
+    return bench.call(GetState, f"{node}/get_state", GetState.Request()).current_state.label
+
+
+def test_stage_follows_the_managed_states(bench):
+    bed = Bed(bench, autostart=False)
+    node = bed.node
+    assert state(bench, "stage") == "unconfigured" and not node.open
+    assert not change(bench, "stage", "activate") and state(bench, "stage") == "unconfigured"
+    node.fault = "connect"
+    assert not change(bench, "stage", "configure") and state(bench, "stage") == "unconfigured"
+    node.fault = ""
+    assert change(bench, "stage", "configure") and state(bench, "stage") == "inactive"
+    assert node.open == 1 and not len(bench.rows("measurement")) and not node.written
+    assert change(bench, "stage", "activate")
+    bench.until(lambda: bed.last == 40.0 and len(bench.rows("measurement")) > 5)
+    assert change(bench, "stage", "deactivate")
+    bench.until(lambda: bed.last == SAFE)
+    assert change(bench, "stage", "activate")
+    bench.until(lambda: bed.last == 40.0)
+    assert change(bench, "stage", "shutdown") and state(bench, "stage") == "finalized"
+    bench.until(node.finished.done)
+    assert bed.last == SAFE and node.finished.result() == 0
+    bed.assert_sound()
+
+
+def test_feedback_follows_the_managed_states(bench):
+    bench.listen("command")
+    node = bench.add(PiFeedback, schedule="timer", rate_hz=RATE, feedback=False, safe_command=[SAFE], autostart=False, timeout=1.0)
+    sender = bench.sender("feedforward", "t[s],x[V]")
+
+    def feed():
+        tick = int(time.monotonic() / PERIOD)
+        sender.send(np.array([[tick * PERIOD, 20.0]]))
+
+    bench.probe.create_timer(PERIOD, feed)
+
+    def commands(value):
+        return lambda: len(bench.rows("command")) and bench.rows("command")[-1, 1] == value
+
+    assert change(bench, "pi_feedback", "configure") and not len(bench.rows("command"))
+    assert change(bench, "pi_feedback", "activate")
+    bench.until(commands(20.0))
+    assert change(bench, "pi_feedback", "deactivate") and not node.working
+    bench.until(commands(SAFE))
+    assert change(bench, "pi_feedback", "activate")
+    bench.until(commands(20.0))
+    steps = np.abs(np.diff(bench.rows("command")[:, 1]))
+    assert steps.max() <= 1000.0 * PERIOD * (1 + 1e-9)  # safe_rate, both ways
+
+
+def test_second_measurement_of_a_tick_replaces_the_first_and_one_in_every_tick_is_a_second_source():
+    rows = SignalRows(Missing.SKIP, 100, 0.0, replace=True)
+    for tick in range(3):
+        assert rows.receive(tick, np.full((1, 1), 1.0), 0.0) is Receipt.ACCEPTED
+    assert rows.receive(2, np.full((1, 1), 5.0), 0.0) is Receipt.REPLACED
+    assert rows.newest(2).tolist() == [5.0] and rows.newest(9).tolist() == [5.0] and rows.conflicted == -np.inf
+    found = []
+    for tick in range(3, 8):
+        rows.receive(tick, np.full((1, 1), 1.0), 1.0)
+        found.append(rows.receive(tick, np.full((1, 1), float(tick)), 1.0))
+    assert found == [Receipt.REPLACED] + [Receipt.CONFLICT] * 4 and rows.conflicted == 1.0
+    rows.receive(8, np.full((1, 1), 1.0), 2.0)
+    rows.receive(9, np.full((1, 1), 1.0), 2.0)
+    assert rows.receive(9, np.full((1, 1), 2.0), 2.0) is Receipt.REPLACED
+
+
+def test_second_measurement_of_a_tick_does_not_stop_the_feedback(bench):
+    bench.listen("command")
+    node = bench.add(PiFeedback, schedule="timer", rate_hz=RATE, kp=0.0, ki=0.0, timeout=1.0, frozen_time=0.0)
+    senders = {topic: bench.sender(topic, f"t[s],x[{unit}]") for topic, unit in (("reference", "um"), ("feedforward", "V"))}
+    senders["measurement"] = bench.sender("measurement", "t[s],x[um]")
+    count = iter(range(10**9))
+
+    def feed():
+        tick = int(time.monotonic() / PERIOD)
+        for sender in senders.values():
+            sender.send(np.array([[tick * PERIOD, 2.0]]))
+        if next(count) % 10 == 0:
+            senders["measurement"].send(np.array([[tick * PERIOD, 3.0]]))
+
+    bench.probe.create_timer(PERIOD, feed)
+    bench.until(lambda: node.counts["measurement: replaced"] >= 5)
+    assert not node.counts["measurement: conflict"] and not node.counts["faults"]
+
+
+def test_simulated_converter_is_the_model_on_the_clock_in_steps(monkeypatch):
+    """Of five samples at a time, as when ticks are missed: what is read is the model's own record."""
+    clock = [100.0 + 0.5 * PERIOD]
+    monkeypatch.setattr(simulated.time, "monotonic", lambda: clock[0])
+    model = load_model(MODEL)
+    converter = simulated.Converter(Simulator(model, PERIOD), 1, PERIOD, output_step=0.5)
+    volts = 20.0 * np.sin(np.arange(20.0))[:, None] ** 2
+    read = []
+    for each in volts:
+        converter.hold(each)
+        clock[0] += 5 * PERIOD
+        read.append(converter.sample()[0])
+    held = np.repeat(np.rint(volts / 0.5) * 0.5, 5, axis=0)
+    expected = simulate(model, np.vstack([np.zeros((1, 1)), held, held[-1:]]), sample_time=PERIOD)
+    np.testing.assert_allclose(read, expected[6:106:5, 0], rtol=0, atol=1e-9)
+    assert simulated._rounded(np.array([1.26]), 0.5).tolist() == [1.5]
+
+
+def test_simulated_stage_measures_what_its_model_gives(bench):
+    bed = Bed(bench, simulated.SimulatedStage, model=MODEL)
+    bed.value = 30.0
+    level = float(simulate(load_model(MODEL), np.full((400, 1), 30.0), sample_time=PERIOD)[-1, 0])
+    bench.until(lambda: len(bench.rows("measurement")) and abs(bench.rows("measurement")[-1, 1] - level) < 0.2 * level)
+    with pytest.raises(InputError, match="simulated_stage: parameter model: give a model file"):
+        bench.add(simulated.SimulatedStage)
+
+
+@pytest.fixture
+def iio(tmp_path):
+    """Two devices as the kernel shows them: a DAC of 16 bit for 0 to 5 V, and an ADC of 16 bit for ±5 V with an offset."""
+    dac, adc = tmp_path / "iio:device0", tmp_path / "iio:device3"
+    for device, files in (
+        (dac, {"name": "ad5686", "out_voltage0_raw": "0", "out_voltage1_raw": "6554", "out_voltage_scale": "0.076293945"}),
+        (adc, {"name": "ad7606", "in_voltage2_raw": "1000", "in_voltage2_scale": "0.152587890", "in_voltage2_offset": "-500"}),
+    ):
+        device.mkdir()
+        for name, text in files.items():
+            (device / name).write_text(text + "\n")
+    return tmp_path
+
+
+IIO = dict(dac="ad5686", adc="iio:device3", outputs=["out_voltage1"], inputs=["in_voltage2"], amplifier_gain=12.0, sensor_gain=-4.0)
+
+
+def test_iio_stage_writes_counts_and_reads_units(bench, iio):
+    bed = Bed(bench, IioStage, devices=str(iio), sensor_zero=1.0, **IIO)
+    present = 6554 * 0.076293945e-3 * 12.0
+    np.testing.assert_allclose(bed.node.initial_command(), [present], rtol=1e-12)
+    bench.until(lambda: len(bench.rows("measurement")))
+    assert bench.rows("measurement")[-1, 1] == pytest.approx(1.0 - 4.0 * (1000 - 500) * 0.152587890e-3, rel=1e-12)
+    bed.value = 24.0  # V on the actuator: 2 V of the DAC
+    file = iio / "iio:device0" / "out_voltage1_raw"
+    bench.until(lambda: file.read_text().splitlines()[0] == str(round(2.0 / 0.076293945e-3)))
+
+
+@pytest.mark.parametrize(
+    "changes, reason",
+    [
+        (dict(dac="ad9999"), r"has no device ad9999 \(devices: iio:device0, iio:device3, ad5686, ad7606\)"),
+        (dict(outputs=["out_voltage7"]), "out_voltage7_raw: No such file"),
+        (dict(inputs=["in_voltage2", "in_voltage3"]), "parameter inputs: 2 channels, 1 axes"),
+    ],
+)
+def test_iio_device_or_channel_that_is_not_there_is_one_line(bench, iio, changes, reason):
+    with pytest.raises(InputError, match=reason) as error:
+        bench.add(IioStage, **{**SETTINGS, "devices": str(iio), **IIO, **changes})
+    assert "\n" not in str(error.value)
+
+
+def test_controller_of_physik_instrumente_through_its_own_package(bench):
+    pytest.importorskip("pipython", reason="PI's package: pip install PIPython")
+    with GcsController() as controller:
+        bed = Bed(bench, PhysikInstrumenteStage, host="127.0.0.1", port=controller.port, controller_axes=["2"], upper=200.0)
+        bench.until(lambda: controller.voltage["2"] == 40.0)
+        assert controller.servo == {"1": True, "2": False} and controller.voltage["1"] == 12.0
+        bench.until(lambda: bench.rows("measurement")[-1, 1] == pytest.approx(40.0 * GAIN))
+        bed.value = RANGE[1] + 20.0  # within this node's limits, not within the controller's
+        bench.until(lambda: bed.node.counts["write: failed"] > 0)
+        assert controller.voltage["2"] <= RANGE[1] and not controller.lost
+        bed.value = 10.0
+        bench.until(lambda: controller.voltage["2"] == 10.0)
+        with pytest.raises(InputError, match=r"has no axis 7 \(axes: 1, 2\)"):
+            bench.add(
+                PhysikInstrumenteStage, **{**SETTINGS, "host": "127.0.0.1", "port": controller.port, "controller_axes": ["7"]}
+            )
+    with pytest.raises(InputError, match="127.0.0.1:1: Connection refused"):
+        bench.add(PhysikInstrumenteStage, **{**SETTINGS, "host": "127.0.0.1", "port": 1})

@@ -1,0 +1,75 @@
+"""The page on hardware: its files as they stand, run by its commands, and the model that comes of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from hyst_control.config_files import config_path
+from hyst_control.model_file import load_model, simulate
+
+PAGE = config_path("models/pea_hampi.yaml").parents[2] / "docs" / "hardware.md"
+
+
+def files() -> dict[str, str]:
+    """The page's files by name."""
+    return dict(re.findall(r"^\*\*([\w.]+)\*\*\n\n```\w+\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.S | re.M))
+
+
+def commands() -> list[list[str]]:
+    """The page's commands."""
+    (text,) = re.findall(r"^```sh\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.S | re.M)
+    return [shlex.split(line) for line in text.splitlines()]
+
+
+PROGRAMS = {
+    "python": [sys.executable],
+    "pipeline": [sys.executable, "-m", "hyst_control.nodes.pipeline"],
+    "hyst": [sys.executable, "-c", "import sys; from hyst_control.cli import main; sys.exit(main())"],
+}
+
+
+def test_a_node_by_the_page_alone_is_recorded_and_identified(domain, tmp_path):
+    assert len(files()["my_stage.py"].strip().splitlines()) <= 30
+    for name, text in files().items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    environment = {**os.environ, "PYTHONPATH": str(PAGE.parents[1])}
+
+    def start(words: list[str]) -> subprocess.Popen[str]:
+        program, *arguments = words
+        return subprocess.Popen(
+            [*PROGRAMS[program], *arguments],
+            cwd=tmp_path,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+
+    stage, pipeline, identify = commands()
+    running = start(stage)
+    try:
+        recording = start(pipeline)
+        told = recording.communicate(timeout=120)[0]
+        assert recording.returncode == 0 and "Traceback" not in told, told
+    finally:
+        running.send_signal(signal.SIGINT)
+        told = running.communicate(timeout=60)[0]
+    assert running.returncode == 0 and "Traceback" not in told and "failed" not in told, told
+    fit = start(identify)
+    told = fit.communicate(timeout=120)[0]
+    assert fit.returncode == 0, told
+    model = load_model(tmp_path / "stage.yaml")
+    time = np.arange(300) * 0.01
+    answer = simulate(model, 40.0 + 8.0 * np.sin(2 * np.pi * 2.0 * time)[:, None], sample_time=0.01)[200:, 0]
+    gain = abs(np.exp(-2j * np.pi * 2.0 * time[200:]) @ (answer - answer.mean())) / 400.0
+    assert gain == pytest.approx(0.12 / abs(1 + 2j * np.pi * 2.0 * 0.020), rel=0.05), told
+    assert json.loads((tmp_path / "fit.json").read_text())["model"]
