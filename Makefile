@@ -17,7 +17,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONPATH
 
-.PHONY: demo test test-again fuzz mutate lint docs figures check-compilers check-export check-wheel check-colcon check-readme bench env clean
+.PHONY: demo test test-again fuzz mutate lint docs figures check-browser check-compilers check-export check-wheel check-colcon check-readme bench env clean
 demo: env
 	$(VENV)/bin/hyst demo $(ARGS)
 
@@ -39,6 +39,9 @@ docs: $(CHECKS_READY)
 
 figures: env
 	$(VENV)/bin/python docs/make_figures.py $(FOLDER)
+
+check-browser:
+	.ci/browser.sh
 
 check-compilers:
 	.ci/compilers.sh
