@@ -34,8 +34,8 @@ fuzz: env
 mutate: env
 	$(VENV)/bin/python test/fuzz/mutations.py $(ARGS)
 
-docs: $(CHECKS_READY)
-	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --quiet --strict $(ARGS)
+docs: $(CHECKS_READY) env
+	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --quiet --strict $(ARGS)
 
 figures: env
 	$(VENV)/bin/python docs/make_figures.py $(FOLDER)
