@@ -244,8 +244,8 @@ def _waterfall(document: Mapping[str, Any]) -> go.Figure:
             measure=["absolute", *["relative"] * len(rows), "total"],
             text=[
                 f"100 %, {gap['rms']:.3g} {unit} rms",
-                *(f"−{100 * share:.3g} %" for _, share in rows),
-                f"{100 * left:.2g} %, {gap['rms'] * np.sqrt(max(left, 0.0)):.3g} {unit} rms",
+                *(f"−{_percent(share)}" for _, share in rows),
+                f"{_percent(left)}, {gap['rms'] * np.sqrt(max(left, 0.0)):.3g} {unit} rms",
             ],
             textposition=["outside", *["inside" if share > 0.2 else "outside" for _, share in rows], "outside"],
             connector={"line": {"color": "#9aa1ab"}},
@@ -395,7 +395,7 @@ def _rival_row(row: Rejected) -> tuple[str, ...]:
         row.name,
         row.axes,
         f"{row.behind:.1f}" if row.behind < 1e5 else f"{row.behind:.2g}",
-        f"{100 * row.left:.3g} %",
+        _percent(row.left),
         row.why,
     )
 
@@ -436,6 +436,11 @@ def _number(value: float | None, unit: str) -> str:
     if value is None:
         return "?"
     return quantity(value, unit, 4) if unit else f"{value:.4g}"
+
+
+def _percent(share: float) -> str:
+    digits = 0 if abs(share) >= 0.1 else 1 if abs(share) >= 0.01 else 2
+    return f"{100 * share:.{digits}f} %"
 
 
 def _share(value: float | None) -> str:
