@@ -99,4 +99,5 @@ EFFECT = Effect(
         Parameter("damping", "", 0.0, (0.0,), -0.6, 1.0, 0.1, told=False),
     ),
     lambda values, around: AddedMass(values["mass_ratio"], values.get("damping", 0.0)),
+    phrase="an added mass of {mass_ratio} of the moving mass",
 )
