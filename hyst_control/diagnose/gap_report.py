@@ -295,8 +295,8 @@ def _predictable(found: dict[str, Any]) -> list[str]:
         if rows:
             told = ", ".join(f"{row['name']} {100 * row['predictable']:.0f} % of {100 * row['share']:.0f} %" for row in rows)
             lines.append(f"      {title}: {told}")
-    if found["learned_residual"]:
-        far, added = found["learned_residual"]["shrink"], found["learned_residual"]["added"]
+    if found["learned"]:
+        far, added = found["learned"]["shrink"], found["learned"]["added"]
         lines.append(
             f"      a learned residual {'was added: it' if added else 'would'} shrink{'s' if added else ''} what the effects leave by "
             f"{100 * far:.0f} % on blocks that it was not learned from"

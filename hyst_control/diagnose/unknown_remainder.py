@@ -52,7 +52,7 @@ class Remainder:
         """
         parts = {name: [asdict(row) for row in getattr(self.predictable, name)] for name in ("band", "level", "branch")}
         learned = None if self.shrink is None else {"shrink": self.shrink, "added": added}
-        return {"share": self.predictable.share, **parts, "learned_residual": learned}
+        return {"share": self.predictable.share, **parts, "learned": learned}
 
 
 def remainder_of(diagnosis: Diagnosis) -> Remainder | None:

@@ -53,6 +53,8 @@ PAPER_STRUCTURE = Structure(modes=1, lags=1, zeros=2)
 """The order of Eq. 12."""
 STEP_TIME = 0.05
 """How long (s) a step's response is looked at."""
+REST_KEPT = 0.3
+"""How much (s) of the rest after a motion is kept: it may be all the time in which the other axis moves, and tell nothing."""
 ROWS = 60_000
 FASTEST, SLOWEST = 0.25, 50.0
 """Samples, between which k2' is looked for: below a quarter of one Tustin's rule makes an alternating filter of Ψ'."""
@@ -380,8 +382,7 @@ def sorted_pieces(datasets: Sequence[Dataset], index: int, sign: float) -> Piece
             jump = moving - begin <= 2
             lead = int(0.01 / data.sample_time) if jump else 1
             first = max(begin - lead, 0)
-            if jump:
-                end = min(end, begin + int(STEP_TIME / data.sample_time))
+            end = min(end, begin + int(STEP_TIME / data.sample_time) if jump else moving + int(REST_KEPT / data.sample_time))
             turns = command[turning_points(command[: first + 1])] if first else np.zeros(0)
             earlier = np.concatenate([[0.0], turns, command[first : first + 1]])
             memory = earlier[surviving_turns(earlier)][:-1] if first else None

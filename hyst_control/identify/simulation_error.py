@@ -402,10 +402,9 @@ def thinned(window: Window) -> Window:
 
 
 def short_stretches(windows: Sequence[Window], rows: int, length: float, settle: float) -> list[Window]:
-    """Choose short stretches that are spread evenly over the windows, as far as their commands move.
+    """Choose short stretches that are spread evenly over the windows.
 
-    Creeping records stay whole, but coarser (`thinned`). A stretch includes the turning points before it that still matter. Of a rest at
-    the end of a window, which may be all the time that another axis moves, no more is kept than a stretch.
+    Creeping records stay whole, but coarser (`thinned`). A stretch includes the turning points before it that still matter.
 
     Parameters
     ----------
@@ -427,7 +426,7 @@ def short_stretches(windows: Sequence[Window], rows: int, length: float, settle:
         return list(windows)
     whole = [(window, thinned(window)) for window in windows]
     chosen = [thin for window, thin in whole if thin is not window]
-    quick = [_without_rest(window, int(length / window.sample_time)) for window, thin in whole if thin is window]
+    quick = [window for window, thin in whole if thin is window]
     rows -= sum(len(window.command) for window in chosen)
     total = sum(len(window.command) for window in quick)
     for window in quick:
@@ -459,13 +458,3 @@ def short_stretches(windows: Sequence[Window], rows: int, length: float, settle:
                 )
             )
     return chosen
-
-
-def _without_rest(window: Window, kept: int) -> Window:
-    """A window up to so many rows after its command has moved for the last time."""
-    moves = np.flatnonzero(np.diff(window.command))
-    n = len(window.command)
-    end = min(int(moves[-1]) + 1 + kept, n) if moves.size else n
-    if end <= window.skip:
-        return window
-    return replace(window, command=window.command[:end], measurement=window.measurement[:end], share=window.share * end / n)

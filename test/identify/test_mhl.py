@@ -144,6 +144,16 @@ def test_the_paper_sequence_is_worse_on_every_record(joint):
     assert sum(inverse["ascending"]) == pytest.approx(1.0) == sum(inverse["descending"])
 
 
+def test_the_paper_sequence_leaves_out_the_rests_in_which_another_axis_moves():
+    """Else the stretches that are chosen for G(s) lie in them, and not in the sweep."""
+    moving = commands()["sweep4k"]
+    data = [record(published(), name, command, 1, SIGMA) for name, command in commands().items() if name != "sweep4k"]
+    data.append(record(published(), "sweep4k", np.append(moving, np.full(200_000, moving[-1])), 1, SIGMA))
+    (sweep,) = paper_mhl.sorted_pieces(data, 0, 1.0).fast
+    chosen = paper_mhl.short_stretches([sweep], paper_mhl.ROWS, 0.3, 0.02)
+    assert sum(np.count_nonzero(np.diff(part.command)) for part in chosen) >= 0.99 * np.count_nonzero(np.diff(moving))
+
+
 def test_two_axes_and_their_coupling():
     """Both published axes behind a coupling of 2 and -3 % with a corner of 300 Hz."""
     plain = published()

@@ -123,19 +123,6 @@ def test_it_is_never_worse_than_its_start_and_keeps_the_constraints():
     np.testing.assert_allclose(final.parameters[0], 1.7, rtol=1e-6)
 
 
-def test_stretches_lie_where_the_command_moves():
-    """The rest that follows a motion may be many times as long: another axis moves in it."""
-    window = record(4_000)
-    window = replace(
-        window,
-        command=np.append(window.command, np.full(36_000, window.command[-1])),
-        measurement=np.append(window.measurement, np.full(36_000, window.measurement[-1])),
-    )
-    few = short_stretches([window], 8_000, 0.8, 0.4)
-    moving = sum(np.count_nonzero(np.diff(part.command)) for part in few)
-    assert moving >= 0.99 * np.count_nonzero(np.diff(window.command)) and sum(len(part.command) for part in few) <= 8_000
-
-
 def test_stretches_stand_for_the_record():
     """The derivatives' Gram matrix from stretches is that of the whole record, but for the rows; memory and transients apart."""
     window = record(20_000)
