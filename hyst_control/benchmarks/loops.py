@@ -103,6 +103,8 @@ def run(table: Table, seconds: float = SECONDS) -> None:
     for case in ("composed", "processes"):
         for subject in ("hyst", "plain rclpy"):
             _add_timing(table, case, subject, measure(case, subject, "timer", seconds))
+        if case == "composed":
+            _add_timing(table, f"{case}, backend: c", "hyst", measure(case, "hyst", "timer", seconds, backend="c"))
         for way in ("", " from outside") if case == "composed" else ("",):
             with tempfile.TemporaryDirectory() as folder:
                 measured = measure(case, "hyst", "timer", seconds, Path(folder) / "bag", outside=bool(way))
@@ -145,7 +147,14 @@ def soak(table: Table, minutes: float) -> None:
 
 
 def measure(
-    case: str, subject: str, schedule: str, seconds: float, bag: Path | None = None, block: int = 1, outside: bool = False
+    case: str,
+    subject: str,
+    schedule: str,
+    seconds: float,
+    bag: Path | None = None,
+    block: int = 1,
+    outside: bool = False,
+    backend: str = "python",
 ) -> Run:
     """Run the loop once.
 
@@ -165,6 +174,8 @@ def measure(
         Rows of the reference, which is known ahead, in one message, and so of the feedforward; all else goes tick by tick.
     outside
         Run the recorder as a process beside the composed nodes, so that the middleware carries all messages.
+    backend
+        Of the feedforward and the feedback, "python" or "c".
 
     Returns
     -------
@@ -177,7 +188,7 @@ def measure(
         A node fails or the loop does not start.
     """
     progress.step(f"{schedule}, {case}, {subject}{', recorded' if bag else ''}{' from outside' if outside else ''}: {seconds:g} s")
-    with _running(case, subject, schedule, bag, block, outside) as (processes, plant):
+    with _running(case, subject, settings(schedule, bag, block, backend), outside) as (processes, plant):
         pids = [process.pid for name, process in processes.running.items() if name != "monitor"]
         log = _Diagnostics(processes.log("monitor"))
         _until(lambda: int(log.read().get(plant, {}).get("ticks", 0)) > 0, processes, START_TIMEOUT)
@@ -221,7 +232,7 @@ def message_loss(bag: Path) -> tuple[float, int]:
     return 100.0 * missing / expected, expected
 
 
-def settings(schedule: str, bag: Path | None, block: int = 1) -> dict[str, dict[str, Any]]:
+def settings(schedule: str, bag: Path | None, block: int = 1, backend: str = "python") -> dict[str, dict[str, Any]]:
     """Parameters of the nodes of the MHL loop.
 
     Parameters
@@ -232,6 +243,8 @@ def settings(schedule: str, bag: Path | None, block: int = 1) -> dict[str, dict[
         Bag to record to; None: no recorder.
     block
         Rows of the reference in one message.
+    backend
+        As for `measure`.
 
     Returns
     -------
@@ -253,8 +266,8 @@ def settings(schedule: str, bag: Path | None, block: int = 1) -> dict[str, dict[
             "block": block,
             "lead": block + 3,
         },
-        "mhl_feedforward": {"model": model, "limits": [0.0, 100.0]},
-        "pi_feedback": {"kp": 2.0, "ki": 5000.0, "upper": 100.0},
+        "mhl_feedforward": {"model": model, "limits": [0.0, 100.0], "backend": backend},
+        "pi_feedback": {"kp": 2.0, "ki": 5000.0, "upper": 100.0, "backend": backend},
         "plant": {"model": model, "wait_for_recorder": bag is not None},
     }
     if bag is not None:
@@ -263,13 +276,10 @@ def settings(schedule: str, bag: Path | None, block: int = 1) -> dict[str, dict[
 
 
 @contextmanager
-def _running(
-    case: str, subject: str, schedule: str, bag: Path | None, block: int, outside: bool
-) -> Iterator[tuple[Processes, str]]:
+def _running(case: str, subject: str, each: dict[str, dict[str, Any]], outside: bool) -> Iterator[tuple[Processes, str]]:
     """The processes of a run, and the name of its plant."""
     with tempfile.TemporaryDirectory() as folder, own_domain() as domain, Processes(Path(folder), domain) as processes:
         processes.start("monitor", {})
-        each = settings(schedule, bag, block)
         if subject == "hyst":
             if outside:
                 processes.start("recorder", each.pop("recorder"))
@@ -281,7 +291,7 @@ def _running(
             yield processes, "plant"
             return
         plain = {
-            "schedule": schedule,
+            "schedule": each["plant"]["schedule"],
             "rate_hz": each["plant"]["rate_hz"],
             "model": each["plant"]["model"],
             "kp": 2.0,

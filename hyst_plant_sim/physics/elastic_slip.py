@@ -11,10 +11,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hyst_plant_sim.physics.signal_path import Part
+
 Array = NDArray[np.float64]
 
 
-class Slip:
+class Slip(Part):
     """Polarization or free stroke for a voltage.
 
     Parameters
@@ -54,18 +56,7 @@ class Slip:
         self._slip, self._state = np.zeros(elements), np.zeros(5)
 
     def settle(self, value: float) -> float:
-        """Load the virgin elements from 0 straight to a constant input.
-
-        Parameters
-        ----------
-        value
-            Constant input, V.
-
-        Returns
-        -------
-        float
-            First output, output unit.
-        """
+        """Load the virgin elements from 0 straight to a constant input."""
         self._slip = np.clip(0.0, value - self._slack, value + self._slack)
         resting = float((self._weights * self._slip).sum())
         free = self._law[0] * value + resting
@@ -73,24 +64,13 @@ class Slip:
         return float(self._state[4])
 
     def process(self, block: Array) -> Array:
-        """Move the elements along a block.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), V.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), output unit.
-        """
+        """Move the elements along a block."""
         output = np.empty(block.size)
         _slip(block, self._slack, self._weights, self._sums, self._law, self._slip, self._state, output)
         return output
 
 
-class PushPull:
+class PushPull(Part):
     """Two stacks that tilt a mirror: one driven by v, the other by bias - v; tilt is half the difference of their strokes.
 
     The second stack was taken from 0 V up to the bias before the drive left 0; the tilt counts from there.
@@ -109,35 +89,13 @@ class PushPull:
         self._first, self._second, self._bias, self._offset = first, second, bias, offset
 
     def settle(self, value: float) -> float:
-        """Bring the second stack to the bias, then both to a constant drive.
-
-        Parameters
-        ----------
-        value
-            Constant input, V.
-
-        Returns
-        -------
-        float
-            First output, output unit.
-        """
+        """Bring the second stack to the bias, then both to a constant drive."""
         self._second.settle(self._bias)
         second = self._second.process(np.array([self._bias - value]))[0]
         return float(0.5 * (self._first.settle(value) - second) + self._offset)
 
     def process(self, block: Array) -> Array:
-        """Drive the stacks against each other along a block.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), V.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), output unit.
-        """
+        """Drive the stacks against each other along a block."""
         return 0.5 * (self._first.process(block) - self._second.process(self._bias - block)) + self._offset
 
 

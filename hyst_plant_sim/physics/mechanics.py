@@ -105,7 +105,7 @@ def beside(main: System, mode: tuple[float, float, float, float], step: float, l
     return Held((a, b, share * static * np.array([1.0 - velocity, velocity]) * c[0], d), step, late)
 
 
-class Irregular:
+class Irregular(Part):
     """Mechanics that are not a fixed linear system.
 
     The forces are those of the displacement in the middle of a step, on the straight line through the ends of the last two.
@@ -158,18 +158,7 @@ class Irregular:
         self.settle(0.0)
 
     def settle(self, value: float) -> float:
-        """Rest at the equilibrium of a constant drive with the cubic spring.
-
-        Parameters
-        ----------
-        value
-            Constant input, unit of the drive.
-
-        Returns
-        -------
-        float
-            First output, measurement unit.
-        """
+        """Rest at the equilibrium of a constant drive with the cubic spring."""
         spring = self._force[0]
         drive = value
         for _ in range(200):  # the spring takes a part of the drive: a contraction for any part below one third
@@ -181,18 +170,7 @@ class Irregular:
         return y
 
     def process(self, block: Array) -> Array:
-        """Step the irregular mechanics through a block, each drive held over a step.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), unit of the drive.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), measurement unit.
-        """
+        """Step the irregular mechanics through a block, each drive held over a step."""
         output = np.empty(block.size)
         _irregular(block, self._phi, self._to, self._c, self._read, self._force, self._turn, self._x, self._memory, output)
         return output

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 System = tuple[Array, Array, Array, float]
 
 
-class Linear:
+class Linear(Part):
     """Base of linear parts x' = a x + b u, y = c x + d u, stepped exactly.
 
     Parameters
@@ -30,34 +30,12 @@ class Linear:
         self._rows, self._x, self._last = np.ascontiguousarray(rows), np.zeros(len(self._b)), np.zeros(1)
 
     def settle(self, value: float) -> float:
-        """Rest at a constant input.
-
-        Parameters
-        ----------
-        value
-            Constant input, input unit.
-
-        Returns
-        -------
-        float
-            First output, output unit.
-        """
+        """Rest at a constant input."""
         self._x, self._last = exact_discretization.rest(self._a, self._b, value), np.array([value])
         return float(self._c @ self._x + self._d * value)
 
     def process(self, block: Array) -> Array:
-        """Step the exact state equation through a block.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), input unit.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), output unit.
-        """
+        """Step the exact state equation through a block."""
         output = np.empty(block.size)
         kernel = KERNELS[len(self._x)] if len(self._x) < len(KERNELS) else _of_any_order
         kernel(block, self._rows, self._x, self._last, output)
@@ -106,7 +84,7 @@ class Straight(Linear):
         super().__init__(system, np.vstack([rows, c @ rows + np.append(np.zeros(len(b) + 1), d)]))
 
 
-class Delay:
+class Delay(Part):
     """A transport delay of whole steps; `rest` (s) is the remainder, which another part must apply.
 
     A held value that changes within a step cannot be described by one number. What follows the drive therefore runs ahead by the
@@ -128,40 +106,18 @@ class Delay:
         self._past = np.zeros(whole)
 
     def settle(self, value: float) -> float:
-        """Fill the delay line with a constant input.
-
-        Parameters
-        ----------
-        value
-            Constant input, the signal's unit.
-
-        Returns
-        -------
-        float
-            First output, the signal's unit.
-        """
+        """Fill the delay line with a constant input."""
         self._past[:] = value
         return value
 
     def process(self, block: Array) -> Array:
-        """Delay a block by the whole steps.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), the signal's unit.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), the signal's unit.
-        """
+        """Delay a block by the whole steps."""
         known = np.concatenate([self._past, block])
         self._past = known[len(block) :].copy()
         return known[: len(block)]
 
 
-class LateReading:
+class LateReading(Part):
     """A transport delay of values at the ends of steps, between which they run straight.
 
     Parameters
@@ -177,41 +133,19 @@ class LateReading:
         self._share, self._last = self._whole.rest / step, 0.0
 
     def settle(self, value: float) -> float:
-        """Fill the delay with a constant input.
-
-        Parameters
-        ----------
-        value
-            Constant input, the signal's unit.
-
-        Returns
-        -------
-        float
-            First output, the signal's unit.
-        """
+        """Fill the delay with a constant input."""
         self._last = self._whole.settle(value)
         return value
 
     def process(self, block: Array) -> Array:
-        """Delay a block, with values between steps on straight lines.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), the signal's unit.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), the signal's unit.
-        """
+        """Delay a block, with values between steps on straight lines."""
         late = self._whole.process(block)
         before = np.concatenate([[self._last], late])[: len(block)]
         self._last = float(late[-1]) if len(late) else self._last
         return (1.0 - self._share) * late + self._share * before
 
 
-class Clip:
+class Clip(Part):
     """Limits of a value.
 
     Parameters
@@ -224,37 +158,15 @@ class Clip:
         self._lower, self._upper = lower, upper
 
     def settle(self, value: float) -> float:
-        """Limit a constant input.
-
-        Parameters
-        ----------
-        value
-            Constant input, the signal's unit.
-
-        Returns
-        -------
-        float
-            First output, the signal's unit.
-        """
+        """Limit a constant input."""
         return float(min(max(value, self._lower), self._upper))
 
     def process(self, block: Array) -> Array:
-        """Limit every value of a block.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), the signal's unit.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), the signal's unit.
-        """
+        """Limit every value of a block."""
         return np.clip(block, self._lower, self._upper)
 
 
-class WhiteNoise:
+class WhiteNoise(Part):
     """White noise of all axes; (A, M) in and out.
 
     Parameters
@@ -270,38 +182,16 @@ class WhiteNoise:
         self._stream = np.random.default_rng(seed)
 
     def settle(self, values: Array) -> Array:
-        """Restart the noise from its seed and add it to constant inputs.
-
-        Parameters
-        ----------
-        values
-            Constant input (A,), measurement unit.
-
-        Returns
-        -------
-        ndarray
-            First output (A,), measurement unit.
-        """
+        """Restart the noise from its seed and add it to constant inputs."""
         self._stream = np.random.default_rng(self._seed)
         return self.process(values[:, None])[:, 0]
 
     def process(self, block: Array) -> Array:
-        """Add noise to a block, the draws of all axes sample by sample.
-
-        Parameters
-        ----------
-        block
-            Next inputs (A, M), measurement unit.
-
-        Returns
-        -------
-        ndarray
-            Outputs (A, M), measurement unit.
-        """
+        """Add noise to a block, the draws of all axes sample by sample."""
         return block + self._rms[:, None] * self._stream.standard_normal(block.shape[::-1]).T
 
 
-class Mixing:
+class Mixing(Part):
     """Product of a matrix and the axes' values (A, M).
 
     Parameters
@@ -314,38 +204,16 @@ class Mixing:
         self._matrix = matrix
 
     def settle(self, values: Array) -> Array:
-        """Mix constant inputs.
-
-        Parameters
-        ----------
-        values
-            Constant input (A,), input unit.
-
-        Returns
-        -------
-        ndarray
-            First output (A,), output unit.
-        """
+        """Mix constant inputs."""
         return self.process(values[:, None])[:, 0]
 
     def process(self, block: Array) -> Array:
-        """Mix every sample of a block.
-
-        Parameters
-        ----------
-        block
-            Next inputs (A, M), input unit.
-
-        Returns
-        -------
-        ndarray
-            Outputs (A, M), output unit.
-        """
+        """Mix every sample of a block."""
         # Not a matrix product: its rounding may depend on the length of the block.
         return np.stack([sum(share * row for share, row in zip(shares, block, strict=True)) for shares in self._matrix])
 
 
-class Chain:
+class Chain(Part):
     """Parts in series.
 
     Parameters
@@ -358,41 +226,19 @@ class Chain:
         self._parts = parts
 
     def settle(self, value: float) -> float:
-        """Settle the parts one after the other, each at the output of the one before.
-
-        Parameters
-        ----------
-        value
-            Constant input, input unit.
-
-        Returns
-        -------
-        float
-            First output, output unit.
-        """
+        """Settle the parts one after the other, each at the output of the one before."""
         for part in self._parts:
             value = part.settle(value)
         return value
 
     def process(self, block: Array) -> Array:
-        """Pass a block through all parts in order.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), input unit.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), output unit.
-        """
+        """Pass a block through all parts in order."""
         for part in self._parts:
             block = part.process(block)
         return block
 
 
-class Sum:
+class Sum(Part):
     """Parts in parallel.
 
     Parameters
@@ -405,33 +251,11 @@ class Sum:
         self._parts = parts
 
     def settle(self, value: float) -> float:
-        """Settle all parts at the same input and add their outputs.
-
-        Parameters
-        ----------
-        value
-            Constant input, input unit.
-
-        Returns
-        -------
-        float
-            First output, output unit.
-        """
+        """Settle all parts at the same input and add their outputs."""
         return float(sum(part.settle(value) for part in self._parts))
 
     def process(self, block: Array) -> Array:
-        """Add the outputs of all parts for a block.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), input unit.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), output unit.
-        """
+        """Add the outputs of all parts for a block."""
         first, *others = [part.process(block) for part in self._parts]
         return np.asarray(sum(others, start=first), dtype=np.float64)
 

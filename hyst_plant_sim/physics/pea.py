@@ -140,7 +140,7 @@ class PeaParameters(PlantParameters):
         )
 
 
-class Drag:
+class Drag(Part):
     """Viscous drag P' = (Y - P) / T(Y), with Y held over a step; the output is the mean of P over the step.
 
     Parameters
@@ -160,34 +160,12 @@ class Drag:
         self._state = np.zeros(1)
 
     def settle(self, value: float) -> float:
-        """Rest at a constant polarization.
-
-        Parameters
-        ----------
-        value
-            Constant input, unit of Y.
-
-        Returns
-        -------
-        float
-            First output, unit of Y.
-        """
+        """Rest at a constant polarization."""
         self._state[0] = value
         return value
 
     def process(self, block: Array) -> Array:
-        """Let the output relax toward a block of polarizations.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), unit of Y.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), unit of Y.
-        """
+        """Let the output relax toward a block of polarizations."""
         output = np.empty(block.size)
         _drag(block, self._law, self._state, output)
         return output

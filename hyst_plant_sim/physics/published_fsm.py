@@ -98,7 +98,7 @@ class PublishedFsmParameters(PlantParameters):
         }
 
 
-class Madelung:
+class Madelung(Part):
     """Madelung hysteresis, V to mrad. The memory is the deviation from the mean of the two major branches.
 
     Parameters
@@ -118,36 +118,14 @@ class Madelung:
         self._law = np.array([span, scale, width, self._up.sum()])
 
     def settle(self, value: float) -> float:
-        """Start on the ascending branch at the lower end and move to a constant input.
-
-        Parameters
-        ----------
-        value
-            Constant input, V.
-
-        Returns
-        -------
-        float
-            First output, mrad.
-        """
+        """Start on the ascending branch at the lower end and move to a constant input."""
         self._points = np.zeros((DEPTH, 2))  # begins at the lower end, on the ascending branch
         # input, output of the last step, direction, number of turning points
         self._state = np.array([0.0, 0.0, 1.0, 1.0])
         return float(self.process(np.array([value]))[0])
 
     def process(self, block: Array) -> Array:
-        """Follow the branches along a block.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), V.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), mrad.
-        """
+        """Follow the branches along a block."""
         output = np.empty(block.size)
         _madelung(block, self._up, self._down, self._law, self._points, self._state, output)
         return output

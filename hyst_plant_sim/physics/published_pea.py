@@ -72,7 +72,7 @@ class PublishedPeaParameters(PlantParameters):
         }
 
 
-class DynamicWeights:
+class DynamicWeights(Part):
     """Play operators with dynamic weights: Σ (w_i + k u + b - m1 u̇ or + m2 u̇) H_i.
 
     Parameters
@@ -94,35 +94,13 @@ class DynamicWeights:
         self._past = np.zeros(frame.substeps)
 
     def settle(self, value: float) -> float:
-        """Start from the virgin state at a constant drive with no rate.
-
-        Parameters
-        ----------
-        value
-            Constant input, V.
-
-        Returns
-        -------
-        float
-            First output, um.
-        """
+        """Start from the virgin state at a constant drive with no rate."""
         self._past[:] = value
         self._h = np.clip(0.0, value - self._r, value + self._r)
         return float(self.process(np.array([value]))[0])
 
     def process(self, block: Array) -> Array:
-        """Compute the output of a block with rate-dependent weights.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), V.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), um.
-        """
+        """Compute the output of a block with rate-dependent weights."""
         known = np.concatenate([self._past, block])
         self._past = known[len(block) :].copy()
         output = np.empty(block.size)

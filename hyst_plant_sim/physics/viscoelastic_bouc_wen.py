@@ -122,7 +122,7 @@ class ViscoelasticBoucWenParameters(PlantParameters):
         return np.diag(-rates), rates, shares, float(1.0 - shares.sum())
 
 
-class BoucWen:
+class BoucWen(Part):
     """Bouc-Wen hysteresis: free stroke Y (um) for a voltage.
 
     Parameters
@@ -142,34 +142,12 @@ class BoucWen:
         self._state = np.zeros(2)
 
     def settle(self, value: float) -> float:
-        """Start with empty memory and move to a constant voltage.
-
-        Parameters
-        ----------
-        value
-            Constant input, V.
-
-        Returns
-        -------
-        float
-            First output, um.
-        """
+        """Start with empty memory and move to a constant voltage."""
         self._state[:] = 0.0
         return float(self.process(np.array([value]))[0])
 
     def process(self, block: Array) -> Array:
-        """Integrate the hysteresis along a block.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), V.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), um.
-        """
+        """Integrate the hysteresis along a block."""
         output = np.empty(block.size)
         _bouc_wen(block, self._law, self._state, output)
         return output

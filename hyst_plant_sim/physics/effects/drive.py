@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from hyst_plant_sim.physics import exact_discretization
 from hyst_plant_sim.physics.effects.effect import Context, Effect, Pointwise
 from hyst_plant_sim.physics.parts import Clip, Held, LateReading, Straight
+from hyst_plant_sim.physics.signal_path import Part
 
 Array = NDArray[np.float64]
 
 
-class Hold:
+class Hold(Part):
     """Every n-th command is taken and held.
 
     Parameters
@@ -44,34 +45,12 @@ class Hold:
         return np.asarray((whole + (0.5 if self._rounding == 3 else 0.0)) * self._step, dtype=np.float64)
 
     def settle(self, value: float) -> float:
-        """Take the input as the first command and hold it.
-
-        Parameters
-        ----------
-        value
-            Constant input, V.
-
-        Returns
-        -------
-        float
-            First output, V.
-        """
+        """Take the input as the first command and hold it."""
         self._count, self._held = 0, float(self._rounded(np.array([value]))[0])
         return self._held
 
     def process(self, block: Array) -> Array:
-        """Hold each n-th command of a block until the next, rounded to the step.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), V.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), V.
-        """
+        """Hold each n-th command of a block until the next, rounded to the step."""
         ticks = np.arange(self._count, self._count + len(block)) - self._phase
         taken = ticks // self._samples * self._samples + self._phase - self._count
         output = np.where(taken < 0, self._held, self._rounded(block)[np.maximum(taken, 0)])
@@ -80,7 +59,7 @@ class Hold:
         return output
 
 
-class Slew:
+class Slew(Part):
     """Limit of the voltage's rate; the output is the mean over a step.
 
     Parameters
@@ -98,40 +77,18 @@ class Slew:
         self._down, self._last = rate * step if direction <= 0.0 else np.inf, np.zeros(1)
 
     def settle(self, value: float) -> float:
-        """Rest at a voltage.
-
-        Parameters
-        ----------
-        value
-            Constant input, V.
-
-        Returns
-        -------
-        float
-            First output, V.
-        """
+        """Rest at a voltage."""
         self._last[0] = value
         return value
 
     def process(self, block: Array) -> Array:
-        """Limit the rate of a block; each output is the mean over its step.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), V.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), V.
-        """
+        """Limit the rate of a block; each output is the mean over its step."""
         output = np.empty(block.size)
         _slew(block, self._up, self._down, self._last, output)
         return output
 
 
-class SlowClock:
+class SlowClock(Part):
     """Slow clock of the drive: a command is late by a fraction of the time since the start.
 
     Parameters
@@ -146,34 +103,12 @@ class SlowClock:
         self._share, self._context = share, context
 
     def settle(self, value: float) -> float:
-        """Restart at a constant command, which also holds before the first sample.
-
-        Parameters
-        ----------
-        value
-            Constant command, V.
-
-        Returns
-        -------
-        float
-            First output, V.
-        """
+        """Restart at a constant command, which also holds before the first sample."""
         self._first, self._past, self._count = value, np.zeros(0), 0
         return value
 
     def process(self, block: Array) -> Array:
-        """Divide fractions of a step between the two held values, as in a constant delay.
-
-        Parameters
-        ----------
-        block
-            Commands (M,), V.
-
-        Returns
-        -------
-        Array
-            Late commands (M,), V.
-        """
+        """Divide fractions of a step between the two held values, as in a constant delay."""
         known = np.concatenate([self._past, block])
         oldest = self._count - len(self._past)
         times = self._context.times(self._count, len(block))

@@ -113,41 +113,19 @@ class Effect:
     others: Mapping[str, float] = field(default_factory=dict)
 
 
-class PassThrough:
+class PassThrough(Part):
     """Part that passes the signal through unchanged."""
 
     def settle(self, value: Any) -> Any:
-        """Return the constant input.
-
-        Parameters
-        ----------
-        value
-            Constant input; (A,) for all axes.
-
-        Returns
-        -------
-        object
-            The same value.
-        """
+        """Return the constant input."""
         return value
 
     def process(self, block: Array) -> Array:
-        """Copy a block.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,) or (A, M).
-
-        Returns
-        -------
-        ndarray
-            The same values, in a new array.
-        """
+        """Copy a block."""
         return block.copy()
 
 
-class Switch:
+class Switch(Part):
     """Parts that run alike, of which one at a time is the output.
 
     Parameters
@@ -162,35 +140,13 @@ class Switch:
         self._count = 0
 
     def settle(self, value: Any) -> Any:
-        """Settle all parts, and count samples from 0.
-
-        Parameters
-        ----------
-        value
-            Constant input; (A,) for parts that mix axes.
-
-        Returns
-        -------
-        object
-            First output of the part that is active at sample 0.
-        """
+        """Settle all parts, and count samples from 0."""
         self._count = 0
         settled = [part.settle(np.array(value) if isinstance(value, np.ndarray) else value) for part in self._parts]
         return settled[max(i for i, first in enumerate(self._first) if first <= 0)]
 
     def process(self, block: Array) -> Array:
-        """Run all parts over a block and output the active one at each sample.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,) or (A, M).
-
-        Returns
-        -------
-        ndarray
-            Outputs of the shape of the block.
-        """
+        """Run all parts over a block and output the active one at each sample."""
         output = self._parts[0].process(block.copy())
         length = block.shape[-1]
         for first, part in zip(self._first[1:], self._parts[1:], strict=True):
@@ -201,7 +157,7 @@ class Switch:
         return output
 
 
-class Pointwise:
+class Pointwise(Part):
     """A function of the value alone.
 
     Parameters
@@ -214,37 +170,15 @@ class Pointwise:
         self._function = function
 
     def settle(self, value: float) -> float:
-        """Apply the function to a constant input.
-
-        Parameters
-        ----------
-        value
-            Constant input, the signal's unit.
-
-        Returns
-        -------
-        float
-            First output, the signal's unit.
-        """
+        """Apply the function to a constant input."""
         return float(self._function(np.array([value]))[0])
 
     def process(self, block: Array) -> Array:
-        """Apply the function to a block.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), the signal's unit.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), the signal's unit.
-        """
+        """Apply the function to a block."""
         return self._function(block)
 
 
-class Timed:
+class Timed(Part):
     """A function of values and of the times since the effect began, 0 before it.
 
     Parameters
@@ -259,34 +193,12 @@ class Timed:
         self._function, self._context, self._count = function, context, 0
 
     def settle(self, value: float) -> float:
-        """Apply the function to a constant input at the first sample's time.
-
-        Parameters
-        ----------
-        value
-            Constant input, the signal's unit.
-
-        Returns
-        -------
-        float
-            First output, the signal's unit.
-        """
+        """Apply the function to a constant input at the first sample's time."""
         self._count = 0
         return float(self._function(np.array([value]), np.array([max(0.0, -self._context.start)]))[0])
 
     def process(self, block: Array) -> Array:
-        """Apply the function to a block, at times that go on from the block before.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), the signal's unit.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), the signal's unit.
-        """
+        """Apply the function to a block, at times that go on from the block before."""
         times = self._context.times(self._count, len(block)) - self._context.start
         self._count += len(block)
         return self._function(block, np.maximum(times, 0.0))

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from hyst_plant_sim.physics import exact_discretization
 from hyst_plant_sim.physics.effects.effect import Context, Effect
 from hyst_plant_sim.physics.parts import Straight
+from hyst_plant_sim.physics.signal_path import Part
 
 Array = NDArray[np.float64]
 
 
-class Backlash:
+class Backlash(Part):
     """Play between input and output.
 
     Parameters
@@ -30,41 +31,19 @@ class Backlash:
         self._half_width, self._side, self._place = half_width, side, np.zeros(1)
 
     def settle(self, value: float) -> float:
-        """Move from 0 to a constant input, as far as the play lets it push.
-
-        Parameters
-        ----------
-        value
-            Constant input, measurement unit.
-
-        Returns
-        -------
-        float
-            First output, measurement unit.
-        """
+        """Move from 0 to a constant input, as far as the play lets it push."""
         from_zero = np.clip(0.0, value - self._half_width, value + self._half_width)
         self._place[0] = value + self._side * self._half_width if self._side else from_zero
         return float(self._place[0])
 
     def process(self, block: Array) -> Array:
-        """Follow a block with play.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), measurement unit.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), measurement unit.
-        """
+        """Follow a block with play."""
         output = np.empty(block.size)
         _play(block, self._half_width, self._place, output)
         return output
 
 
-class AxisCoupling:
+class AxisCoupling(Part):
     """Coupling from the next axis through a first-order low-pass; (A, M) in and out.
 
     Parameters
@@ -87,43 +66,21 @@ class AxisCoupling:
         self._filters = [Straight(exact_discretization.lag(2 * np.pi * corner), period) for _ in self._onto]
 
     def settle(self, values: Array) -> Array:
-        """Settle the low-passes and add the next axis' share.
-
-        Parameters
-        ----------
-        values
-            Constant input (A,), measurement unit.
-
-        Returns
-        -------
-        ndarray
-            First output (A,), measurement unit.
-        """
+        """Settle the low-passes and add the next axis' share."""
         output = values.copy()
         for onto, part in zip(self._onto, self._filters, strict=True):
             output[onto] += self._coupling * part.settle(float(values[(onto + 1) % self._axes]))
         return output
 
     def process(self, block: Array) -> Array:
-        """Add the low-passed motion of the next axis to each coupled axis.
-
-        Parameters
-        ----------
-        block
-            Next inputs (A, M), measurement unit.
-
-        Returns
-        -------
-        ndarray
-            Outputs (A, M), measurement unit.
-        """
+        """Add the low-passed motion of the next axis to each coupled axis."""
         output = block.copy()
         for onto, part in zip(self._onto, self._filters, strict=True):
             output[onto] += self._coupling * part.process(block[(onto + 1) % self._axes])
         return output
 
 
-class Vibration:
+class Vibration(Part):
     """A tone whose amplitude and phase wander over some hundred periods.
 
     Parameters
@@ -145,35 +102,13 @@ class Vibration:
         self._keep = np.exp(-2 * np.pi * frequency / steadiness * context.period)
 
     def settle(self, value: float) -> float:
-        """Restart the tone with a fresh random envelope.
-
-        Parameters
-        ----------
-        value
-            Constant input, measurement unit.
-
-        Returns
-        -------
-        float
-            First output, measurement unit.
-        """
+        """Restart the tone with a fresh random envelope."""
         self._count, self._stream = 0, self._context.stream("vibration")
         self._envelope = self._stream.standard_normal(2)
         return float(value + self._amplitude * (1.0 + self._second) * self._envelope[0] / np.sqrt(2.0))
 
     def process(self, block: Array) -> Array:
-        """Add the wandering tone to a block.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), measurement unit.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), measurement unit.
-        """
+        """Add the wandering tone to a block."""
         draws = self._stream.standard_normal((len(block), 2))
         envelope = np.empty((len(block), 2))
         _wander(draws, self._keep, np.sqrt(1.0 - self._keep**2), self._envelope, envelope)

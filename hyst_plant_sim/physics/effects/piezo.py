@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 CREEP_BEGIN, CREEP_PER_DECADE, CREEP_DECADES = 0.1, 2, 4
 
 
-class Shape:
+class Shape(Part):
     """A part plus a curve of the voltage, by default a parabola that is 0 at both ends of the rating.
 
     Parameters
@@ -49,37 +49,15 @@ class Shape:
         return np.asarray(self._height * 4.0 * share * (1.0 - share), dtype=np.float64)
 
     def settle(self, value: float) -> float:
-        """Settle the part and add the parabola at a constant voltage.
-
-        Parameters
-        ----------
-        value
-            Constant input, V.
-
-        Returns
-        -------
-        float
-            First output, output unit of the part.
-        """
+        """Settle the part and add the parabola at a constant voltage."""
         return float(self._part.settle(value) + self._bend(np.array(value)))
 
     def process(self, block: Array) -> Array:
-        """Add the parabola of a block's voltage to the part's output.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), V.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), output unit of the part.
-        """
+        """Add the parabola of a block's voltage to the part's output."""
         return self._part.process(block) + self._bend(block)
 
 
-class Scheduled:
+class Scheduled(Part):
     """A part whose memory grows with the averaged voltage: times 1 + amount · (voltage's place in the rating, 0 to 1).
 
     Parameters
@@ -102,35 +80,13 @@ class Scheduled:
         self._average = Held(exact_discretization.lag(1.0 / tau), frame.step)
 
     def settle(self, value: float) -> float:
-        """Settle part and average at a constant voltage.
-
-        Parameters
-        ----------
-        value
-            Constant input, V.
-
-        Returns
-        -------
-        float
-            First output, output unit of the part.
-        """
+        """Settle part and average at a constant voltage."""
         share = (self._average.settle(value) - self._lower) / self._span
         whole = self._part.settle(value)
         return float(whole + self._amount * share * (whole - self._mean.settle(value)))
 
     def process(self, block: Array) -> Array:
-        """Scale the part's memory by the averaged voltage over a block.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), V.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), output unit of the part.
-        """
+        """Scale the part's memory by the averaged voltage over a block."""
         share = (self._average.process(block) - self._lower) / self._span
         whole = self._part.process(block)
         return whole + self._amount * share * (whole - self._mean.process(block))

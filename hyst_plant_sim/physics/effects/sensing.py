@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from hyst_plant_sim.physics.effects.drive import gain_factor, low_pass
 from hyst_plant_sim.physics.effects.effect import Context, Effect, Pointwise, Timed
+from hyst_plant_sim.physics.signal_path import Part
 
 Array = NDArray[np.float64]
 
 FLICKER_LOWEST, FLICKER_PER_DECADE = 0.03, 2
 
 
-class White:
+class White(Part):
     """White noise that is independent of the sensor's.
 
     Parameters
@@ -31,38 +32,16 @@ class White:
         self._rms, self._context = rms, context
 
     def settle(self, value: float) -> float:
-        """Restart the noise at a constant input.
-
-        Parameters
-        ----------
-        value
-            Constant input, measurement unit.
-
-        Returns
-        -------
-        float
-            First output, measurement unit.
-        """
+        """Restart the noise at a constant input."""
         self._stream = self._context.stream("sensor_noise")
         return value + self._rms * float(self._stream.standard_normal())
 
     def process(self, block: Array) -> Array:
-        """Add white noise to a block.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), measurement unit.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), measurement unit.
-        """
+        """Add white noise to a block."""
         return block + self._rms * self._stream.standard_normal(len(block))
 
 
-class Flicker:
+class Flicker(Part):
     """Noise that falls as 1/f: first-order low-passed noises, two per decade from 0.03 Hz to half the sampling rate.
 
     Parameters
@@ -83,42 +62,20 @@ class Flicker:
         self._rms = rms / float(np.sqrt(np.sum(self._size**2)))
 
     def settle(self, value: float) -> float:
-        """Restart the noise, its low-passes already in their steady state.
-
-        Parameters
-        ----------
-        value
-            Constant input, measurement unit.
-
-        Returns
-        -------
-        float
-            First output, measurement unit.
-        """
+        """Restart the noise, its low-passes already in their steady state."""
         self._stream = self._context.stream("flicker_noise")
         self._state = self._stream.standard_normal(len(self._keep))
         return value + self._rms * float(self._size @ self._state)
 
     def process(self, block: Array) -> Array:
-        """Add 1/f noise to a block.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), measurement unit.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), measurement unit.
-        """
+        """Add 1/f noise to a block."""
         draws = self._stream.standard_normal((len(block), len(self._keep)))
         noise = np.empty(len(block))
         _coloured(draws, self._keep, self._fresh, self._size, self._state, noise)
         return block + self._rms * noise
 
 
-class Outliers:
+class Outliers(Part):
     """Random samples that deviate, up or down, by half to all of a size.
 
     Parameters
@@ -135,40 +92,18 @@ class Outliers:
         self._fraction, self._size, self._context = fraction, size, context
 
     def settle(self, value: float) -> float:
-        """Restart the random stream; the first sample is no outlier.
-
-        Parameters
-        ----------
-        value
-            Constant input, measurement unit.
-
-        Returns
-        -------
-        float
-            First output, measurement unit.
-        """
+        """Restart the random stream; the first sample is no outlier."""
         self._stream = self._context.stream("outliers")
         return value
 
     def process(self, block: Array) -> Array:
-        """Add the outliers to a block.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), measurement unit.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), measurement unit.
-        """
+        """Add the outliers to a block."""
         draws = self._stream.random((len(block), 2))
         height = self._size * np.where(draws[:, 1] < 0.5, draws[:, 1] - 1.0, draws[:, 1])
         return block + np.where(draws[:, 0] < self._fraction, height, 0.0)
 
 
-class Held:
+class Held(Part):
     """Random samples that repeat the one before.
 
     Parameters
@@ -185,34 +120,12 @@ class Held:
         self._fraction, self._run, self._context = fraction, run, context
 
     def settle(self, value: float) -> float:
-        """Restart the random stream; the first sample is fresh.
-
-        Parameters
-        ----------
-        value
-            Constant input, measurement unit.
-
-        Returns
-        -------
-        float
-            First output, measurement unit.
-        """
+        """Restart the random stream; the first sample is fresh."""
         self._stream, self._last, self._left = self._context.stream("held_samples"), value, 0
         return value
 
     def process(self, block: Array) -> Array:
-        """Repeat the sample before wherever the random stream says so.
-
-        Parameters
-        ----------
-        block
-            Next inputs (M,), measurement unit.
-
-        Returns
-        -------
-        ndarray
-            Outputs (M,), measurement unit.
-        """
+        """Repeat the sample before wherever the random stream says so."""
         draws = self._stream.random(len(block))
         fresh = self._in_runs(draws) if self._run > 1 else draws >= self._fraction
         newest = np.maximum.accumulate(np.where(fresh, np.arange(len(block)), -1))
