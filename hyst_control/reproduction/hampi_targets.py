@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hyst_control.reproduction.hampi_published import FIGURE_2, FREQUENCIES, TABLE_1, TABLE_2, TABLE_4, TABLE_5
-from hyst_control.reproduction.targets import OURS, PAPER, Rows, Target, margin_targets
+from hyst_control.reproduction.targets import OURS, Rows, Target, TargetList, margin_targets
 
 NAMES = ("HAPI", "RDPI", "HAMPI")
 BOUND_AT_ZERO = (
@@ -39,19 +39,8 @@ def hampi_targets(rows: Rows) -> list[Target]:
     list of Target
         Targets with values and bounds.
     """
-    found: list[Target] = []
-
-    def add(
-        claim: str,
-        name: str,
-        value: float,
-        bound: float,
-        unit: str = "",
-        at_least: bool = False,
-        cause: str = "",
-        origin: str = PAPER,
-    ) -> None:
-        found.append(Target(f"{claim}: {name}", value, bound, unit, at_least, cause, claim, origin))
+    targets = TargetList()
+    add = targets.add
 
     for frequency in (300.0, 500.0):
         ours, theirs = (rows.value("HAMPI Table 1", f"{frequency:g} Hz", who, "phase lag") for who in ("LTI model", "actuator"))
@@ -131,17 +120,17 @@ def hampi_targets(rows: Rows) -> list[Target]:
     for frequency in TABLE_5["HAMPI"]:
         ours, theirs = (rows.value(second[0], f"{frequency:g} Hz", f"{name}, paper", "nrmse") for name in ("HAMPI", "HAPI"))
         name = f"second truth, 4 um at {frequency:g} Hz: HAPI's NRMSE over HAMPI's"
-        found.append(Target(name, theirs / ours, 1.0, "", True, NOT_ITS_PHYSICS, origin=OURS))
+        targets.found.append(Target(name, theirs / ours, 1.0, "", True, NOT_ITS_PHYSICS, origin=OURS))
     for frequency in FREQUENCIES:
         values = {name: rows.value(second[1], f"50 V, {frequency:g} Hz", name, "nrmse") for name in NAMES}
         next_best = min(values["HAPI"], values["RDPI"]) / values["HAMPI"]
         name = f"second truth, 50 V, {frequency:g} Hz: the next best model's NRMSE over HAMPI's"
-        found.append(Target(name, next_best, 1.0, "", True, NOT_ITS_PHYSICS, origin=OURS))
+        targets.found.append(Target(name, next_best, 1.0, "", True, NOT_ITS_PHYSICS, origin=OURS))
     table, quantity = "HAMPI models: identified jointly and in the paper's sequence", "nrmse, means removed, rms over loops"
     for name in ("HAPI", "HAMPI"):
         joint, paper = (
             rows.value(table, "all held-out loops", f"{name}, {who}", quantity) for who in ("joint", "paper's sequence")
         )
         what = f"all held-out loops together, means removed: NRMSE of {name} by the paper's sequence over the joint one's"
-        found.append(Target(what, paper / joint, 1.0, "", True, origin=OURS))
-    return found + margin_targets(rows, "HAMPI model: feedback tuned on it", "")
+        targets.found.append(Target(what, paper / joint, 1.0, "", True, origin=OURS))
+    return targets.found + margin_targets(rows, "HAMPI model: feedback tuned on it", "")

@@ -19,7 +19,7 @@ from hyst_control.reproduction.mhl_tables import (
     TRADITIONAL,
     WITHOUT,
 )
-from hyst_control.reproduction.targets import OURS, PAPER, Rows, Target, margin_targets
+from hyst_control.reproduction.targets import OURS, Rows, Target, TargetList, margin_targets
 
 STATED = (PUBLISHED, MOVED, WITHOUT, AHEAD)
 """The composites with N(s) as published, at 1 kHz, without, and without phase."""
@@ -78,19 +78,8 @@ def mhl_targets(rows: Rows) -> list[Target]:
     list of Target
         Targets with values and bounds.
     """
-    found: list[Target] = []
-
-    def add(
-        claim: str,
-        name: str,
-        value: float,
-        bound: float,
-        unit: str = "",
-        at_least: bool = False,
-        cause: str = "",
-        origin: str = PAPER,
-    ) -> None:
-        found.append(Target(f"{claim}: {name}", value, bound, unit, at_least, cause, claim, origin))
+    targets = TargetList()
+    add = targets.add
 
     for axis in ("x", "y"):
         case = f"axis {axis}"
@@ -172,7 +161,7 @@ def mhl_targets(rows: Rows) -> list[Target]:
         add("MHL Fig. 18", f"100 Hz: gain away from 0 dB, {name}", value, 0.2, "dB", cause=cause)
         value = abs(rows.value("MHL Fig. 18", "100 Hz", name, "lag"))
         add("MHL Fig. 18", f"100 Hz: phase away from 0, {name}", value, 0.69, "deg", cause=cause)
-    return found + _learning_targets(rows) + margin_targets(rows, "MHL robustness", "")
+    return targets.found + _learning_targets(rows) + margin_targets(rows, "MHL robustness", "")
 
 
 def _against(name: str) -> str:

@@ -35,6 +35,33 @@ class Target:
         return self.value >= self.bound if self.at_least else self.value <= self.bound
 
 
+class TargetList:
+    """Targets of one experiment, in the order in which they are added."""
+
+    def __init__(self) -> None:
+        self.found: list[Target] = []
+
+    def add(
+        self,
+        claim: str,
+        name: str,
+        value: float,
+        bound: float,
+        unit: str = "",
+        at_least: bool = False,
+        cause: str = "",
+        origin: str = PAPER,
+    ) -> None:
+        """Add a target, whose name begins with its claim.
+
+        Parameters
+        ----------
+        claim, name, value, bound, unit, at_least, cause, origin
+            As in `Target`.
+        """
+        self.found.append(Target(f"{claim}: {name}", value, bound, unit, at_least, cause, claim, origin))
+
+
 class Rows:
     """The rows of one result, looked up by what they say."""
 
