@@ -203,7 +203,7 @@ class StatedError(Filter):
         error = np.empty((len(block), 2 * block.shape[1]))
         constants = (self.scale, self.ticks, np.array(PLAYS), LEAST_REVERSAL, self.mean, self.factor, self.rest)
         state = (self.position, self.ring, self.turning, self.play, self.slow, self.begin)
-        stated_errors(block, *constants, *state, error)  # type: ignore[call-arg]
+        stated_errors(block, *constants, *state, error)
         return error
 
     def c_code(self) -> CCode:
