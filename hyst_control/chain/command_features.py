@@ -7,6 +7,7 @@ that what was learned on one command can be used on another.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -14,6 +15,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from hyst_control.chain.c_code import Member, reals
 
 Array = NDArray[np.float64]
 
@@ -117,6 +120,213 @@ class CommandFeatures:
         return running.process(command, (ahead - behind) / running.crossing)
 
 
+POWERS, FIRST_PLAY = 3, 15
+"""Features that are powers of the level, and the place of the first play operator."""
+FEATURES = FIRST_PLAY + len(PLAYS) + len(LAGS) + len(CREEPS)
+"""Number of features."""
+
+
+@njit(cache=True, error_model="numpy")
+def features_of_tick(
+    ring: Array,
+    now: int,
+    rate: float,
+    lags: NDArray[np.int64],
+    half_widths: Array,
+    keeps: Array,
+    turning: Array,
+    plays: Array,
+    slow: Array,
+    features: Array,
+) -> None:
+    """Advance the memories by one tick and compute its features.
+
+    Parameters
+    ----------
+    ring
+        (L,), scaled commands.
+    now
+        Place of the tick's command, plus any multiple of L that keeps the places before it positive.
+    rate
+        As a share of the largest.
+    lags
+        Ticks of the lagged copies.
+    half_widths
+        Of the play operators.
+    keeps
+        Factors by which the low-passes keep their values in a tick.
+    turning
+        (3,), last turning point, extreme since, 1 while rising; changed.
+    plays, slow
+        Outputs of the play operators and low-passes; changed.
+    features
+        (F,), filled.
+    """
+    length = ring.size
+    u = ring[now % length]
+    turn, extreme, rising = turning[0], turning[1], turning[2]
+    if u > extreme if rising > 0.0 else u < extreme:
+        extreme = u
+    if abs(u - extreme) > LEAST_REVERSAL:  # it has come back
+        turn, extreme, rising = extreme, u, 1.0 - rising
+    turning[0], turning[1], turning[2] = turn, extreme, rising
+    distance, speed = u - turn, abs(rate)
+    size = abs(distance)
+    features[0], features[1], features[2] = u, u * u, u * u * u
+    features[3], features[4], features[5], features[6] = rate, speed, u * rate, u * speed
+    features[7], features[8] = u * u * rate, distance * speed
+    features[9], features[10], features[11] = distance, size, distance * size
+    features[12], features[13], features[14] = u * distance, u * size, math.tanh(20.0 * distance)
+    at = FIRST_PLAY
+    for k in range(half_widths.size):
+        low, high, state = u - half_widths[k], u + half_widths[k], plays[k]
+        state = low if state < low else state
+        plays[k] = high if state > high else state
+        features[at + k] = plays[k]
+    at += half_widths.size
+    for k in range(lags.size):
+        features[at + k] = ring[(now - lags[k]) % length] - u
+    at += lags.size
+    for k in range(keeps.size):
+        slow[k] = keeps[k] * slow[k] + (1.0 - keeps[k]) * u
+        features[at + k] = slow[k] - u
+
+
+FEATURES_IN_C = """
+/* Advance the memories of the features by one tick and compute them, from a ring of scaled commands. */
+static void features_of_tick(const double ring[], int length, int now, double rate, const int lags[], const double half_widths[],
+                             const double keeps[], double turning[], double plays[], double slow[], double features[])
+{
+    enum { PLAYS = PLAY_COUNT, LAGS = LAG_COUNT, CREEPS = CREEP_COUNT, FIRST = FIRST_PLAY };
+    const double u = ring[now % length];
+    if (((turning[2] > 0.0) && (u > turning[1])) || ((turning[2] <= 0.0) && (u < turning[1]))) {
+        turning[1] = u;
+    }
+    if (fabs(u - turning[1]) > LEAST_REVERSAL) { /* it has come back */
+        turning[0] = turning[1];
+        turning[1] = u;
+        turning[2] = 1.0 - turning[2];
+    }
+    const double distance = u - turning[0];
+    const double size = fabs(distance);
+    const double speed = fabs(rate);
+    features[0] = u;
+    features[1] = u * u;
+    features[2] = (u * u) * u;
+    features[3] = rate;
+    features[4] = speed;
+    features[5] = u * rate;
+    features[6] = u * speed;
+    features[7] = (u * u) * rate;
+    features[8] = distance * speed;
+    features[9] = distance;
+    features[10] = size;
+    features[11] = distance * size;
+    features[12] = u * distance;
+    features[13] = u * size;
+    features[14] = tanh(20.0 * distance);
+    for (int k = 0; k < PLAYS; k++) {
+        const double low = u - half_widths[k];
+        const double high = u + half_widths[k];
+        const double raised = (plays[k] < low) ? low : plays[k];
+        plays[k] = (raised > high) ? high : raised;
+        features[FIRST + k] = plays[k];
+    }
+    for (int k = 0; k < LAGS; k++) {
+        features[FIRST + PLAYS + k] = ring[(now - lags[k]) % length] - u;
+    }
+    for (int k = 0; k < CREEPS; k++) {
+        slow[k] = (keeps[k] * slow[k]) + ((1.0 - keeps[k]) * u);
+        features[FIRST + PLAYS + LAGS + k] = slow[k] - u;
+    }
+}
+
+/* The memories at rest at a scaled command. */
+static void features_at_rest(double u, double ring[], int length, double turning[], double plays[], double slow[])
+{
+    enum { PLAYS = PLAY_COUNT, CREEPS = CREEP_COUNT };
+    for (int k = 0; k < length; k++) {
+        ring[k] = u;
+    }
+    for (int k = 0; k < PLAYS; k++) {
+        plays[k] = u;
+    }
+    for (int k = 0; k < CREEPS; k++) {
+        slow[k] = u;
+    }
+    turning[0] = u;
+    turning[1] = u;
+    turning[2] = 1.0;
+}
+"""
+for _name, _value in (
+    ("PLAY_COUNT", len(PLAYS)),
+    ("LAG_COUNT", len(LAGS)),
+    ("CREEP_COUNT", len(CREEPS)),
+    ("FIRST_PLAY", FIRST_PLAY),
+):
+    FEATURES_IN_C = FEATURES_IN_C.replace(_name, str(_value))
+FEATURES_IN_C = FEATURES_IN_C.replace("LEAST_REVERSAL", repr(LEAST_REVERSAL))
+"""`features_of_tick` in C, and the memories at rest; in double also where signals are float."""
+
+
+def feature_memory(axes: int, length: int) -> dict[str, Member]:
+    """State of the features in C.
+
+    Parameters
+    ----------
+    axes
+        Number of axes.
+    length
+        Of the rings.
+    """
+    shapes = {"ring": (length, "scaled commands"), "plays": (len(PLAYS), "play operators"), "slow": (len(CREEPS), "low-passes")}
+    found = {name: reals(np.zeros((axes, count)), text, wide=True) for name, (count, text) in shapes.items()}
+    return {**found, "turning": reals(np.zeros((axes, 3)), "turning point, farthest value since, 1 while rising", wide=True)}
+
+
+@njit(cache=True, error_model="numpy")
+def feature_rows(
+    command: Array,
+    rate: Array,
+    crossing: float,
+    ticks: NDArray[np.int64],
+    half_widths: Array,
+    keeps: Array,
+    ring: Array,
+    position: NDArray[np.int64],
+    turning: Array,
+    plays: Array,
+    slow: Array,
+) -> Array:
+    """Features (N, F) of successive ticks of one axis.
+
+    Parameters
+    ----------
+    command
+        (N,), scaled.
+    rate
+        (N,), as shares of the largest; empty for the rate of past samples.
+    crossing
+        Change of the scaled command over the ticks of the rate's difference at the largest rate.
+    ticks
+        Ticks of the rate's difference, then of the lagged copies.
+    half_widths, keeps, turning, plays, slow
+        As for `features_of_tick`.
+    ring, position
+        (L,) and (1,): scaled commands and the place of the newest; changed.
+    """
+    length = ring.size
+    rows = np.empty((command.size, FEATURES))
+    for row in range(command.size):
+        position[0] = position[0] + 1 if position[0] + 1 < length else 0
+        now = position[0] + length
+        ring[position[0]] = command[row]
+        speed = rate[row] if rate.size else (command[row] - ring[(now - ticks[0]) % length]) / crossing
+        features_of_tick(ring, now, speed, ticks[1:], half_widths, keeps, turning, plays, slow, rows[row])
+    return rows
+
+
 class FeatureFilter:
     """Streaming features of the command of one axis: blocks may be cut anywhere.
 
@@ -133,8 +343,9 @@ class FeatureFilter:
         self.width = max(round(0.5 * features.lag / sample_time), 1)
         self.crossing = 2.0 * self.width * sample_time / features.span * features.rate
         """Change of the scaled command over twice `width` samples at the largest rate."""
-        self.lags = [max(round(lag * features.lag / sample_time), 1) for lag in LAGS]
-        self.keeps = [float(np.exp(-sample_time / (share * features.duration))) for share in CREEPS]
+        self.lags = np.array([max(round(lag * features.lag / sample_time), 1) for lag in LAGS], dtype=np.int64)
+        self.keeps = np.array([np.exp(-sample_time / (share * features.duration)) for share in CREEPS])
+        self.ticks = np.concatenate([[2 * self.width], self.lags]).astype(np.int64)
         self.settle(features.center)
 
     def settle(self, value: float) -> Array:
@@ -151,10 +362,10 @@ class FeatureFilter:
             Features.
         """
         u = (value - self.features.center) / self.features.span
-        self.past = np.full(max(*self.lags, 2 * self.width), u)
-        self.reversal = np.array([u, u, 1.0])
-        self.plays, self.lows = np.full(len(PLAYS), u), np.full(len(CREEPS), u)
-        return np.asarray(self._columns(np.array([u]), np.zeros(1), np.tile(u, (len(LAGS), 1)))[0])
+        self.ring, self.position = np.full(int(self.ticks.max()) + 1, u), np.zeros(1, dtype=np.int64)
+        self.turning = np.array([u, u, 1.0])
+        self.plays, self.slow = np.full(len(PLAYS), u), np.full(len(CREEPS), u)
+        return at_rest(np.array([u]))[0]
 
     def process(self, command: Array, rate: Array | None = None) -> Array:
         """Compute the features of the next samples.
@@ -172,22 +383,23 @@ class FeatureFilter:
             Features.
         """
         u = (command - self.features.center) / self.features.span
-        known, count = np.concatenate([self.past, u]), len(self.past)
-        late = [known[count - lag : len(known) - lag] for lag in self.lags]
-        if rate is None:
-            rate = (u - known[count - 2 * self.width : len(known) - 2 * self.width]) / self.crossing
-        self.past = known[len(u) :].copy()
-        return self._columns(u, rate, np.array(late))
+        given = np.zeros(0) if rate is None else rate
+        memory = (self.ring, self.position, self.turning, self.plays, self.slow)
+        return feature_rows(u, given, self.crossing, self.ticks, np.array(PLAYS), self.keeps, *memory)
 
-    def _columns(self, u: Array, v: Array, late: Array) -> Array:
-        distance = _since_reversal(u, LEAST_REVERSAL, self.reversal)
-        size = np.abs(distance)
-        found = [u, u**2, u**3, v, np.abs(v), u * v, u * np.abs(v), u**2 * v, distance * np.abs(v)]
-        found += [distance, size, distance * size, u * distance, u * size, np.tanh(20.0 * distance)]
-        found += [_play(u, half, self.plays[i : i + 1]) for i, half in enumerate(PLAYS)]
-        found += list(late - u)
-        found += [_lowpass(u, keep, self.lows[i : i + 1]) - u for i, keep in enumerate(self.keeps)]
-        return np.stack(found, axis=1)
+
+def at_rest(u: Array) -> Array:
+    """Features (A, F) of scaled commands (A,) that have rested.
+
+    Parameters
+    ----------
+    u
+        (A,).
+    """
+    found = np.zeros((len(u), FEATURES))
+    found[:, 0], found[:, 1], found[:, 2] = u, u * u, u * u * u
+    found[:, FIRST_PLAY : FIRST_PLAY + len(PLAYS)] = u[:, None]
+    return found
 
 
 def _late(u: Array, count: int) -> Array:
@@ -195,6 +407,7 @@ def _late(u: Array, count: int) -> Array:
     return np.concatenate([np.full(count, u[0]), u[: len(u) - count]])
 
 
+@njit(cache=True, error_model="numpy")
 def play(values: Array, half: float) -> Array:
     """Play operator, which begins at its input.
 
@@ -210,49 +423,8 @@ def play(values: Array, half: float) -> Array:
     ndarray, shape (N,)
         Output.
     """
-    output: Array = _play(values, half, values[:1].copy())
-    return output
-
-
-@njit(cache=True, error_model="numpy")
-def _play(values: Array, half: float, state: Array) -> Array:
-    """state (1,): the output before, updated."""
-    output = np.empty_like(values)
+    state, output = values[0], np.empty_like(values)
     for k in range(values.size):
-        state[0] = min(max(state[0], values[k] - half), values[k] + half)
-        output[k] = state[0]
+        state = min(max(state, values[k] - half), values[k] + half)
+        output[k] = state
     return output
-
-
-@njit(cache=True, error_model="numpy")
-def _lowpass(values: Array, keep: float, state: Array) -> Array:
-    """state (1,): the output before, updated."""
-    output = np.empty_like(values)
-    for k in range(values.size):
-        state[0] = keep * state[0] + (1.0 - keep) * values[k]
-        output[k] = state[0]
-    return output
-
-
-@njit(cache=True, error_model="numpy")
-def _since_reversal(values: Array, least: float, state: Array) -> Array:
-    """Signed distance from the last turning point; one counts once the signal has come back by `least`.
-
-    state (3,): last turning point, extreme since, whether the signal rises (1) or falls (0); updated.
-    """
-    output = np.empty_like(values)
-    turn, extreme, rising = state[0], state[1], state[2] > 0.5
-    for k in range(values.size):
-        value = values[k]
-        if (value > extreme) == rising:
-            if value != extreme:
-                extreme = value
-        if abs(value - extreme) > least and (value < extreme) == rising:
-            turn, extreme, rising = extreme, value, not rising
-        output[k] = value - turn
-    state[0], state[1], state[2] = turn, extreme, 1.0 if rising else 0.0
-    return output
-
-
-FEATURES = CommandFeatures(0.0, 1.0, 1.0, 1.0, 1.0).rows(np.zeros(1), 1.0).shape[1]
-"""Number of features."""

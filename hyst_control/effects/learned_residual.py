@@ -7,8 +7,17 @@ from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.chain.c_code import CCode, integers, reals
 from hyst_control.chain.chain import Parallel
-from hyst_control.chain.command_features import FEATURES, CommandFeatures, FeatureFilter
+from hyst_control.chain.command_features import (
+    FEATURES,
+    FEATURES_IN_C,
+    FIRST_PLAY,
+    PLAYS,
+    CommandFeatures,
+    FeatureFilter,
+    feature_memory,
+)
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, VectorPerAxis, scalar, vector
 from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, per_axis, per_axis_scalars, register
@@ -84,7 +93,7 @@ class FromCommandFilter(Filter):
         self.hold = sampling.hold
         scales = zip(*per_axis_scalars(stage, axes, *CommandFeatures.__dataclass_fields__), strict=True)
         self.features = [FeatureFilter(CommandFeatures(*map(float, values)), sampling.sample_time) for values in scales]
-        self.weights = per_axis(stage.weights, axes, 1, "weights")
+        self.weights = np.array(per_axis(stage.weights, axes, 1, "weights"))
         (self.constant,) = per_axis_scalars(stage, axes, "constant")
 
     def settle(self, value: Array) -> Array:
@@ -99,3 +108,64 @@ class FromCommandFilter(Filter):
         for weight, column in zip(self.weights[axis], features.T, strict=True):  # summed alike however the signal is cut
             total = total + weight * column
         return total
+
+    def c_code(self) -> CCode:
+        all_of, axes = self.features, len(self.features)
+        scale = np.array([[one.features.center, one.features.span, one.crossing] for one in all_of])
+        length = max(len(one.ring) for one in all_of)
+        return CCode(
+            "learned residual",
+            STEP,
+            SETTLE,
+            {"LENGTH": length, "FEATURES": FEATURES, "FIRST": FIRST_PLAY, "PLAYS": len(PLAYS)},
+            {
+                "scale": reals(scale, "center V, span V, change of the scaled command at the largest rate", wide=True),
+                "rate_ticks": integers([one.ticks[0] for one in all_of], "of the rate's difference"),
+                "lags": integers(np.stack([one.lags for one in all_of]), "ticks of the lagged copies"),
+                "half_widths": reals(PLAYS, "of the play operators, share of the span", wide=True),
+                "keeps": reals(np.stack([one.keeps for one in all_of]), "factors of the low-passes in a tick", wide=True),
+                "weights": reals(self.weights, "measurement unit", wide=True),
+                "added": reals(self.constant, "measurement unit", wide=True),
+            },
+            {**feature_memory(axes, length), "position": integers(0, "of the newest command in the ring")},
+            (FEATURES_IN_C,),
+        )
+
+
+SUM = """
+    double total = p->added[i];
+    for (int f = 0; f < FEATURES; f++) {
+        total = total + (p->weights[i][f] * features[f]);
+    }
+    out[i] = (real)total;
+"""
+
+STEP = """
+const int place = ((s->position + 1) < LENGTH) ? (s->position + 1) : 0;
+s->position = place;
+for (int i = 0; i < AXES; i++) {
+    const double *scale = p->scale[i];
+    const double u = ((double)in[i] - scale[0]) / scale[1];
+    s->ring[i][place] = u;
+    const int now = place + LENGTH;
+    const double rate = (u - s->ring[i][(now - p->rate_ticks[i]) % LENGTH]) / scale[2];
+    double features[FEATURES];
+    features_of_tick(s->ring[i], LENGTH, now, rate, p->lags[i], p->half_widths, p->keeps[i], s->turning[i], s->plays[i],
+                     s->slow[i], features);
+SUM}
+""".replace("SUM", SUM.lstrip("\n"))
+
+SETTLE = """
+s->position = 0;
+for (int i = 0; i < AXES; i++) {
+    const double u = ((double)in[i] - p->scale[i][0]) / p->scale[i][1];
+    features_at_rest(u, s->ring[i], LENGTH, s->turning[i], s->plays[i], s->slow[i]);
+    double features[FEATURES];
+    for (int f = 0; f < FEATURES; f++) {
+        features[f] = ((f >= FIRST) && (f < (FIRST + PLAYS))) ? u : 0.0;
+    }
+    features[0] = u;
+    features[1] = u * u;
+    features[2] = (u * u) * u;
+SUM}
+""".replace("SUM", SUM.lstrip("\n"))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from exported_folder import compared
 
+from hyst_control.chain.command_features import play
 from hyst_control.chain.memoryless import Gain
 from hyst_control.cli import main
 from hyst_control.config_files import config_path
@@ -17,7 +18,6 @@ from hyst_control.export.programs import stated_error
 from hyst_control.export.stated_error import StatedError
 from hyst_control.identify.learned_discrepancy import LearnedDiscrepancy, discrepancy_of
 from hyst_control.model_file import load_model, save_model
-from hyst_control.records.command_features import play
 
 SAMPLE_TIME = 1e-3
 
