@@ -385,7 +385,8 @@ class FeatureFilter:
         u = (command - self.features.center) / self.features.span
         given = np.zeros(0) if rate is None else rate
         memory = (self.ring, self.position, self.turning, self.plays, self.slow)
-        return feature_rows(u, given, self.crossing, self.ticks, np.array(PLAYS), self.keeps, *memory)
+        rows: Array = feature_rows(u, given, self.crossing, self.ticks, np.array(PLAYS), self.keeps, *memory)
+        return rows
 
 
 def at_rest(u: Array) -> Array:

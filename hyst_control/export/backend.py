@@ -74,7 +74,12 @@ class CompiledPI(RunningPI):
         rows = len(self._state)
         numbers = rows * axes * np.dtype(float).itemsize
         self._state = self._running.state[:numbers].view(float).reshape(rows, axes)
-        self._counted = self._running.state[numbers : numbers + 4].view(np.int32)
+        # Numbers that are looked at in every tick, and views of the one row: numpy's indexing would cost more than the step.
+        self._counted = self._running.whole_numbers(numbers)
+        self._flags = self._running.numbers((rows - 1) * axes * np.dtype(float).itemsize)
+        row_in, row_out = self._running.row_in, self._running.row_out
+        self._given = row_in[:, :axes], row_in[:, axes : 2 * axes], row_in[:, 2 * axes :]
+        self._found = row_out[:, :axes], row_out[:, axes:]
         self.reset()
 
     def step(self, reference: Array, measurement: Array, feedforward: Array) -> tuple[Array, Array]:
@@ -89,17 +94,24 @@ class CompiledPI(RunningPI):
         """
         shape, axes = feedforward.shape, self.axes
         if feedforward.size == axes:
-            row = self._running.row_in[0]
-            row[:axes], row[axes : 2 * axes], row[2 * axes :] = reference.ravel(), measurement.ravel(), feedforward.ravel()
+            now, measured, ahead = self._given
+            now[:], measured[:], ahead[:] = reference, measurement, feedforward
             self._running.step()
-            found = self._running.row_out.copy()
+            command, feedback = self._found[0].copy(), self._found[1].copy()
+            if len(shape) == 1:
+                command, feedback = command[0], feedback[0]
         else:
             given = np.concatenate([part.reshape(-1, axes) for part in (reference, measurement, feedforward)], axis=1)
             found = self._running.process(given)
-        self.saturated += int(self._counted[0])
+            command, feedback = found[:, :axes].reshape(shape), found[:, axes:].reshape(shape)
+        self.saturated += self._counted[0]
         self._counted[0] = 0
-        self.overflowed = self._overflowed() if self._state[3].any() else ()
-        return found[:, :axes].reshape(shape), found[:, axes:].reshape(shape)
+        self.overflowed = ()
+        for axis in range(axes):
+            if self._flags[axis]:
+                self.overflowed = self._overflowed()
+                break
+        return command, feedback
 
 
 ROWS = """

@@ -66,6 +66,14 @@ class CompiledProgram:
         self.row_out = np.zeros((1, self.widths[1]), dtype=self.type)
         self._row = self._state, self._pointer(self.row_in), self._pointer(self.row_out), 1
 
+    def numbers(self, offset: int) -> Any:
+        """Double numbers of the state, by index, from an `offset` in bytes on."""
+        return self._ffi.cast("double *", self._ffi.from_buffer(self.state)) + offset // 8
+
+    def whole_numbers(self, offset: int) -> Any:
+        """Whole numbers of the state, by index, from an `offset` in bytes on."""
+        return self._ffi.cast("int *", self._ffi.from_buffer(self.state)) + offset // 4
+
     def settle(self, value: Array) -> Array:
         """Come to rest at a constant input; the output.
 
