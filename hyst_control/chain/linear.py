@@ -8,18 +8,23 @@ number of samples is exact too, because the held input is known between the samp
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, expm, matrix_balance
+from scipy.linalg import block_diag
 
 from hyst_control.chain import rational_factors
 from hyst_control.chain.bounded_cache import remembered
-from hyst_control.chain.c_code import CCode, integers, reals
-from hyst_control.chain.linear_kernels import CLOSE, SETTLE, STEP, advance_linear, advance_single
+from hyst_control.chain.discretization import Discretised as Discretised
+from hyst_control.chain.discretization import discretise as discretise
+from hyst_control.chain.discretization import discretise_average as discretise_average
+from hyst_control.chain.linear_filter import FLOAT_LOSS as FLOAT_LOSS
+from hyst_control.chain.linear_filter import LinearFilter as LinearFilter
+from hyst_control.chain.linear_system import LinearSystem as LinearSystem
+from hyst_control.chain.linear_system import stacked as stacked
+from hyst_control.chain.linear_system import transfer_function_system as transfer_function_system
 from hyst_control.chain.parameter import (
     AllAxes,
     Array,
@@ -34,83 +39,13 @@ from hyst_control.chain.parameter import (
     scalar,
     vector,
 )
-from hyst_control.chain.stage import Filter, Sampling, Stage, depth, per_axis, per_axis_scalar, per_axis_scalars, register, scaled
+from hyst_control.chain.stage import Sampling, Stage, depth, per_axis, per_axis_scalar, per_axis_scalars, register, scaled
 from hyst_control.errors import InputError
 
 MOST_SKEW = 1e8
 """Condition number of the eigenvectors up to which a state space has modes to speak of."""
-FLOAT_LOSS = 1e-6
-"""Share of a signal that a system run in single precision may lose to rounding; a slower one is run in double."""
 LONGEST_DELAY = 1e6
 """Longest delay in samples: what is held in memory."""
-
-
-@dataclass(frozen=True)
-class LinearSystem:
-    """dx/dt = A x + B u, y = C x + D u + bias; A (n, n), B (n, m), C (p, n), D (p, m), bias (p,)."""
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    bias: Array
-
-    def then(self, following: LinearSystem) -> LinearSystem:
-        """Series of this system and the one `following` it."""
-        n, m = len(self.A), len(following.A)
-        a = np.block([[self.A, np.zeros((n, m))], [following.B @ self.C, following.A]])
-        b = np.vstack([self.B, following.B @ self.D])
-        c = np.hstack([following.D @ self.C, following.C])
-        # The bias is constant, so what follows passes it on with its static gain.
-        return LinearSystem(a, b, c, following.D @ self.D, following.bias + following.static_gain() @ self.bias)
-
-    def static_gain(self) -> Array:
-        """Gain (p, m) at rest. Raises `InputError` for an integrator, which has none."""
-        if not len(self.A):
-            return self.D
-        try:
-            return self.D - self.C @ np.linalg.solve(self.A, self.B)
-        except np.linalg.LinAlgError:
-            raise InputError("den: the system integrates (a pole at s = 0) and never comes to rest: remove that pole") from None
-
-    def balanced(self) -> LinearSystem:
-        """The same system with its states scaled so that the matrix exponential loses no digits."""
-        if not len(self.A):
-            return self
-        a, (scale, permutation) = matrix_balance(self.A, permute=False, separate=True)
-        return LinearSystem(a, self.B / scale[:, None], self.C * scale, self.D, self.bias)
-
-
-def stacked(systems: list[LinearSystem]) -> LinearSystem:
-    """One system of several `systems` side by side, each on its own inputs and outputs."""
-    a, b, c, d = (block_diag(*(getattr(system, part) for system in systems)) for part in "ABCD")
-    return LinearSystem(a, b, c, d, np.concatenate([system.bias for system in systems]))
-
-
-@remembered
-def transfer_function_system(num: Array, den: Array) -> LinearSystem:
-    """Controllable canonical form of num(s)/den(s), descending powers, in a time scale that keeps its entries near one."""
-    num, den = np.trim_zeros(np.atleast_1d(num), "f"), np.trim_zeros(np.atleast_1d(den), "f")
-    if not len(num):
-        num = np.zeros(1)
-    order = len(den) - 1
-    if len(num) > len(den):
-        raise InputError(f"num: degree {len(num) - 1} over den of degree {order} is improper: a sampled signal has no derivative")
-    num, den = np.concatenate([np.zeros(len(den) - len(num)), num]) / den[0], den / den[0]
-    # s = w p: coefficients of p^k are divided by w^(order - k), with w the geometric mean of the poles' sizes.
-    nonzero = np.flatnonzero(den)
-    last = int(nonzero[-1])
-    w = abs(den[last]) ** (1.0 / last) if last else 1.0
-    powers = w ** np.arange(order + 1)
-    num, den = num / powers, den / powers
-    a = np.zeros((order, order))
-    if order:
-        a[0] = -den[1:]
-        a[1:, :-1] = np.eye(order - 1)
-    b = np.zeros((order, 1))
-    b[:1] = 1.0
-    c = (num[1:] - num[0] * den[1:]).reshape(1, order)
-    return LinearSystem(a * w, b * w, c, np.array([[num[0]]]), np.zeros(1)).balanced()
 
 
 @dataclass(frozen=True)
@@ -545,209 +480,6 @@ class CrossCoupling(LinearStage):
         w = 2 * np.pi * np.diag(per_axis_scalar(self.corner, axes, "corner"))
         direct = np.diag(np.diag(matrix))
         return [LinearSystem(-w, w @ (matrix - direct), np.eye(axes), direct, np.zeros(axes))]
-
-
-@dataclass(frozen=True)
-class Discretised:
-    """x[k] = A x[k-1] + sum_i B[i] w[k-i], y[k] = C x[k] + sum_i D[i] w[k-i] + bias, with w the input delayed by whole samples.
-
-    A (n, n), B (3, n, m), C (p, n), D (2, p, m), bias (p,).
-    """
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    bias: Array
-
-
-@remembered
-def discretise(system: LinearSystem, fraction: Array, sampling: Sampling) -> Discretised:
-    """Advance a system exactly by one sample.
-
-    The interval falls into two parts: up to the kink at `fraction` the input is the older segment, after it the newer one.
-
-    Parameters
-    ----------
-    system
-        Continuous-time system.
-    fraction
-        (m,), of a sample, by which the inputs are late: 0 <= fraction < 1.
-    sampling
-        Clock of the filter.
-    """
-    ts = sampling.sample_time
-    n, m = system.B.shape
-    b_taps, d_taps = np.zeros((3, n, m)), np.zeros((2, len(system.D), m))
-    transition = expm(system.A * ts)
-    for j in range(m):
-        f = fraction[j]
-        column = system.B[:, j : j + 1]
-        first_start, first_end = _held_input(system.A, column, f * ts)
-        second_start, second_end = _held_input(system.A, column, (1.0 - f) * ts)
-        carry = expm(system.A * (1.0 - f) * ts)
-        older, newer = carry @ np.hstack([first_start, first_end]), np.hstack([second_start, second_end])
-        if sampling.hold == "zoh":
-            b_taps[0, :, j] = newer.sum(axis=1)
-            b_taps[1, :, j] = older.sum(axis=1)
-            d_taps[0, :, j] = system.D[:, j]
-        else:
-            # Values at the start, the kink and the end of the interval from the samples w[k], w[k-1], w[k-2].
-            start, kink, end = np.array([0.0, 1.0 - f, f]), np.array([0.0, 1.0, 0.0]), np.array([1.0 - f, f, 0.0])
-            weights = np.outer(start, older[:, 0]) + np.outer(kink, older[:, 1] + newer[:, 0]) + np.outer(end, newer[:, 1])
-            b_taps[:, :, j] = weights
-            d_taps[:, :, j] = np.outer(end[:2], system.D[:, j])
-    return Discretised(transition, b_taps, system.C, d_taps, system.bias)
-
-
-def discretise_average(system: LinearSystem, fraction: Array, sampling: Sampling) -> Discretised:
-    """As `discretise`, but the output is its mean over the interval: its integral, which starts from 0 in every interval.
-
-    Parameters
-    ----------
-    system, fraction, sampling
-        As for `discretise`.
-    """
-    n, p = len(system.A), len(system.D)
-    a = np.zeros((n + p, n + p))
-    a[:n, :n], a[n:, :n] = system.A, system.C / sampling.sample_time
-    b = np.vstack([system.B, system.D / sampling.sample_time])
-    c = np.hstack([np.zeros((p, n)), np.eye(p)])
-    step = discretise(LinearSystem(a, b, c, np.zeros_like(system.D), system.bias), fraction, sampling)
-    fresh = step.A.copy()
-    fresh[:, n:] = 0.0
-    return replace(step, A=fresh)
-
-
-def _held_input(a: Array, b: Array, time: float) -> tuple[Array, Array]:
-    """State reached from rest over `time` for an input that runs straight from 1 to 0, and from 0 to 1: two columns (n, 1)."""
-    n = len(a)
-    if time <= 0.0 or n == 0:
-        return np.zeros((n, 1)), np.zeros((n, 1))
-    # Van Loan: the exponential of [[A, B, 0], [0, 0, 1/T], [0, 0, 0]] holds the step and the ramp response.
-    block = np.zeros((n + 2, n + 2))
-    block[:n, :n] = a
-    block[:n, n : n + 1] = b
-    block[n, n + 1] = 1.0 / time
-    exponential = expm(block * time)
-    step, ramp = exponential[:n, n : n + 1], exponential[:n, n + 1 : n + 2]
-    return step - ramp, ramp
-
-
-class LinearFilter(Filter):
-    """Streaming linear systems: one per axis, or one for all axes."""
-
-    hold = "foh"
-
-    def __init__(self, systems: list[Discretised], whole: NDArray[np.int64] | Array) -> None:
-        n = max(len(system.A) for system in systems)
-        m = systems[0].C.shape[0]
-        count = len(systems)
-        self.a, self.b = np.zeros((count, n, n)), np.zeros((count, 3, n, m))
-        self.c, self.d = np.zeros((count, m, n)), np.zeros((count, 2, m, m))
-        for s, system in enumerate(systems):
-            order = len(system.A)
-            self.a[s, :order, :order], self.b[s, :, :order] = system.A, system.B
-            self.c[s, :, :order], self.d[s] = system.C, system.D
-        self.bias = np.concatenate([system.bias for system in systems])
-        # Modes that do not act on each other leave most of a matrix empty: only what is there is computed.
-        self.reach = _reach(self.a)
-        self.late: NDArray[np.bool_] = np.any(self.b[:, 1:] != 0.0, axis=(1, 2, 3))
-        # State and output at rest, for a unit input; the states that fill up a shorter system stay 0.
-        self.rest = np.stack([np.linalg.solve(np.eye(n) - a, b.sum(axis=0)) for a, b in zip(self.a, self.b, strict=True)])
-        self.static_gain = self.c @ self.rest + self.d.sum(axis=1)
-        self.whole = whole.astype(np.int64)
-        self._begin()
-
-    def _begin(self) -> None:
-        count, _, n, m = self.b.shape
-        self.state, self.scratch, self.taps = np.zeros((count, n)), np.zeros(n), np.zeros((3, m))
-        self.history = np.zeros((int(self.whole.max()) + 3, count * m))
-        self.position = 0
-
-    def another(self) -> LinearFilter:
-        """A filter of the same systems with a state of its own."""
-        found = copy(self)
-        found._begin()
-        return found
-
-    def settle(self, value: Array) -> Array:
-        value = np.asarray(value, dtype=float)
-        self.history[:] = value
-        self.position = 0
-        self.state[:] = _times(self.rest, value)
-        settled: Array = _times(self.static_gain, value).reshape(-1) + self.bias
-        return settled
-
-    def process(self, block: Array) -> Array:
-        output = np.empty_like(block)
-        system: tuple[Any, ...] = (
-            block,
-            self.a,
-            self.reach,
-            self.b,
-            self.late,
-            self.c,
-            self.d,
-            self.bias,
-            self.whole,
-            self.state,
-            self.scratch,
-        )
-        if self.c.shape[1] == 1:
-            self.position = advance_single(*system, self.history, self.position, output)  # type: ignore[call-arg]
-        else:
-            self.position = advance_linear(*system, self.taps, self.history, self.position, output)  # type: ignore[call-arg]
-        return output
-
-    def c_code(self) -> CCode:
-        count, _, n, m = self.b.shape
-        reach = self.reach if n > CLOSE else np.broadcast_to([0, n], (count, n, 2))
-        slowest = max((float(np.abs(np.linalg.eigvals(a)).max()) for a in self.a if n), default=0.0)
-        wide = bool(np.finfo(np.float32).eps > FLOAT_LOSS * (1.0 - slowest))
-        columns = (int(self.whole.max()) + 3, count * m)
-        return CCode(
-            "linear",
-            STEP,
-            SETTLE,
-            {"SYSTEMS": count, "ORDER": n, "STATES": max(n, 1), "INPUTS": m, "LENGTH": columns[0]},
-            {
-                "a": reals(self.a, "[system][state][state]", wide),
-                "b": reals(self.b, "[system][newest, middle, oldest input][state][input]", wide),
-                "c": reals(self.c, "[system][output][state]", wide),
-                "d": reals(self.d, "[system][newest, middle input][output][input]", wide),
-                "bias": reals(self.bias, "output unit", wide),
-                "rest": reals(self.rest, "state at rest for a unit input", wide),
-                "gain": reals(self.static_gain, "output at rest for a unit input", wide),
-                "reach": integers(reach, "first and past-the-last column of a that acts"),
-                "late": integers(self.late, "whether any but the newest input acts"),
-                "whole": integers(self.whole, "samples of delay"),
-            },
-            {
-                "x": reals(self.state, "state of every system", wide),
-                "history": reals(np.zeros(columns), "ring of past inputs", wide),
-                "position": integers(0, "of the newest in the ring"),
-            },
-            wide=wide,
-        )
-
-
-def _times(matrices: Array, value: Array) -> Array:
-    """Products (S, p) of matrices (S, p, m) with the parts of a vector (S m,), summed one input after the other."""
-    parts = value.reshape(len(matrices), 1, -1)
-    total: Array = matrices[:, :, 0] * parts[:, :, 0]
-    for j in range(1, matrices.shape[2]):
-        total = total + matrices[:, :, j] * parts[:, :, j]
-    return total
-
-
-def _reach(a: Array) -> NDArray[np.int64]:
-    """First and past-the-last nonzero column (S, n, 2) of every row of matrices (S, n, n)."""
-    there, n = a != 0.0, a.shape[2]
-    if not n:
-        return np.zeros((*a.shape[:2], 2), np.int64)
-    first, last = there.argmax(axis=2), n - there[:, :, ::-1].argmax(axis=2)
-    return np.stack([first, np.where(there.any(axis=2), last, first)], axis=2)
 
 
 def linear_filter(run: list[Stage], sampling: Sampling, averaged: bool = False) -> LinearFilter:

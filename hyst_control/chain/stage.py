@@ -16,14 +16,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, TypeVar, cast
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
 from hyst_control.chain import stage_coordinates
+from hyst_control.chain.axis_values import depth as depth
+from hyst_control.chain.axis_values import frozen as frozen
+from hyst_control.chain.axis_values import per_axis as per_axis
+from hyst_control.chain.axis_values import per_axis_scalar as per_axis_scalar
+from hyst_control.chain.axis_values import per_axis_scalars as per_axis_scalars
+from hyst_control.chain.axis_values import scaled as scaled
+from hyst_control.chain.axis_values import thawed as thawed
 from hyst_control.chain.c_code import CCode, each_axis
-from hyst_control.chain.parameter import AllAxes, Coordinate, Parameter, ScalarPerAxis, VectorPerAxis, declared, undeclared
 from hyst_control.chain.parameter import Array as Array
+from hyst_control.chain.parameter import Coordinate, Parameter, declared, undeclared
 from hyst_control.errors import InputError
 from hyst_control.plugins import Registry
 
@@ -522,164 +529,3 @@ def _replaced(stage: Stage, change: Callable[[Stage], Stage | None]) -> Stage | 
     if all(chain is None for chain in chains):
         return None
     return stage.with_inner_chains([new or old for new, old in zip(chains, stage.inner_chains, strict=True)])
-
-
-def frozen(value: Any) -> Any:
-    """Nested lists and arrays as nested tuples of Python numbers.
-
-    Parameters
-    ----------
-    value
-        Of a parameter.
-
-    Returns
-    -------
-    object
-        Hashable and comparable.
-    """
-    if isinstance(value, np.ndarray):
-        return frozen(value.tolist())
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, (list, tuple)):
-        return tuple(frozen(item) for item in value)
-    return value
-
-
-def thawed(value: Any) -> Any:
-    """Nested tuples as nested lists, as YAML writes them.
-
-    Parameters
-    ----------
-    value
-        Of a stage's parameter.
-
-    Returns
-    -------
-    object
-        For a model file.
-    """
-    return [thawed(item) for item in value] if isinstance(value, tuple) else value
-
-
-def depth(value: Any) -> int:
-    """Nesting depth of a checked value.
-
-    Parameters
-    ----------
-    value
-        Number or nested tuples.
-
-    Returns
-    -------
-    int
-        0 for a number, 1 for a list of numbers, and so on.
-    """
-    return 1 + (depth(value[0]) if value else 0) if isinstance(value, tuple) else 0
-
-
-def per_axis(value: VectorPerAxis | ScalarPerAxis | AllAxes, axes: int, due: int, field: str) -> list[Array]:
-    """Spread a parameter over the axes.
-
-    Parameters
-    ----------
-    value
-        Of a stage, for all axes alike or per axis.
-    axes
-        Number of axes.
-    due
-        Dimensions of one axis' value: 0 for a number, 1 for a list.
-    field
-        Name of the parameter, for messages.
-
-    Returns
-    -------
-    list of ndarray
-        One array of `due` dimensions per axis.
-
-    Raises
-    ------
-    InputError
-        When a per-axis list has another length than there are axes.
-    """
-    found = depth(value)
-    if found == due:
-        return [_array(value, due, field)] * axes
-    if found == due + 1:
-        items = cast(Sequence[Any], value)
-        if len(items) != axes:
-            raise InputError(f"{field}: {len(items)} values for {axes} axes: give one for all or one per axis")
-        return [_array(item, due, field) for item in items]
-    raise InputError(f"{field}: nested {found} deep, give {due} (all axes alike) or {due + 1} (per axis)")
-
-
-def _array(value: Any, dimensions: int, field: str) -> Array:
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        array = np.zeros((0,) * (dimensions + 1))
-    if array.ndim != dimensions:
-        raise InputError(f"{field}: {value!r} is not {('a number', 'a list of numbers')[min(dimensions, 1)]}")
-    return array
-
-
-def per_axis_scalar(value: ScalarPerAxis, axes: int, field: str) -> Array:
-    """Spread a parameter that is a number per axis over the axes.
-
-    Parameters
-    ----------
-    value
-        For all axes alike or per axis.
-    axes
-        Number of axes.
-    field
-        Name of the parameter, for messages.
-
-    Returns
-    -------
-    ndarray
-        (A,).
-    """
-    return np.array([float(item) for item in per_axis(value, axes, 0, field)])
-
-
-def per_axis_scalars(stage: Stage, axes: int, *names: str) -> list[Array]:
-    """Spread parameters of a stage that are a number per axis over the axes.
-
-    Parameters
-    ----------
-    stage
-        With the parameters.
-    axes
-        Number of axes.
-    names
-        Of the parameters.
-
-    Returns
-    -------
-    list of ndarray
-        Each (A,).
-    """
-    return [per_axis_scalar(getattr(stage, name), axes, name) for name in names]
-
-
-def scaled(value: VectorPerAxis | ScalarPerAxis, factor: Array, due: int, field: str) -> Any:
-    """Multiply a parameter by a factor per axis.
-
-    Parameters
-    ----------
-    value
-        For all axes alike or per axis.
-    factor
-        (A,).
-    due
-        Dimensions of one axis' value: 0 for a number, 1 for a list.
-    field
-        Name of the parameter, for messages.
-
-    Returns
-    -------
-    tuple
-        Per axis, as a stage keeps it.
-    """
-    return frozen([item * share for item, share in zip(per_axis(value, len(factor), due, field), factor, strict=True)])

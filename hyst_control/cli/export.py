@@ -51,6 +51,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--inverse-model", default="", metavar="MODEL.yaml", help="with --kind: separately identified inverse curves"
     )
     parser.add_argument(
+        "--rate-filter",
+        type=float,
+        nargs="+",
+        metavar="C",
+        help="with --kind mhl: denominator of N(s), s^2, s, 1; a single 0: without (default: the published one)",
+    )
+    parser.add_argument(
+        "--smoothing", type=int, default=0, help="with --kind: order of a low-pass without phase, which looks ahead"
+    )
+    parser.add_argument(
         "--limits",
         type=float,
         nargs=2,
@@ -98,7 +108,13 @@ def run(arguments: argparse.Namespace) -> Artifacts:
                     given.inverse,
                     given.discretisation,
                     given.iterations,
-                    inverse_model=given.inverse_model,
+                    given.smoothing,
+                    given.inverse_model,
+                    **(
+                        {}
+                        if given.rate_filter is None
+                        else {"rate_filter": tuple(given.rate_filter) if any(given.rate_filter) else None}
+                    ),
                     limits=tuple(given.limits) if given.limits else None,
                     preview=not given.causal,
                 )

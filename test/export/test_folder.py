@@ -12,6 +12,7 @@ from exported_folder import compared, export, make
 
 from hyst_control.cli import main
 from hyst_control.config_files import config_path
+from hyst_control.control.feedforward import KINDS
 
 MODELS = sorted(path.name for path in Path(config_path("models/pea_hampi.yaml")).parent.glob("*.yaml"))
 INVERSE = str(config_path("models/fsm_mhl_inverse.yaml"))
@@ -23,8 +24,15 @@ FEEDFORWARDS = {
     "none": ("pea_hampi.yaml", "--kind", "none"),
     "mhl": ("fsm_mhl.yaml", "--kind", "mhl"),
     "mhl, identified inverse": ("fsm_mhl.yaml", "--kind", "mhl", "--inverse-model", INVERSE, "--discretisation", "tustin"),
+    "mhl, N at 1 kHz": ("fsm_mhl.yaml", "--kind", "mhl", "--rate-filter", "2.5330e-8", "2.2508e-4", "1"),
+    "mhl, without N": ("fsm_mhl.yaml", "--kind", "mhl", "--rate-filter", "0"),
+    "mhl, N without phase": (
+        *("fsm_mhl.yaml", "--kind", "mhl", "--rate-filter", "0", "--smoothing", "4", "--inverse-model", INVERSE),
+        *("--discretisation", "tustin", "--reference-ahead"),
+    ),
     "mhl_static": ("fsm_mhl.yaml", "--kind", "mhl_static"),
     "whole inverse": ("fsm_mhl.yaml", "--kind", "mhl_inverse", "--causal"),
+    "whole inverse, smoothed": ("fsm_mhl.yaml", "--kind", "mhl_inverse", "--smoothing", "4", "--reference-ahead"),
 }
 TRACKING = """
 /**:
@@ -40,6 +48,10 @@ pi_feedback:
 def test_a_published_model_compiles_and_equals_python(model, tmp_path):
     export(model, output=tmp_path)
     compared(tmp_path)
+
+
+def test_no_kind_of_compensator_is_missing():
+    assert {words[2] for words in FEEDFORWARDS.values()} >= set(KINDS)
 
 
 @pytest.mark.parametrize("name", FEEDFORWARDS)

@@ -1,0 +1,80 @@
+"""Linear continuous-time systems as matrices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag, matrix_balance
+
+from hyst_control.chain.bounded_cache import remembered
+from hyst_control.chain.parameter import Array
+from hyst_control.errors import InputError
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """dx/dt = A x + B u, y = C x + D u + bias; A (n, n), B (n, m), C (p, n), D (p, m), bias (p,)."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    bias: Array
+
+    def then(self, following: LinearSystem) -> LinearSystem:
+        """Series of this system and the one `following` it."""
+        n, m = len(self.A), len(following.A)
+        a = np.block([[self.A, np.zeros((n, m))], [following.B @ self.C, following.A]])
+        b = np.vstack([self.B, following.B @ self.D])
+        c = np.hstack([following.D @ self.C, following.C])
+        # The bias is constant, so what follows passes it on with its static gain.
+        return LinearSystem(a, b, c, following.D @ self.D, following.bias + following.static_gain() @ self.bias)
+
+    def static_gain(self) -> Array:
+        """Gain (p, m) at rest. Raises `InputError` for an integrator, which has none."""
+        if not len(self.A):
+            return self.D
+        try:
+            return self.D - self.C @ np.linalg.solve(self.A, self.B)
+        except np.linalg.LinAlgError:
+            raise InputError("den: the system integrates (a pole at s = 0) and never comes to rest: remove that pole") from None
+
+    def balanced(self) -> LinearSystem:
+        """The same system with its states scaled so that the matrix exponential loses no digits."""
+        if not len(self.A):
+            return self
+        a, (scale, permutation) = matrix_balance(self.A, permute=False, separate=True)
+        return LinearSystem(a, self.B / scale[:, None], self.C * scale, self.D, self.bias)
+
+
+def stacked(systems: list[LinearSystem]) -> LinearSystem:
+    """One system of several `systems` side by side, each on its own inputs and outputs."""
+    a, b, c, d = (block_diag(*(getattr(system, part) for system in systems)) for part in "ABCD")
+    return LinearSystem(a, b, c, d, np.concatenate([system.bias for system in systems]))
+
+
+@remembered
+def transfer_function_system(num: Array, den: Array) -> LinearSystem:
+    """Controllable canonical form of num(s)/den(s), descending powers, in a time scale that keeps its entries near one."""
+    num, den = np.trim_zeros(np.atleast_1d(num), "f"), np.trim_zeros(np.atleast_1d(den), "f")
+    if not len(num):
+        num = np.zeros(1)
+    order = len(den) - 1
+    if len(num) > len(den):
+        raise InputError(f"num: degree {len(num) - 1} over den of degree {order} is improper: a sampled signal has no derivative")
+    num, den = np.concatenate([np.zeros(len(den) - len(num)), num]) / den[0], den / den[0]
+    # s = w p: coefficients of p^k are divided by w^(order - k), with w the geometric mean of the poles' sizes.
+    nonzero = np.flatnonzero(den)
+    last = int(nonzero[-1])
+    w = abs(den[last]) ** (1.0 / last) if last else 1.0
+    powers = w ** np.arange(order + 1)
+    num, den = num / powers, den / powers
+    a = np.zeros((order, order))
+    if order:
+        a[0] = -den[1:]
+        a[1:, :-1] = np.eye(order - 1)
+    b = np.zeros((order, 1))
+    b[:1] = 1.0
+    c = (num[1:] - num[0] * den[1:]).reshape(1, order)
+    return LinearSystem(a * w, b * w, c, np.array([[num[0]]]), np.zeros(1)).balanced()
