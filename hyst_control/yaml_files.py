@@ -95,7 +95,7 @@ def _check(text: str) -> None:
     open_nodes: list[tuple[str | None, int]] = []
     """Anchor and count at the beginning of the lists and mappings that are not closed yet."""
     room = [1]
-    """How many values each of them may still take."""
+    """Number of values that each of them may still take."""
     for event in yaml.parse(text, Loader=_Loader):
         if isinstance(event, yaml.NodeEvent):
             room[-1] -= 1

@@ -223,7 +223,7 @@ def _noise(models: Sequence[Model]) -> dict[str, Any]:
 
 
 def _discrepancy(models: Sequence[Model]) -> dict[str, Any]:
-    """What the units' models leave: the median of their errors, and the zero that most sessions stay below."""
+    """Errors of the units' models: the median of their errors, and the zero that most sessions stay below."""
     stated: list[Mapping[str, Any]] = [model.discrepancy for model in models if model.discrepancy]
     if not stated:
         return {}

@@ -52,9 +52,9 @@ SLOW, MEDIUM = 5.0, 150.0
 PAPER_STRUCTURE = Structure(modes=1, lags=1, zeros=2)
 """The order of Eq. 12."""
 STEP_TIME = 0.05
-"""How long (s) a step's response is looked at."""
+"""Length of a step's response that is used, s."""
 REST_KEPT = 0.3
-"""How much (s) of the rest after a motion is kept: it may be all the time in which the other axis moves, and tell nothing."""
+"""Length of the rest after a motion that is kept, s: it may be all the time in which the other axis moves, and tell nothing."""
 ROWS = 60_000
 FASTEST, SLOWEST = 0.25, 50.0
 """Samples, between which k2' is looked for: below a quarter of one Tustin's rule makes an alternating filter of Ψ'."""

@@ -317,7 +317,7 @@ def _read_text(path: Path) -> tuple[Array, list[str]]:
 
 
 def _form(first: Sequence[str], commas: bool) -> tuple[str | None, bool]:
-    """What separates the columns (None: white space), and whether numbers have decimal commas.
+    """Separator of the columns (None: white space), and a flag for decimal commas.
 
     first: the first two lines, a header and numbers; commas: whether there is one behind the first line.
     """

@@ -162,7 +162,7 @@ NAMES = {
     "sign_turned": ("the measurement moves against the model, or against another record", "check the sign of command and sensor"),
     "different_plants": ("the records respond as different plants do", "give the records of one plant at a time"),
 }
-"""What each finding says, and the remedy."""
+"""Text of each finding, and the remedy."""
 
 
 def check_records(trials: Sequence[Trial]) -> list[Finding]:
@@ -235,7 +235,7 @@ def _of_trial(trial: Trial) -> list[Finding]:
 
 
 def _known(trial: Trial, moving: Sequence[int]) -> bool:
-    """Whether a model explains every axis that moves; one of a compensator may lead its command."""
+    """True where a model explains every axis that moves; one of a compensator may lead its command."""
     if trial.simulated is None or not moving:
         return False
     measured, error = trial.measurement[:, moving], (trial.measurement - trial.simulated)[:, moving]
@@ -243,7 +243,7 @@ def _known(trial: Trial, moving: Sequence[int]) -> bool:
 
 
 def _comes_late(trial: Trial, index: int) -> bool:
-    """Whether an axis is what was expected of it, by the model or else by its command, but clearly later.
+    """True where an axis is what was expected of it, by the model or else by its command, but clearly later.
 
     A lag of a good part of a period is what a diagnosis is to find: it leaves little coherence where a record is short, turns a sine's
     sign, and looks like a lead where it is nearly a period.
@@ -294,7 +294,7 @@ def _kind_of_incoherence(trial: Trial, index: int) -> str:
 
 
 def _exchanged(trial: Trial, spectra: Spectra, leading: Sequence[int]) -> bool:
-    """Whether axes lead because command and measurement are exchanged; else time runs backwards.
+    """True where axes lead because command and measurement are exchanged; else time runs backwards.
 
     By Bode's relation the phase of a plant without surplus zeros follows from its gain, and so does its inverse's; where time runs
     backwards it has the other sign. Of coupled axes this holds for the determinant of the responses. Where the gain hardly changes, it
@@ -321,7 +321,7 @@ def _phase_of_gain(lines: NDArray[np.intp], gains: Array, count: int) -> Array:
 
 
 def _agreement(phase: Array, lines: NDArray[np.intp], count: int) -> float:
-    """How far phases (L,) are those of a delay, or of a lead, of some samples: 1 where they are."""
+    """Likeness of phases (L,) to those of a delay, or a lead, of some samples: 1 where they are the same."""
     turned = np.zeros(count, complex)
     turned[lines] = np.exp(1j * phase)
     turns = np.fft.fft(turned, 4 * count)
@@ -369,7 +369,7 @@ def _against_the_model(trial: Trial, moving: Sequence[int]) -> Iterator[Finding]
 
 
 def _between(one: Trial, other: Trial) -> Iterator[Finding]:
-    """What two sound records say of each other."""
+    """Findings about two sound records beside each other."""
     name = f"{one.name} and {other.name}"
     if one.axes != other.axes:
         yield Finding("different_plants", name, "", float(len(other.axes)), float(len(one.axes)))
@@ -550,7 +550,7 @@ def _segment(count: int) -> int:
 
 
 def _in_no_order(values: Array) -> bool:
-    """Whether a signal's power is the same at all frequencies, as that of noise and of shuffled samples is.
+    """True where a signal's power is the same at all frequencies, as that of noise and of shuffled samples is.
 
     Of what was built to drive a stage many frequencies are empty; of noise's about one in a hundred have a hundredth of the mean.
     """

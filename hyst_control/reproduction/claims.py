@@ -49,7 +49,7 @@ REASONS = {
     "MHL Fig. 16": "the third row of Table 4, which is scored.",
     "MHL Table 1": "coefficients of another mirror: given beside ours, with the distance of the curves, but no mirror has to have them.",
 }
-"""Why a claim has no target, one sentence."""
+"""Reason why a claim has no target, one sentence."""
 
 
 def notes(claims: tuple[str, ...]) -> list[str]:

@@ -36,7 +36,7 @@ NOTES = [
     "its first peak. HAPI tracks better here than in the paper: up to 50 V the simulated actuator depends less on the rate than the "
     "paper's.",
 ]
-"""Where the simulation cannot show what the experiment showed, and why."""
+"""Results of the experiment that the simulation cannot show, with the reason."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from hyst_control.errors import InputError
 from hyst_control.reporting.tables import Row
 
 PAPER, OURS = "paper", "ours"
-"""Where a bound is from: a figure or a statement of the paper, or our own choice."""
+"""Origin of a bound: a figure or a statement of the paper, or our own choice."""
 
 
 @dataclass(frozen=True)
