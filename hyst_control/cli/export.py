@@ -78,6 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Artifacts:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
+    from hyst_control.control.feedforward import RATE_FILTER
     from hyst_control.errors import InputError
     from hyst_control.export import programs
     from hyst_control.export.folder import sizes, write_folder
@@ -103,6 +104,7 @@ def run(arguments: argparse.Namespace) -> Artifacts:
         model = load_model(given.source)
         try:
             if given.kind:
+                chosen_filter = RATE_FILTER if given.rate_filter is None else given.rate_filter
                 options = programs.FeedforwardOptions(
                     given.kind,
                     given.inverse,
@@ -110,11 +112,7 @@ def run(arguments: argparse.Namespace) -> Artifacts:
                     given.iterations,
                     given.smoothing,
                     given.inverse_model,
-                    **(
-                        {}
-                        if given.rate_filter is None
-                        else {"rate_filter": tuple(given.rate_filter) if any(given.rate_filter) else None}
-                    ),
+                    rate_filter=tuple(chosen_filter) if any(chosen_filter) else None,
                     limits=tuple(given.limits) if given.limits else None,
                     preview=not given.causal,
                 )
