@@ -66,7 +66,7 @@ class PlantNode(ManagedNode):
         Setting("retry", 0.2, "s", "time without a command after which the newest measurement is repeated", 1e-3, 60.0),
         *SAFE_SETTINGS,
         AUTOSTART,
-        Setting("most_ahead", 2048, "ticks", "most ticks that the plant may be ahead of a recorder it waits for", 128, 1_000_000),
+        Setting("most_ahead", 512, "ticks", "most ticks that the plant may be ahead of a recorder it waits for", 128, 1_000_000),
         Setting("wait_for_recorder", False, "", "stay close to the rows that the recorder has stored, in lockstep"),
     )
 
