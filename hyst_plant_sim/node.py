@@ -28,7 +28,6 @@ from hyst_control.yaml_files import parse_yaml
 
 Array = NDArray[np.float64]
 
-MOST_AHEAD = 2048  # ticks that the plant may be ahead of a recorder it waits for
 REPETITIONS_BEFORE_JOINING = 5
 """Successive repetitions without an answer after which a plant restarted during a run continues at the tick of that run."""
 
@@ -67,6 +66,7 @@ class PlantNode(ManagedNode):
         Setting("retry", 0.2, "s", "time without a command after which the newest measurement is repeated", 1e-3, 60.0),
         *SAFE_SETTINGS,
         AUTOSTART,
+        Setting("most_ahead", 512, "ticks", "most ticks that the plant may be ahead of a recorder it waits for", 128, 1_000_000),
         Setting("wait_for_recorder", False, "", "stay close to the rows that the recorder has stored, in lockstep"),
     )
 
@@ -118,7 +118,7 @@ class PlantNode(ManagedNode):
             tick = self._settle(self._newest_command()) if self._tick is None else self._tick
             allowed = rows.available if not length else min(rows.available, length - tick)
             if self.settings.wait_for_recorder:
-                allowed = min(allowed, self._recorded + MOST_AHEAD - tick if self._recorded >= 0 else 0)
+                allowed = min(allowed, self._recorded + self.settings.most_ahead - tick if self._recorded >= 0 else 0)
             if allowed <= 0:
                 return
             commands = rows.take(allowed)

@@ -35,6 +35,10 @@ SETTLING = 2.0  # s, of a run before it is measured
 STREAMED = 16
 """Rows of a message where the reference is streamed: 3 ms of it at 5 kHz."""
 MIB = 2.0**20
+STAGE, PRIORITY = "simulated_stage", 50
+"""Node in place of the plant where the loop is measured with hardware, and its process' priority under SCHED_FIFO."""
+ACTUATORS = ("plant", STAGE)
+SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
 
 
 @dataclass(frozen=True)
@@ -72,8 +76,23 @@ class Run:
             The value, us; NaN without such an entry.
         """
         return float(
-            next((found[entry] for name, found in self.values.items() if name.endswith("plant") and entry in found), "nan")
+            next((found[entry] for name, found in self.values.items() if name.endswith(ACTUATORS) and entry in found), "nan")
         )
+
+    def count(self, node: str, entry: str) -> int:
+        """Return a counter of a node's diagnostics.
+
+        Parameters
+        ----------
+        node, entry
+            Names of the node and the entry.
+
+        Returns
+        -------
+        int
+            The count; 0 without such an entry.
+        """
+        return int(self.values.get(node, {}).get(entry, 0))
 
 
 def run(table: Table, seconds: float = SECONDS) -> None:
@@ -124,7 +143,9 @@ def _add_timing(table: Table, case: str, subject: str, measured: Run) -> None:
 
 
 def soak(table: Table, minutes: float) -> None:
-    """Run in lockstep, then a sixth of that on the wall clock, composed and recorded: rate, loss, and growth of memory.
+    """Run in lockstep, then a sixth of that on the wall clock, with a plant and with a stage on hardware: rate, loss, growth of memory.
+
+    All are composed and recorded; the stage is simulated, and its process runs under SCHED_FIFO where the system allows it.
 
     Parameters
     ----------
@@ -133,17 +154,36 @@ def soak(table: Table, minutes: float) -> None:
     minutes
         Length of the run in lockstep, min.
     """
-    for schedule, name, length in (("lockstep", "soak, lockstep", minutes), ("timer", "soak, wall clock 1 kHz", minutes / 6.0)):
-        with tempfile.TemporaryDirectory() as folder:
-            measured = measure("composed", "hyst", schedule, 60.0 * length, Path(folder) / "bag")
-            case = f"{length:g} min, composed, recorded"
-            quarter = max(len(measured.memory) // 4, 1)
-            begin, end = float(np.mean(measured.memory[:quarter])), float(np.mean(measured.memory[-quarter:]))
-            table.add(name, case, "hyst", "rounds_rate", "rounds/s", measured.rate)
-            table.add(name, case, "hyst", "memory", "MiB", end)
-            table.add(name, case, "hyst", "memory_growth", "MiB", end - begin, n=len(measured.memory))
-            loss, count = message_loss(Path(folder) / "bag")
-            table.add(name, case, "hyst", "loss", "%", loss, n=count)
+    for schedule, name, length, stage in (
+        ("lockstep", "soak, lockstep", minutes, "plant"),
+        ("timer", "soak, wall clock 1 kHz", minutes / 6.0, "plant"),
+        ("timer", "soak, stage on hardware, 1 kHz", minutes / 6.0, STAGE),
+    ):
+        _soak(table, schedule, name, length, stage)
+
+
+def _soak(table: Table, schedule: str, name: str, minutes: float, stage: str) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        measured = measure("composed", "hyst", schedule, 60.0 * minutes, Path(folder) / "bag", stage=stage)
+        case = f"{minutes:g} min, composed, recorded"
+        quarter = max(len(measured.memory) // 4, 1)
+        begin, end = float(np.mean(measured.memory[:quarter])), float(np.mean(measured.memory[-quarter:]))
+        table.add(name, case, "hyst", "rounds_rate", "rounds/s", measured.rate)
+        table.add(name, case, "hyst", "cpu", "%", measured.cpu)
+        table.add(name, case, "hyst", "memory", "MiB", end)
+        table.add(name, case, "hyst", "memory_growth", "MiB", end - begin, n=len(measured.memory))
+        if schedule == "timer":
+            for label in ("p50", "p99", "p99.9"):
+                table.add(name, case, "hyst", f"period_{label}", "us", measured.microseconds(f"period {label} [us]"))
+            table.add(name, case, "hyst", "missed_ticks", "", measured.count(stage, "missed ticks"))  # its start among them
+            table.add(name, case, "hyst", "faults", "", measured.count("pi_feedback", "faults"))
+        else:
+            repeated = sum(measured.count("recorder", f"/{topic}: duplicate") for topic in SIGNALS)
+            table.add(name, case, "hyst", "repeated_messages", "", repeated)
+        loss, count = message_loss(Path(folder) / "bag")
+        table.add(name, case, "hyst", "loss", "%", loss, n=count)
+        for topic, missing in missing_rows(Path(folder) / "bag").items():
+            table.add(name, f"{case}, {topic}", "hyst", "missing_rows", "", missing)
 
 
 def measure(
@@ -155,6 +195,7 @@ def measure(
     block: int = 1,
     outside: bool = False,
     backend: str = "python",
+    stage: str = "plant",
 ) -> Run:
     """Run the loop once.
 
@@ -176,6 +217,8 @@ def measure(
         Run the recorder as a process beside the composed nodes, so that the middleware carries all messages.
     backend
         Of the feedforward and the feedback, "python" or "c".
+    stage
+        "plant", or the node of a stage on hardware in its place.
 
     Returns
     -------
@@ -188,7 +231,7 @@ def measure(
         A node fails or the loop does not start.
     """
     progress.step(f"{schedule}, {case}, {subject}{', recorded' if bag else ''}{' from outside' if outside else ''}: {seconds:g} s")
-    with _running(case, subject, settings(schedule, bag, block, backend), outside) as (processes, plant):
+    with _running(case, subject, settings(schedule, bag, block, backend, stage), outside, stage) as (processes, plant):
         pids = [process.pid for name, process in processes.running.items() if name != "monitor"]
         log = _Diagnostics(processes.log("monitor"))
         _until(lambda: int(log.read().get(plant, {}).get("ticks", 0)) > 0, processes, START_TIMEOUT)
@@ -223,16 +266,37 @@ def message_loss(bag: Path) -> tuple[float, int]:
     expected : int
         Number of rows expected.
     """
-    missing = expected = 0
-    for signal in read_bag(bag).signals.values():
-        step = float(np.median(np.diff(signal.time)))
-        rows = round((signal.time[-1] - signal.time[0]) / step) + 1
-        missing += rows - len(signal.time)
-        expected += rows
+    missing = sum(missing_rows(bag).values())
+    expected = missing + sum(len(signal.time) for signal in read_bag(bag).signals.values())
     return 100.0 * missing / expected, expected
 
 
-def settings(schedule: str, bag: Path | None, block: int = 1, backend: str = "python") -> dict[str, dict[str, Any]]:
+def missing_rows(bag: Path) -> dict[str, int]:
+    """Count the rows that are missing between the first and the last one of each topic of a bag.
+
+    Under the timer these are also the ticks that the node which publishes it has missed: a stage has no sample of them, while the feedback
+    publishes the command that it held.
+
+    Parameters
+    ----------
+    bag
+        The bag.
+
+    Returns
+    -------
+    dict of str to int
+        Missing rows by topic.
+    """
+    missing = {}
+    for topic, signal in read_bag(bag).signals.items():
+        step = float(np.median(np.diff(signal.time)))
+        missing[topic] = round((signal.time[-1] - signal.time[0]) / step) + 1 - len(signal.time)
+    return missing
+
+
+def settings(
+    schedule: str, bag: Path | None, block: int = 1, backend: str = "python", stage: str = "plant"
+) -> dict[str, dict[str, Any]]:
     """Parameters of the nodes of the MHL loop.
 
     Parameters
@@ -245,6 +309,8 @@ def settings(schedule: str, bag: Path | None, block: int = 1, backend: str = "py
         Rows of the reference in one message.
     backend
         As for `measure`.
+    stage
+        "plant", or the node of a stage on hardware in its place.
 
     Returns
     -------
@@ -270,13 +336,18 @@ def settings(schedule: str, bag: Path | None, block: int = 1, backend: str = "py
         "pi_feedback": {"kp": 2.0, "ki": 5000.0, "upper": 100.0, "backend": backend},
         "plant": {"model": model, "wait_for_recorder": bag is not None},
     }
+    if stage != "plant":
+        each.pop("plant")
+        each[stage] = {"model": model, "upper": 100.0, "realtime_priority": PRIORITY}
     if bag is not None:
         each["recorder"] = {"output": str(bag), "merge": 50}
     return {name: {**common, **own} for name, own in each.items()}
 
 
 @contextmanager
-def _running(case: str, subject: str, each: dict[str, dict[str, Any]], outside: bool) -> Iterator[tuple[Processes, str]]:
+def _running(
+    case: str, subject: str, each: dict[str, dict[str, Any]], outside: bool, stage: str
+) -> Iterator[tuple[Processes, str]]:
     """The processes of a run, and the name of its plant."""
     with tempfile.TemporaryDirectory() as folder, own_domain() as domain, Processes(Path(folder), domain) as processes:
         processes.start("monitor", {})
@@ -288,7 +359,7 @@ def _running(case: str, subject: str, each: dict[str, dict[str, Any]], outside: 
             else:
                 for name, own in each.items():
                     processes.start(name, own)
-            yield processes, "plant"
+            yield processes, stage
             return
         plain = {
             "schedule": each["plant"]["schedule"],

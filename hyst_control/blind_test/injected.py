@@ -31,6 +31,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 from scipy.signal import bilinear, lfilter, lfilter_zi
 
+from hyst_control.blind_test.published_labels import rounded
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
 from hyst_control.parallel import mapped
@@ -480,7 +481,7 @@ def make(out: str, seed: int, count: int, plants: Sequence[str] | None = None, n
                 "one_frequency": machine.name == "stack",
             }
         )
-    write_json(labels, {**given, "cases": documents})
+    write_json(labels, {**given, "cases": rounded(documents)})
     note(f"labels: SHA-256 {_digest(labels)}")
     return labels
 

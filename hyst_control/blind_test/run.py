@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hyst_control.blind_test.published_labels import rounded
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
 from hyst_control.parallel import mapped
@@ -224,7 +225,7 @@ def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = prin
         save_model(nominal(plant, noise), path)
     for case in cases:
         shutil.copy(folder / "models" / f"{case.plant}_{case.noise:g}.yaml", folder / "cases" / case.name / "model.yaml")
-    write_json(labels, {"seed": seed, "count": count, **({"options": options} if options else {}), "cases": documents})
+    write_json(labels, {"seed": seed, "count": count, **({"options": options} if options else {}), "cases": rounded(documents)})
     note(f"labels: SHA-256 {_digest(labels)}")
     return labels
 

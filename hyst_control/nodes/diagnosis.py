@@ -144,6 +144,7 @@ class DiagnosisNode(SignalNode):
         self._rate_reported: tuple[float, int]
         self._forget()
         self.service("diagnose", self._diagnose)
+        self.service("cancel", self._cancel)
         self.every(DRAIN_INTERVAL, self._drain)
 
     def reset(self) -> None:
@@ -290,6 +291,14 @@ class DiagnosisNode(SignalNode):
             self._write(folder / "record")
             self._job = Job(folder, self._model_path, self._baseline)
         return f"started: {self._kept_rows} rows, {self._kept_rows * self.period:.3g} s: {folder}"
+
+    def _cancel(self) -> str:
+        """End a diagnosis that is running; its folder keeps the record."""
+        if self._job is None or not self._job.running:
+            raise InputError("no diagnosis is running")
+        self._job.end()
+        self._job.reported = True
+        return f"canceled: {self._job.folder}"
 
     def _write(self, path: Path) -> None:
         """Write the kept rows to a bag."""

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import suppress
+
+from hyst_control.config_files import config_path
+from hyst_control.errors import InputError
 
 LIFELINE = "HYST_CONTROL_LIFELINE"
 """Variable with the number of an open pipe that ends when the process that started the nodes does."""
+
+PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+"""Variables that name a file with settings of Fast DDS."""
 
 
 def exposure() -> str:
@@ -34,5 +41,8 @@ def prepare() -> None:
     """Keep DDS traffic on this machine and let ROS from wheels find its packages, unless the user has chosen otherwise."""
     if "ROS_LOCALHOST_ONLY" not in os.environ:
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if not any(variable in os.environ for variable in PROFILES):
+        with suppress(InputError):  # an installation without its files
+            os.environ[PROFILES[0]] = str(config_path("fastdds/loop.xml"))
     if os.path.isdir(os.path.join(sys.prefix, "share", "ament_index")):
         os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)

@@ -15,6 +15,7 @@ from hyst_control.blind_test.case_labels import LEAST_VISIBILITY, with_label
 from hyst_control.blind_test.case_records import commands, run_case
 from hyst_control.blind_test.effect_sizes import REALIZATIONS, SEVERITIES, UNTUNED
 from hyst_control.blind_test.plant_setups import SETUPS
+from hyst_control.blind_test.published_labels import rounded
 from hyst_control.blind_test.scores import metrics, wilson
 from hyst_control.cli import main
 from hyst_plant_sim.physics import EFFECTS
@@ -215,3 +216,10 @@ def test_scores_of_a_diagnosis_that_is_always_right_and_of_one_that_never_is():
     good, bad = ({metric.name: metric for metric in metrics(pairs)} for pairs in (right, wrong))
     for name in ("false alarm on records without a gap", "pairs: exactly both", "macro-F1", "right where it says >= 0.95"):
         assert good[name].met and not bad[name].met
+
+
+def test_last_digits_of_a_processor_do_not_change_the_hash_of_labels():
+    """The same case, simulated on two machines, differs in the last bits; texts, counts and seeds stay as they are."""
+    label = {"name": "case_0000", "seed": 1702228509, "gap": 0.0991234567, "list": [1.0, (2.00000049, True)], "none": None}
+    other = {**label, "gap": np.nextafter(0.0991234567, 1.0), "list": [1.0 + 1e-13, (2.0000005 - 1e-8, True)]}
+    assert rounded(label) == rounded(other) == {**label, "gap": 0.0991235, "list": [1.0, [2.0, True]]}

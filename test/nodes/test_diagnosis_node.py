@@ -210,10 +210,15 @@ def test_a_diagnosis_under_way_ends_with_the_node(talking, tmp_path):
     talking.until(lambda: len(talking.rows("residual")) == 3000)
     assert talking.call(Trigger, "/diagnosis/diagnose", Trigger.Request()).success
     assert talking.node._job.running
+    canceled = talking.call(Trigger, "/diagnosis/cancel", Trigger.Request())
+    assert canceled.success and canceled.message.startswith("canceled: ") and not talking.node._job.running
+    assert not talking.call(Trigger, "/diagnosis/cancel", Trigger.Request()).success
+    assert talking.call(Trigger, "/diagnosis/diagnose", Trigger.Request()).success
+    assert talking.node._job.running
     talking.node.close()
     assert not talking.node._job.running
-    [folder] = (tmp_path / "diagnosis").iterdir()
-    found = read_bag(folder / "record").aligned(("command", "measurement"), allow_gaps=True)
+    assert len(list((tmp_path / "diagnosis").iterdir())) == 2  # that of the canceled one too
+    found = read_bag(talking.node._job.folder / "record").aligned(("command", "measurement"), allow_gaps=True)
     # cut from a run: what does not start at rest is behind a gap, which the diagnosis knows what to do with
     assert [len(stretch.time) for stretch in found] == [1, 2998]
     np.testing.assert_array_equal(found[1].values["measurement"], measured[2:])

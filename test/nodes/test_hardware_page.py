@@ -68,8 +68,8 @@ def test_a_node_by_the_page_alone_is_recorded_and_identified(domain, tmp_path):
     told = fit.communicate(timeout=120)[0]
     assert fit.returncode == 0, told
     model = load_model(tmp_path / "stage.yaml")
-    time = np.arange(300) * 0.01
-    answer = simulate(model, 40.0 + 8.0 * np.sin(2 * np.pi * 2.0 * time)[:, None], sample_time=0.01)[200:, 0]
-    gain = abs(np.exp(-2j * np.pi * 2.0 * time[200:]) @ (answer - answer.mean())) / 400.0
-    assert gain == pytest.approx(0.12 / abs(1 + 2j * np.pi * 2.0 * 0.020), rel=0.05), told
-    assert json.loads((tmp_path / "fit.json").read_text())["model"]
+    time = np.arange(200) * 0.02  # 1 Hz lies in the excited band, and low enough for a machine that is late with its ticks
+    answer = simulate(model, 40.0 + 8.0 * np.sin(2 * np.pi * time)[:, None], sample_time=0.02)[100:, 0]
+    gain = abs(np.exp(-2j * np.pi * time[100:]) @ (answer - answer.mean())) / 400.0
+    assert gain == pytest.approx(0.12 / abs(1 + 2j * np.pi * 0.020), rel=0.05), told
+    assert json.loads((tmp_path / "fit.json").read_text())["family"] == "linear"
