@@ -25,6 +25,7 @@ from hyst_control.identify.fit_windows import whole_records
 from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.madelung import response_sign
 from hyst_control.identify.options import TRUTH, Options, option
+from hyst_control.identify.parameter_covariance import Uncertainty, independent_axes
 from hyst_control.identify.shared_options import nuisance_option, structure_option
 from hyst_control.identify.simulation_error import Parametrization, Solution, minimize_simulation_error, short_stretches
 from hyst_control.identify.stable_dynamics import Structure
@@ -397,14 +398,12 @@ def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit]) -> Fit:
     )
     rows, residuals = record_rows(model, datasets)
     parameters = [row for axis, name in zip(axes, first.axes, strict=True) for row in parameter_rows(axis, first, name)]
-    relative: dict[str, list[float]] = {}
-    for row in parameters:
-        if row["value"] and row["standard_error"]:
-            relative.setdefault(row["name"].split("[")[0], []).append(abs(row["standard_error"] / row["value"]))
     sigma = noise_sigma(residuals)
+    known = uncertainty(axes, first.axes)
     model = replace(
         model,
-        tolerance={key: float(f"{np.median(each):.4g}") for key, each in relative.items()},
+        tolerance=known.tolerance,
+        uncertainty=known.document,
         noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
     )
     travel = [max(float(data.range[index]) for data in datasets) for index in range(len(axes))]
@@ -417,6 +416,29 @@ def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit]) -> Fit:
         "held_out_nrmse": [100.0 * float(np.sqrt(axis.held_out)) / span for axis, span in zip(axes, travel, strict=True)],
         "structure": [axis.axis.structure.describe() + words for axis, words in zip(axes, creeping, strict=True)],
         "parameters": parameters,
-        "notes": [],
+        "notes": known.notes("record loops of more amplitudes, and steps or a sweep up to beyond the resonance"),
     }
     return Fit(model, report)
+
+
+def uncertainty(axes: Sequence[AxisFit], names: Sequence[str]) -> Uncertainty:
+    """Carry the covariances of the fits over to the numbers of the chain.
+
+    Parameters
+    ----------
+    axes
+        Fits of the axes.
+    names
+        Names of the axes.
+
+    Returns
+    -------
+    Uncertainty
+        Of all numbers that were fitted.
+    """
+
+    def stages_of(vectors: Sequence[Array]) -> Sequence[Stage]:
+        moved = [replace(axis.solution, parameters=vector) for axis, vector in zip(axes, vectors, strict=True)]
+        return chain_stages([replace(axis, solution=solution) for axis, solution in zip(axes, moved, strict=True)])
+
+    return independent_axes([(axis.solution.parameters, axis.solution.covariance) for axis in axes], stages_of, names)

@@ -22,6 +22,7 @@ from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, rec
 from hyst_control.identify.fit_windows import whole_records
 from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.madelung import mean_offset
+from hyst_control.identify.parameter_covariance import Uncertainty, independent_axes
 from hyst_control.identify.simulation_error import Parametrization, Solution, driving_signal, minimize_simulation_error
 from hyst_control.model_file import Model
 
@@ -377,7 +378,13 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
         {**row, "axis": name} for axis, name in zip(axes, first.axes, strict=True) for row in axis.rows()
     ]
     sigma = noise_sigma(residuals)
-    model = replace(model, tolerance=tolerance_of(parameters), noise={"sigma": sigma if len(sigma) > 1 else sigma[0]})
+    known = uncertainty(axes, first.axes)
+    model = replace(
+        model,
+        tolerance=known.tolerance,
+        uncertainty=known.document,
+        noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
+    )
     spans = [max(float(data.range[i]) for data in datasets) for i in range(len(axes))]
     report: Report = {
         "family": family,
@@ -386,9 +393,31 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
         "records": records,
         "parameters": parameters,
         "held_out_nrmse": [100.0 * float(np.sqrt(axis.held_out)) / span for axis, span in zip(axes, spans, strict=True)],
-        "notes": [],
+        "notes": known.notes("record loops of more amplitudes, and a sweep up to beyond the resonance"),
     }
     return Fit(model, report)
+
+
+def uncertainty(axes: Sequence[AxisFit], names: Sequence[str]) -> Uncertainty:
+    """Carry the covariances of the fits over to the numbers of the oscillators.
+
+    Parameters
+    ----------
+    axes
+        A fit an axis.
+    names
+        Names of the axes.
+
+    Returns
+    -------
+    Uncertainty
+        Of all numbers that were fitted.
+    """
+
+    def stages_of(vectors: Sequence[Array]) -> Sequence[Stage]:
+        return [merged([axis.problem.stage(axis.law, vector) for axis, vector in zip(axes, vectors, strict=True)])]
+
+    return independent_axes([(axis.solution.parameters, axis.solution.covariance) for axis in axes], stages_of, names)
 
 
 def merged(stages: Sequence[HystereticOscillator]) -> HystereticOscillator:
@@ -407,26 +436,3 @@ def merged(stages: Sequence[HystereticOscillator]) -> HystereticOscillator:
     if len(stages) == 1:
         return stages[0]
     return replace(stages[0], **{field.name: [getattr(stage, field.name) for stage in stages] for field in fields(stages[0])})
-
-
-def tolerance_of(parameters: Sequence[ParameterRow]) -> dict[str, float]:
-    """Summarize standard errors as relative tolerances.
-
-    Parameters
-    ----------
-    parameters
-        Rows of the report.
-
-    Returns
-    -------
-    dict[str, float]
-        By parameter; of a list, the one that scatters the whole of it as much as its own errors do.
-    """
-    squares: dict[str, list[tuple[float, float]]] = {}
-    for row in parameters:
-        squares.setdefault(row["name"].partition("[")[0], []).append((row["standard_error"] or 0.0, row["value"]))
-    found = {}
-    for name, pairs in squares.items():
-        size = sum(value**2 for _, value in pairs)
-        found[name] = float(np.round(np.sqrt(sum(error**2 for error, _ in pairs) / size), 9)) if size > 0 else 0.0
-    return found

@@ -156,8 +156,6 @@ EXAMPLES = {
     ),
 }
 FAMILIES = sorted(EXAMPLES)
-WITHOUT_UNCERTAINTY = {"bouc_wen", "duhem", "duhem_oscillator"}
-"""Families that state a tolerance of each parameter alone so far."""
 
 
 def values(fit: Fit, key: str = "value") -> dict[str, float]:
@@ -289,7 +287,7 @@ def test_the_report_has_one_form(name, fits, tmp_path):
     assert fit.model.tolerance and all(value >= 0 for value in fit.model.tolerance.values())
 
 
-@pytest.mark.parametrize("name", [name for name in FAMILIES if name not in WITHOUT_UNCERTAINTY])
+@pytest.mark.parametrize("name", FAMILIES)
 def test_the_uncertainty_is_of_physical_size_and_makes_models(name, fits):
     """No number is less known than to 30 %, and what the covariance draws runs and stays near the identified model."""
     model, example = fits[name].model, EXAMPLES[name]
