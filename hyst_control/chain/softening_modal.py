@@ -29,17 +29,19 @@ class SofteningModal(Stage):
         λ_i = -exp(decay_i + decay_change_i g) + j (frequency_i + frequency_change_i g)
         dx_i/dt = λ_i x_i + (inputs_i + inputs_change_i g) · u,   z = 2 Re Σ c_i x_i + feedthrough u
         n  = q (|q|^exponent - force_mean a^exponent),  q = elongation z         per actuator and exponent
-        dw_i/dt = λ_i w_i + force_inputs_i · n,                   y = z + 2 Re Σ c_i w_i + force_feedthrough n
+        s  = stop(u) - stop_mean u,   stop(u): u since its last reversal, no further than ±stop_threshold    per actuator and threshold
+        dw_i/dt = λ_i w_i + force_inputs_i · n + stop_inputs_i · s,   y = z + 2 Re Σ c_i w_i + force_feedthrough n + stop_feedthrough s
 
     The first part is the structure as it responds on the average at this amplitude (its describing function); n is
     what the softening force q |q|^exponent has beyond that average from one instant to the next. n is sampled and held.
-    Several exponents are several terms of one force, each with gains of its own.
+    Several exponents are several terms of one force, each with gains of its own. s is the hysteresis of the actuators, a stop operator
+    of the command without its average part, which is in the first part already.
 
     Shapes for M modes and A axes: decay (log of 1/s), frequency (rad/s) and their changes (M); c = outputs (M, A),
     inputs and inputs_change (M, A) and force_inputs (M, K A) for K exponents, the terms one after the other, each as a
     pair [real, imaginary]; feedthrough (A, A), force_feedthrough (A, K A) and force_mean (K A); elongation (A, A), V per
-    measurement unit, so that q is in volts of quasi-static command; exponent one number or K. A mode of frequency 0 is
-    real and counts once.
+    measurement unit, so that q is in volts of quasi-static command; exponent one number or K; stop_inputs (M, T A), stop_feedthrough
+    (A, T A) and stop_mean (T A) for T stop thresholds in the same order. A mode of frequency 0 is real and counts once.
     """
 
     name: ClassVar[str] = "softening_modal"
@@ -57,6 +59,12 @@ class SofteningModal(Stage):
     force_feedthrough: AllAxes = all_axes("measurement unit / V", "of the force", 0, 1, 2, default=0.0)
     force_mean: AllAxes = all_axes("", "average of the force, (exponents · axes)", 0, 1, default=0.0)
     exponent: AllAxes = all_axes("", "of the softening force, one or several", 0, 1, default=0.5, above=0.0)
+    stop_threshold: AllAxes = all_axes("V", "of the command's stop operators, one or several", 0, 1, default=0.0, lower=0.0)
+    stop_inputs: AllAxes = all_axes(
+        "1/(V s)", "of the stop operators, as inputs, (modes, thresholds · axes)", 0, 1, 2, 3, default=0.0
+    )
+    stop_feedthrough: AllAxes = all_axes("measurement unit / V", "of the stop operators", 0, 1, 2, default=0.0)
+    stop_mean: AllAxes = all_axes("", "average gain of the stop operators, (thresholds · axes)", 0, 1, default=0.0)
     memory: float = all_axes("s", "over which the amplitude is averaged", 0, default=0.1, above=0.0)
 
     @property
@@ -78,7 +86,7 @@ class SofteningModal(Stage):
 
     def arrays(self, axes: int) -> dict[str, np.ndarray]:
         """Every parameter as an array of its full shape, complex where it is a pair."""
-        modes, terms = int(np.size(self.decay)), axes * int(np.size(self.exponent))
+        modes, terms, stops = int(np.size(self.decay)), axes * int(np.size(self.exponent)), axes * int(np.size(self.stop_threshold))
         due = {
             "decay": (modes,),
             "frequency": (modes,),
@@ -89,8 +97,11 @@ class SofteningModal(Stage):
             "elongation": (axes, axes),
             "force_mean": (terms,),
             "force_inputs": (2, modes, terms),
+            "stop_inputs": (2, modes, stops),
+            "stop_feedthrough": (axes, stops),
+            "stop_mean": (stops,),
         }
-        pairs = ("outputs", "inputs", "inputs_change", "force_inputs")
+        pairs = ("outputs", "inputs", "inputs_change", "force_inputs", "stop_inputs")
         arrays = {}
         for field in dict.fromkeys((*due, *pairs)):
             shape = due.get(field, (2, modes, axes))
@@ -149,7 +160,10 @@ def advance_softening_modal(
     h: NDArray[np.complex128],
     h_d: Array,
     force_mean: Array,
+    threshold: Array,
+    stop_mean: Array,
     force: Array,
+    play: Array,
     output: Array,
 ) -> None:
     """Run the equations of `SofteningModal` over a block.
@@ -164,8 +178,12 @@ def advance_softening_modal(
         s.
     exponent, amplitude, decay, frequency, decay_change, frequency_change, c, b, b_change, d, k, h, h_d
         The stage's matrices, as `SofteningModalFilter` prepares them.
-    force_mean, force
-        (K A,): mean of n, and n of the tick that begins the interval, updated.
+    force_mean, threshold, stop_mean
+        (K A,): mean of n; (T,) and (T A,): of the stop operators.
+    force
+        ((K + T) A,): n of the tick that begins the interval, and s of the interval, updated.
+    play
+        (T A,): command less what the stop operators hold, updated.
     last
         (A,), command before, with which it is averaged for a sampled smooth source (`last[0]` NaN: a held command); updated.
     state
@@ -186,6 +204,11 @@ def advance_softening_modal(
         mean_square[0] += smooth * (power / axes - mean_square[0])
         a = np.sqrt(mean_square[0])
         g = (np.sqrt(a / amplitude) - 1.0) / (1.0 - np.sqrt(0.5))
+        for e in range(threshold.size):
+            for j in range(axes):
+                at = e * axes + j
+                play[at] = min(max(play[at], drive[j] - threshold[e]), drive[j] + threshold[e])
+                force[force_mean.size + at] = (drive[j] - play[at]) - stop_mean[at] * drive[j]
         for o in range(axes):
             linear[o] = 0.0
             output[row, o] = 0.0
@@ -240,7 +263,10 @@ def settle_softening_modal(
     h: NDArray[np.complex128],
     h_d: Array,
     force_mean: Array,
+    threshold: Array,
+    stop_mean: Array,
     force: Array,
+    play: Array,
     output: Array,
 ) -> None:
     """Bring `SofteningModal` to rest at a constant command.
@@ -249,9 +275,9 @@ def settle_softening_modal(
     ----------
     value, output
         (A,): command, and the output that is filled in.
-    exponent, amplitude, decay, frequency, decay_change, frequency_change, c, b, b_change, d, k, h, h_d, force_mean
+    exponent, amplitude, decay, frequency, decay_change, frequency_change, c, b, b_change, d, k, h, h_d, force_mean, threshold, stop_mean
         As for `advance_softening_modal`.
-    state, mean_square, force
+    state, mean_square, force, play
         As there; filled in.
     """
     modes, axes = c.shape
@@ -261,6 +287,11 @@ def settle_softening_modal(
     mean_square[0] = power / axes
     a = np.sqrt(mean_square[0])
     g = (np.sqrt(a / amplitude) - 1.0) / (1.0 - np.sqrt(0.5))
+    for e in range(threshold.size):
+        for j in range(axes):
+            at = e * axes + j
+            play[at] = min(max(0.0, value[j] - threshold[e]), value[j] + threshold[e])
+            force[force_mean.size + at] = (value[j] - play[at]) - stop_mean[at] * value[j]
     linear = np.empty(axes)
     for o in range(axes):
         linear[o] = 0.0
@@ -323,6 +354,20 @@ POLE = """
         const real twice = (oscillates != 0) ? R(2.0) : R(1.0);
 """
 
+STOPS = """
+for (int e = 0; e < THRESHOLDS; e++) {{
+    for (int j = 0; j < AXES; j++) {{
+        const int at = (e * AXES) + j;
+        const real low = {command}[j] - p->threshold[e];
+        const real high = {command}[j] + p->threshold[e];
+        const real above = ({play} > low) ? {play} : low;
+        s->play[at] = (above < high) ? above : high;
+        s->force[(EXPONENTS * AXES) + at] = ({command}[j] - s->play[at]) - (p->stop_mean[at] * {command}[j]);
+    }}
+}}
+"""
+"""Stop operators of the command, from the play that they had."""
+
 FORCE = """
 for (int j = 0; j < AXES; j++) {
     real q = R(0.0);
@@ -349,6 +394,9 @@ for (int j = 0; j < AXES; j++) {
 s->mean_square += p->smooth * ((power / (real)AXES) - s->mean_square);
 const real a = M(sqrt)(s->mean_square);
 const real g = modes_amplitude(a, p->amplitude, p->span);
+"""
+    + STOPS.format(command="drive", play="s->play[at]")
+    + """
 for (int o = 0; o < AXES; o++) {
     linear[o] = R(0.0);
     out[o] = R(0.0);
@@ -404,6 +452,9 @@ for (int j = 0; j < AXES; j++) {
 s->mean_square = power / (real)AXES;
 const real a = M(sqrt)(s->mean_square);
 const real g = modes_amplitude(a, p->amplitude, p->span);
+"""
+    + STOPS.format(command="in", play="R(0.0)")
+    + """
 for (int o = 0; o < AXES; o++) {
     linear[o] = R(0.0);
     for (int j = 0; j < AXES; j++) {
@@ -473,10 +524,15 @@ class SofteningModalFilter(Filter):
                 "inputs_change",
                 "feedthrough",
                 "elongation",
-                "force_inputs",
-                "force_feedthrough",
-                "force_mean",
             )
+        )
+        self.arguments = (
+            *self.arguments,
+            np.concatenate([arrays["force_inputs"], arrays["stop_inputs"]], axis=1),
+            np.concatenate([arrays["force_feedthrough"], arrays["stop_feedthrough"]], axis=1),
+            arrays["force_mean"],
+            np.atleast_1d(np.asarray(stage.stop_threshold, dtype=float)),
+            arrays["stop_mean"],
         )
         exponent = np.atleast_1d(np.asarray(stage.exponent, dtype=float))
         self.scalars: tuple[Any, ...] = (
@@ -488,7 +544,9 @@ class SofteningModalFilter(Filter):
         self.held = sampling.hold == "zoh"
         modes = len(arrays["decay"])
         self.state = np.zeros((2, modes), dtype=complex)
-        self.mean_square, self.last, self.force = np.zeros(1), np.full(sampling.axes, np.nan), np.zeros(arrays["force_mean"].size)
+        self.mean_square, self.last = np.zeros(1), np.full(sampling.axes, np.nan)
+        self.play = np.zeros(arrays["stop_mean"].size)
+        self.force = np.zeros(arrays["force_mean"].size + self.play.size)
 
     def settle(self, value: Array) -> Array:
         value = np.array(value, dtype=float)
@@ -496,17 +554,32 @@ class SofteningModalFilter(Filter):
         self.last[:] = np.nan if self.held else value
         exponent_and_amplitude: tuple[Any, ...] = self.scalars[2:]
         state: tuple[Any, ...] = (self.state, self.mean_square)
-        settle_softening_modal(value, *exponent_and_amplitude, *state, *self.arguments, self.force, settled)  # type: ignore[call-arg]
+        settle_softening_modal(value, *exponent_and_amplitude, *state, *self.arguments, self.force, self.play, settled)  # type: ignore[call-arg]
         return settled
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
         state: tuple[Any, ...] = (self.last, self.state, self.mean_square)
-        advance_softening_modal(block, *self.scalars, *state, *self.arguments, self.force, output)  # type: ignore[call-arg]
+        advance_softening_modal(block, *self.scalars, *state, *self.arguments, self.force, self.play, output)  # type: ignore[call-arg]
         return output
 
     def c_code(self) -> CCode:
-        names = ("decay", "frequency", "decay_change", "frequency_change", "c", "b", "b_change", "d", "k", "h", "h_d", "force_mean")
+        names = (
+            "decay",
+            "frequency",
+            "decay_change",
+            "frequency_change",
+            "c",
+            "b",
+            "b_change",
+            "d",
+            "k",
+            "h",
+            "h_d",
+            "force_mean",
+            "threshold",
+            "stop_mean",
+        )
         texts = (
             "log(1/s)",
             "rad/s",
@@ -520,6 +593,8 @@ class SofteningModalFilter(Filter):
             "1/(V s), complex",
             "measurement unit / V",
             "mean of the force",
+            "V, of the stop operators",
+            "mean of the stop operators",
         )
         smooth, step, exponent, amplitude = self.scalars
         return CCode(
@@ -530,6 +605,7 @@ class SofteningModalFilter(Filter):
                 "MODES": self.state.shape[1],
                 "FORCES": self.force.size,
                 "EXPONENTS": exponent.size,
+                "THRESHOLDS": self.play.size // len(self.last),
                 "HELD": int(self.held),
             },
             {
@@ -544,7 +620,8 @@ class SofteningModalFilter(Filter):
                 "x": reals(_pairs(self.state), "modes driven by the command, and by the force; complex"),
                 "mean_square": reals(0.0, "V^2"),
                 "last": reals(self.last, "V, command before"),
-                "force": reals(self.force, "of the tick that begins the interval"),
+                "force": reals(self.force, "of the tick that begins the interval, and the stop operators"),
+                "play": reals(self.play, "V, command less what the stop operators hold"),
             },
             (COMPLEX, MODES),
         )

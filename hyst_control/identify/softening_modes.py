@@ -2,8 +2,8 @@
 
 Two fits, both Levenberg-Marquardt on the output error of all levels together, each level weighing the same: first the
 poles and input gains as functions of the slow amplitude, which is constant within a record; then, with the softening
-force computed from the first model's elongation, that force as further inputs of the same modes. The only input of both
-is the command.
+force computed from the first model's elongation, that force and the stop operators of the command as further inputs of the
+same modes. The only input of both is the command.
 """
 
 from __future__ import annotations
@@ -129,6 +129,7 @@ def fit_softening(
     exponent: float | Sequence[float] = 0.5,
     memory: float = 0.1,
     force: bool = True,
+    stops: Sequence[float] = (),
     iterations: tuple[int, int] = (14, 7),
     rounds: int = 2,
 ) -> SofteningFit:
@@ -150,6 +151,8 @@ def fit_softening(
         Time constant (s) of the slow amplitude.
     force
         False leaves the softening force out: the model is then linear at each amplitude.
+    stops
+        Thresholds (V) of stop operators of the command beside the force.
     iterations
         Most steps without and with the force.
     rounds
@@ -178,7 +181,12 @@ def fit_softening(
     low = linear.response(2 * np.pi * np.linspace(80.0, 230.0, 50) * sample_time).mean(axis=0).real
     elongation = np.linalg.inv(low)
     exponents = np.atleast_1d(np.asarray(exponent, dtype=float))
-    point = _widened(scheduled, inputs * len(exponents))
+    point = _widened(scheduled, inputs * (len(exponents) + len(stops)))
+    held = [stop_operators(level.command, stops) for level in levels]
+    # Their average part at the reference belongs to the scheduled modes too.
+    nearest = min(range(len(levels)), key=lambda index: abs(g[index]))
+    command = np.concatenate([levels[nearest].command] * len(stops), axis=1) if stops else held[nearest]
+    stop_mean = np.sum(held[nearest] * command, axis=(0, 2)) / np.maximum(np.sum(command**2, axis=(0, 2)), 1e-300)
     # The force follows the elongation that the commands alone cause in the model, so each fit changes it a little: fit
     # again.
     for _ in range(rounds):
@@ -192,14 +200,51 @@ def fit_softening(
             means.append(bent / sum(part * level.amplitude**e for part, level in zip(power, levels, strict=True)))
         mean = np.concatenate(means)
         data = []
-        for level, weight, q in zip(levels, weights, strains, strict=True):
+        for level, weight, q, stop in zip(levels, weights, strains, held, strict=True):
             terms = [q * (np.abs(q) ** e - part[:, None] * level.amplitude**e) for e, part in zip(exponents, means, strict=True)]
             # The force reaches lines that the command leaves out.
+            terms += [stop - stop_mean[:, None] * np.concatenate([level.command] * len(stops), axis=1)] if stops else []
             command = np.concatenate([level.command, *terms], axis=1)
             data.append(spectra(command, level.measurement, weight, every_line=True))
         point, parameters, sigma = refine_scheduled(data, g, point, inputs, iterations[1])
-    stage = stage_of(point, reference, sample_time, memory=memory, exponent=exponent, elongation=elongation, mean=mean)
+    stage = stage_of(
+        point,
+        reference,
+        sample_time,
+        memory=memory,
+        exponent=exponent,
+        elongation=elongation,
+        mean=mean,
+        stops=stops,
+        stop_mean=stop_mean,
+    )
     return SofteningFit(stage, point, parameters, time.perf_counter() - began, _per_second(sigma, sample_time))
+
+
+def stop_operators(command: Array, thresholds: Sequence[float]) -> Array:
+    """Stop operators of periodic commands in the periodic steady state.
+
+    Parameters
+    ----------
+    command
+        Commands (N, m, records), V.
+    thresholds
+        Thresholds (T,), V.
+
+    Returns
+    -------
+    Array
+        (N, T m, records), V, the thresholds one after the other.
+    """
+    found = [np.zeros((len(command), 0, command.shape[2]))]
+    for threshold in thresholds:
+        held, stopped = np.zeros(command.shape[1:]), np.empty_like(command)
+        for _ in range(2):  # in the second period no memory is older than the period
+            for row, value in enumerate(command):
+                held = np.minimum(np.maximum(held, value - threshold), value + threshold)
+                stopped[row] = value - held
+        found.append(stopped)
+    return np.concatenate(found, axis=1)
 
 
 def _strain(model: ModalModel, level: Level, elongation: Array, inputs: int) -> Array:
@@ -373,8 +418,10 @@ def stage_of(
     exponent: float | Sequence[float] = 0.5,
     elongation: Array | None = None,
     mean: Array | None = None,
+    stops: Sequence[float] = (),
+    stop_mean: Array | None = None,
 ) -> SofteningModal:
-    """Construct the stage; inputs beyond the number of outputs are those of the softening force.
+    """Construct the stage; inputs beyond the number of outputs are those of the softening force and of the stop operators.
 
     Parameters
     ----------
@@ -392,6 +439,8 @@ def stage_of(
         Map from the states to the elongation.
     mean
         Mean amplitude.
+    stops, stop_mean
+        Thresholds of the stop operators, V, and their average gains.
 
     Returns
     -------
@@ -405,19 +454,28 @@ def stage_of(
     pole = scheduled.change[layout.slices["pole"]].reshape(n, 2)
     change = scheduled.change[layout.indices("b", 2, n, m)][:, :, :outputs] / sample_time
 
+    behind = m - outputs * len(stops)
+
     def pair(values: np.ndarray) -> Array:
         return np.stack([values.real, values.imag])
 
     parts = (
         {
-            "force_inputs": pair(model.inputs[:, outputs:] / sample_time),
-            "force_feedthrough": model.feedthrough[:, outputs:],
+            "force_inputs": pair(model.inputs[:, outputs:behind] / sample_time),
+            "force_feedthrough": model.feedthrough[:, outputs:behind],
             "elongation": cast(Array, elongation),  # given with the inputs of the force
             "force_mean": cast(Array, mean),
         }
         if m > outputs
         else {}
     )
+    if stops:
+        parts |= {
+            "stop_threshold": list(stops),
+            "stop_inputs": pair(model.inputs[:, behind:] / sample_time),
+            "stop_feedthrough": model.feedthrough[:, behind:],
+            "stop_mean": cast(Array, stop_mean),
+        }
     return SofteningModal(
         decay=np.log(-model.poles.real / sample_time),
         frequency=model.poles.imag / sample_time,

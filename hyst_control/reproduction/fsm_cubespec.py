@@ -45,8 +45,6 @@ LEVELS = (100, 200, 300)
 """Excitation levels in mV rms."""
 FIT, SELECT, TEST = (0, 1, 2, 3), (4,), (5,)
 ORDERS = (46, 58, 64)
-LAWS = ((0.5,), (0.5, 1.0))
-"""Exponents of the softening force's terms among which the fifth realization chooses."""
 BANDS = (0, 500, 700, 1100, 1500, 2000, 3200)
 """Edges in Hz of the bands in which what is left is told."""
 PUBLISHED_OWN = {100: 8.4, 200: 8.0, 300: 5.6}
@@ -57,6 +55,24 @@ test set).
 """
 HALF_WIDTH = 8
 """Of the local polynomial's window, in lines of 0.78 Hz."""
+
+
+@dataclass(frozen=True)
+class Law:
+    """Exponents of the softening force's terms, and thresholds (V) of the stop operators of the command."""
+
+    exponents: tuple[float, ...]
+    stops: tuple[float, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Text for tables."""
+        force = "and force " + " + ".join(f"q|q|^{exponent:g}" for exponent in self.exponents)
+        return force + "".join(f", stop operators of {1e3 * threshold:g} mV" for threshold in self.stops)
+
+
+LAWS = (Law((0.5,)), Law((0.5, 1.0)), Law((0.5, 1.0), (0.02,)), Law((0.5, 1.0), (0.03,)))
+"""Laws of the softening force and of the actuators' hysteresis among which the fifth realization chooses."""
 
 
 @dataclass(frozen=True)
@@ -340,7 +356,7 @@ def run(json_path: str | Path | None = None, figures_dir: str | Path | None = No
         linear.seconds,
     )
     chosen: tuple[float, Model, str] | None = None
-    for subject, found in zip(("softening modes", *map(law_name, LAWS)), (mean, *forced), strict=True):
+    for subject, found in zip(("softening modes", *(law.name for law in LAWS)), (mean, *forced), strict=True):
         model = softening_model(found, levels)
         selected = report_one(table, levels, subject, model, states_of(found), found.parameters, found.seconds)
         if chosen is None or selected < chosen[0]:
@@ -361,26 +377,8 @@ def run(json_path: str | Path | None = None, figures_dir: str | Path | None = No
     return table
 
 
-def law_name(exponents: Sequence[float]) -> str:
-    """Name of the softening force's law.
-
-    Parameters
-    ----------
-    exponents : sequence of float
-        Exponents of its terms.
-
-    Returns
-    -------
-    str
-        Text for tables.
-    """
-    return "and force " + " + ".join(f"q|q|^{exponent:g}" for exponent in exponents)
-
-
-def soften(
-    levels: Sequence[Level], start: ModalModel | softening_modes.Scheduled, law: Sequence[float] | None
-) -> softening_modes.SofteningFit:
-    """Fit one model for all levels on realizations 1-4, with or without a softening force.
+def soften(levels: Sequence[Level], start: ModalModel | softening_modes.Scheduled, law: Law | None) -> softening_modes.SofteningFit:
+    """Fit one model for all levels on realizations 1-4, with or without a softening force and hysteresis of the actuators.
 
     Parameters
     ----------
@@ -388,8 +386,8 @@ def soften(
         Records of all levels.
     start : ModalModel or softening_modes.Scheduled
         Model from which the fit starts.
-    law : sequence of float or None
-        Exponents of the softening force; None: no force.
+    law : Law or None
+        Law of the softening force and the hysteresis; None: neither.
 
     Returns
     -------
@@ -399,8 +397,11 @@ def soften(
     periods = [
         softening_modes.Level(level.command[:, :, FIT].mean(axis=3), level.measurement[:, :, FIT].mean(axis=3)) for level in levels
     ]
+    steps = (20, 8)
+    if law is None:
+        return softening_modes.fit_softening(periods, start, periods[1].amplitude, SAMPLE_TIME, force=False, iterations=steps)
     return softening_modes.fit_softening(
-        periods, start, periods[1].amplitude, SAMPLE_TIME, exponent=law or 0.5, force=law is not None, iterations=(20, 8)
+        periods, start, periods[1].amplitude, SAMPLE_TIME, exponent=law.exponents, stops=law.stops, iterations=steps
     )
 
 
@@ -621,6 +622,7 @@ EFFECTS = {
     "softening: damping": {"decay_change": 0.0},
     "softening: gains": {"inputs_change": 0.0},
     "softening from instant to instant": {"force_inputs": 0.0, "force_feedthrough": 0.0},
+    "hysteresis of the actuators": {"stop_inputs": 0.0, "stop_feedthrough": 0.0},
 }
 """The parts of the chosen model, and the parameters that switch each off."""
 

@@ -15,11 +15,14 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.identify.modal_fit import ModalModel
+from hyst_control.identify.softening_modes import stop_operators
 
 LINES = 24
 """Lines of 0.78 Hz in a window, over which each response is a straight line."""
 RIDGE = 1e-3
 """Of the regression, relative to each column's power."""
+STOP = 0.15
+"""Threshold of the stop operators, relative to the rms of the command."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,7 @@ LAWS: dict[str, Callable[[Motion], Sequence[Array]]] = {
     "q|q|^0.5 + sign v, friction": lambda motion: (_root(motion.elongation), np.tanh(3.0 * motion.velocity)),
     "q|q|^0.5 + v|v|^0.5": lambda motion: (_root(motion.elongation), _root(motion.velocity)),
     "q|q|^0.5 + u|u|^0.5, amplifier": lambda motion: (_root(motion.elongation), _root(motion.command)),
+    "q|q|^0.5 + stop of the command": lambda motion: (_root(motion.elongation), stop_operators(motion.command, (STOP,))),
     "q times all actuators' amplitude^0.5": lambda motion: (
         motion.elongation * np.sum(motion.elongation**2, axis=1, keepdims=True) ** 0.25,
     ),

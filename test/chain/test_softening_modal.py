@@ -5,9 +5,11 @@ import pytest
 
 from hyst_control.chain.chain import Chain
 from hyst_control.chain.linear import StateSpace
+from hyst_control.chain.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.chain.softening_modal import SofteningModal
 from hyst_control.chain.stage import Sampling
 from hyst_control.errors import InputError
+from hyst_control.identify.softening_modes import stop_operators
 
 SAMPLE_TIME = 1e-4
 RNG = np.random.default_rng(0)
@@ -121,3 +123,25 @@ def test_two_terms_of_one_exponent_are_one_term_of_their_sum():
     assert np.allclose(run(two, command), run(one, command), atol=1e-12)
     sampling = Sampling(1e-4, 2, "zoh")
     assert np.allclose(two.filter(sampling).settle(np.array([0.7, -0.4])), one.filter(sampling).settle(np.array([0.7, -0.4])))
+
+
+def test_the_actuators_hysteresis_is_the_stop_operator_less_its_average():
+    """Against play operators of the package: command less play; and what the force adds passes through the same modes as a command."""
+    command = np.cumsum(np.random.default_rng(4).normal(size=(400, 2)), axis=0)
+    stop = command - run(PrandtlIshlinskii([0.8], [1.0], w0=0.0), command)
+    assert np.ptp(stop) == pytest.approx(1.6)
+    expected = stop - 0.3 * command
+    hysteretic = SofteningModal(
+        **MODES, stop_threshold=0.8, stop_inputs=MODES["inputs"], stop_feedthrough=MODES["feedthrough"], stop_mean=0.3
+    )
+    assert np.allclose(run(hysteretic, command) - run(state_space(), command), run(state_space(), expected), atol=1e-9)
+
+
+def test_stop_operators_of_a_period_are_those_of_the_stage_in_the_steady_state():
+    period = np.random.default_rng(5).normal(size=(300, 2, 3))
+    found = stop_operators(period, (0.2, 1.0))
+    for record in range(3):
+        twice = np.tile(period[:, :, record], (2, 1))
+        for at, threshold in enumerate((0.2, 1.0)):
+            play = run(PrandtlIshlinskii([threshold], [1.0], w0=0.0), twice)[300:]
+            assert np.allclose(found[:, 2 * at : 2 * at + 2, record], period[:, :, record] - play, atol=1e-12)
