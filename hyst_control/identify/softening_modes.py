@@ -471,7 +471,7 @@ def stage_of(
     )
     if stops:
         parts |= {
-            "stop_threshold": list(stops),
+            "stop_threshold": np.array(stops),
             "stop_inputs": pair(model.inputs[:, behind:] / sample_time),
             "stop_feedthrough": model.feedthrough[:, behind:],
             "stop_mean": cast(Array, stop_mean),
