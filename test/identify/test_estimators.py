@@ -73,7 +73,6 @@ W = 2 * np.pi * 700.0
 MODE = TransferFunction([W * W], [1.0, 0.6 * W, W * W])
 SLOW = loops(1e-3, (1.0, 50.0), (2.0, 35.0), (2.0, 45.0), (4.0, 20.0), (4.0, 50.0))
 FAST = loops(1e-4, (5.0, 50.0), (40.0, 50.0), (150.0, 40.0), (400.0, 45.0), (80.0, 25.0), (20.0, 35.0))
-BRISK = loops(1e-4, (40.0, 50.0), (150.0, 40.0), (400.0, 45.0))
 CURVES = Madelung([0.2, 0.5, 0.3], [-0.3, -0.2, 1.5], 50.0, 2.0)
 WEIGHT_ROWS = {f"weights[{i}]": weight for i, weight in enumerate(WEIGHTS)}
 GIVEN = {"thresholds": THRESHOLDS, "nuisance": "none"}
@@ -125,7 +124,7 @@ EXAMPLES = {
     ),
     "bouc_wen": Example(
         (BoucWen(10.0 / W**2, 6.0 / W, 6.0, 4.0, 0.5, -0.2),),
-        BRISK,
+        FAST,
         1e-4,
         {"mass": 10.0 / W**2, "damping": 6.0 / W, "stiffness": 6.0, "alpha": 4.0, "beta": 0.5, "gamma": -0.2},
         {"exponent": 1.0},
@@ -133,7 +132,7 @@ EXAMPLES = {
     ),
     "duhem_oscillator": Example(
         (DuhemOscillator(10.0 / W**2, 6.0 / W, 6.0, [-3.0, 0.0, 3.0], [4.5, 4.0, 2.5], [2.5, 4.0, 4.5]),),
-        BRISK,
+        FAST,
         1e-4,
         {"mass": 10.0 / W**2, "damping": 6.0 / W, "stiffness": 6.0, "rising[1]": 4.0, "falling[1]": 4.0},
         {"table_size": 3},
