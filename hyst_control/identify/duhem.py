@@ -164,7 +164,8 @@ class DuhemHysteresis(Estimator[DuhemOptions]):
 
     def fit(self, datasets: Sequence[Dataset], options: DuhemOptions) -> Fit:
         check_records(datasets)
-        return assemble(datasets, [fit_axis(whole_records(datasets, index), options) for index in range(len(datasets[0].axes))])
+        records = [whole_records(datasets, index, weighted=False) for index in range(len(datasets[0].axes))]
+        return assemble(datasets, [fit_axis(windows, options) for windows in records])
 
 
 def fit_axis(windows: Sequence[Window], options: DuhemOptions) -> AxisFit:

@@ -18,7 +18,7 @@ SETTLE_TIME = 0.25
 """Time (s) after which a window's linear transient is over, the slow pair's included; its rows before that do not count."""
 
 
-def whole_records(datasets: Sequence[Dataset], axis: int) -> list[Window]:
+def whole_records(datasets: Sequence[Dataset], axis: int, *, weighted: bool = True) -> list[Window]:
     """Take each record as one window; for a record of unknown start see `before`.
 
     Parameters
@@ -27,6 +27,8 @@ def whole_records(datasets: Sequence[Dataset], axis: int) -> list[Window]:
         The records.
     axis
         Index of the axis.
+    weighted
+        Weight the rows (`balanced_weights`); only fits of play operators look at weights.
 
     Returns
     -------
@@ -46,7 +48,7 @@ def whole_records(datasets: Sequence[Dataset], axis: int) -> list[Window]:
                 skip,
                 group,
                 memory=None if memory is None else np.ascontiguousarray(memory[:, axis]),
-                weight=balanced_weights(data, axis),
+                weight=balanced_weights(data, axis) if weighted else None,
             )
         )
     return windows

@@ -287,7 +287,7 @@ class MadelungCurves(Estimator[MadelungOptions]):
 
     def fit(self, datasets: Sequence[Dataset], options: MadelungOptions) -> Fit:
         check_records(datasets)
-        axes = [fit_records(whole_records(datasets, axis), options) for axis in range(len(datasets[0].axes))]
+        axes = [fit_records(whole_records(datasets, axis, weighted=False), options) for axis in range(len(datasets[0].axes))]
         return assemble(datasets, axes, options.method)
 
 

@@ -40,7 +40,14 @@ from hyst_control.identify.madelung import (
 from hyst_control.identify.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
 from hyst_control.identify.parameter_covariance import PRIOR, independent_axes
 from hyst_control.identify.parted_pair import PAIR_DAMPINGS, WORTHWHILE, parted_pair, unexplained_frequency, with_numerator
-from hyst_control.identify.simulation_error import Parametrization, Solution, minimize_simulation_error, short_stretches, thinned
+from hyst_control.identify.simulation_error import (
+    Parametrization,
+    Solution,
+    minimize_simulation_error,
+    short_stretches,
+    simulation_error,
+    thinned,
+)
 from hyst_control.identify.stable_dynamics import TAU_UNIT, Structure
 from hyst_control.model_file import Model
 from hyst_control.parallel import forked
@@ -49,6 +56,8 @@ T = TypeVar("T")
 SELECTION_ROWS, FINAL_ROWS = 20_000, 100_000
 STRETCH, SETTLE = 0.06, 0.015
 """Length (s) of the stretches that stand for a long record, and of their beginning that does not count."""
+PAIR_PASSES, PAIR_TRIAL, LAST_PASSES = 12, 4, 3
+"""Most passes of the fit of a further mode, of them those that compare its starts, and over all rows of all records in the end."""
 
 
 @register
@@ -95,7 +104,8 @@ def axis_windows(datasets: Sequence[Dataset], index: int) -> list[Window]:
     index
         Index of the axis.
     """
-    return [replace(window, skip=max(window.skip, virgin_rows(window.command))) for window in whole_records(datasets, index)]
+    records = whole_records(datasets, index, weighted=False)
+    return [replace(window, skip=max(window.skip, virgin_rows(window.command))) for window in records]
 
 
 def with_coupling(
@@ -211,7 +221,7 @@ def refit(windows: Sequence[Window], found: AxisFit, nuisance: str) -> AxisFit:
     """
     turned = [replace(window, measurement=found.axis.sign * window.measurement) for window in windows]
     solution = minimize_simulation_error(
-        turned, found.axis.parametrization(), found.vector, nuisance=nuisance, passes=2, everything=True
+        turned, found.axis.parametrization(), found.vector, nuisance=nuisance, passes=LAST_PASSES, everything=True
     )
     offset = mean_offset(solution, turned, nuisance)
     return replace(found, vector=solution.parameters, covariance=solution.covariance, offset=offset)
@@ -450,14 +460,19 @@ def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: AxisFit, 
     # Short stretches would miss the moment at which a sweep passes the frequency.
     many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
     plain = minimize_simulation_error(many, axis.parametrization(), found.vector, nuisance=nuisance, passes=3)
-    best: Solution | None = None
-    for damping in PAIR_DAMPINGS:
-        structure, upon = parted_pair(axis.structure, dynamics, frequency, damping)
-        richer = replace(axis, structure=structure)
-        start = np.concatenate([found.vector[: axis.curves.size + 2], upon])
-        trial = minimize_simulation_error(many, richer.parametrization(), start, nuisance=nuisance, passes=12)
-        best = trial if best is None or trial.fitted < best.fitted else best
-    if best is None or not best.held_out < (1.0 - WORTHWHILE) * plain.held_out:
+    pairs = [parted_pair(axis.structure, dynamics, frequency, damping) for damping in PAIR_DAMPINGS]
+    richer = replace(axis, structure=pairs[0][0])
+    problem, before = richer.parametrization(), found.vector[: axis.curves.size + 2]
+    starts_of = [np.concatenate([before, upon]) for _, upon in pairs]
+    trials = [minimize_simulation_error(many, problem, start, nuisance=nuisance, passes=PAIR_TRIAL) for start in starts_of]
+    first = min(trials, key=lambda trial: trial.fitted)
+    best = minimize_simulation_error(many, problem, first.parameters, nuisance=nuisance, passes=PAIR_PASSES - PAIR_TRIAL)
+    if not best.held_out < (1.0 - WORTHWHILE) * plain.held_out:
+        return found
+    # Stretches may miss the moments that would contradict: the whole records decide.
+    if not simulation_error(turned, problem, best.parameters, nuisance) < simulation_error(
+        turned, axis.parametrization(), found.vector, nuisance
+    ):
         return found
     return replace(found, axis=richer, vector=best.parameters)
 

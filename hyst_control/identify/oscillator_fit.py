@@ -257,7 +257,9 @@ def problem_of(datasets: Sequence[Dataset], axis: int, nuisance: str) -> Problem
         One axis of all records.
     """
     linear = linear_start(datasets, axis)
-    windows = [replace(window, measurement=linear.sign * window.measurement) for window in whole_records(datasets, axis)]
+    windows = [
+        replace(window, measurement=linear.sign * window.measurement) for window in whole_records(datasets, axis, weighted=False)
+    ]
     return Problem(windows, linear, nuisance)
 
 

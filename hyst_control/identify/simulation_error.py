@@ -177,6 +177,30 @@ class _Search:
         return Trial(replace(found, grams=grams, linearized=point.parameters), float(np.max(np.abs(step))))
 
 
+def simulation_error(windows: Sequence[Window], parametrization: Parametrization, parameters: Array, nuisance: str) -> float:
+    """Mean square of the simulation error over all rows, beside the nuisances that reduce it most.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records of one axis.
+    parametrization
+        Chain of a parameter vector.
+    parameters
+        Parameters (P,).
+    nuisance
+        Nuisance of each record.
+
+    Returns
+    -------
+    float
+        Square of the measurement's unit.
+    """
+    groups = max(window.group for window in windows) + 1
+    grams = gram_matrices(windows, parametrization, parameters, nuisance, groups, derivatives=False)
+    return _solution(parameters, grams, True, 1, derivatives=False).fitted
+
+
 def gram_matrices(
     windows: Sequence[Window], parametrization: Parametrization, parameters: Array, nuisance: str, groups: int, *, derivatives: bool
 ) -> Grams:

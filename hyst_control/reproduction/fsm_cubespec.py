@@ -71,7 +71,7 @@ class Law:
         return force + "".join(f", stop operators of {1e3 * threshold:g} mV" for threshold in self.stops)
 
 
-LAWS = (Law((0.5,)), Law((0.5, 1.0)), Law((0.5, 1.0), (0.02,)), Law((0.5, 1.0), (0.03,)))
+LAWS = (Law((0.5,)), Law((0.5, 1.0)), Law((0.5, 1.0), (0.03,)))
 """Laws of the softening force and of the actuators' hysteresis among which the fifth realization chooses."""
 
 

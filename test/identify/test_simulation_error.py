@@ -22,6 +22,7 @@ from hyst_control.identify.simulation_error import (
     gram_matrices,
     minimize_simulation_error,
     short_stretches,
+    simulation_error,
     surviving_turns,
 )
 
@@ -133,3 +134,17 @@ def test_stretches_stand_for_the_record():
         gram = grams.fitted + grams.held_out
         left = gram[-1, -1] - gram[-1, :-1] @ np.linalg.solve(gram[:-1, :-1], gram[:-1, -1])
         assert left / sum(grams.rows) < 1e-6
+
+
+def test_the_error_over_all_rows_leaves_out_each_records_own_zero_and_drift():
+    random = np.random.default_rng(7)
+    problem = Parametrization(lambda vector: [Gain(float(vector[0]))], np.zeros((0, 1)), np.zeros(0))
+    windows, left = [], 0.0
+    for group, offset in enumerate((0.3, -2.0)):
+        command, time = random.normal(size=4000), np.linspace(0.0, 1.0, 4000)
+        measurement = 2.0 * command + offset + 0.1 * time
+        windows.append(Window(command, measurement, TS, "foh", 0, group))
+        error = measurement - 1.5 * command
+        left += np.mean((error - np.polyval(np.polyfit(time, error, 1), time)) ** 2) / 2.0
+    assert simulation_error(windows, problem, np.array([2.0]), "linear") < 1e-12
+    assert simulation_error(windows, problem, np.array([1.5]), "linear") == pytest.approx(left, rel=1e-6)
