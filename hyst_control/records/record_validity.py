@@ -69,14 +69,11 @@ MOST_PAIRED = 4
 PAIRED = 0.3
 """Mean share per axis by which another pairing of commands and measurements explains more."""
 
-DIFFERENT = 0.5
-"""Median relative difference of two records' responses. Records of one plant with like ranges: 0.4 at most."""
+DIFFERENCES = ((1.3, 0.35), (3.0, 0.5), (np.inf, 0.9))
+"""Ratio of two records' command ranges, and the median relative difference of their responses that says two plants up to it.
 
-VERY_DIFFERENT = 0.9
-"""The same where the ranges are not alike: a hysteresis' gain grows with amplitude, fivefold from the smallest on."""
-
-LIKE_RANGES = 3.0
-"""Ratio of two records' command ranges up to which they are alike."""
+A hysteresis' gain grows with amplitude, fivefold from the smallest on. Records of one plant: 0.26, 0.4 and 0.57 at most.
+"""
 
 EMPTY = 0.01
 """Power relative to the mean below which a frequency is not excited."""
@@ -387,7 +384,7 @@ def _between(one: Trial, other: Trial) -> Iterator[Finding]:
         spans = [float(np.ptp(trial.command[:, index])) for trial in (one, other)]
         if min(spans) <= 0:
             continue
-        limit = DIFFERENT if max(spans) <= LIKE_RANGES * min(spans) else VERY_DIFFERENT
+        limit = next(difference for ratio, difference in DIFFERENCES if max(spans) <= ratio * min(spans))
         responses = [each.response(index) for each in spectra]
         count = min(len(response) for response, _ in responses)
         shared = responses[0][1][:count] & responses[1][1][:count]
