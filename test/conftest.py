@@ -39,7 +39,7 @@ def ros_context(domain: int) -> Iterator[object]:
         rclpy.try_shutdown(context=context)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def measured_data() -> Path:
     """The folder with measured records."""
     return _shared("data", "HYST_DATA")
