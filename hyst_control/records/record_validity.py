@@ -67,6 +67,9 @@ INDEPENDENT = 0.1
 MOST_PAIRED = 4
 """Axes up to which every order is tried."""
 
+CLEAR_LEAD = 3.0
+"""deg by which a measurement leads that a model explains which does not."""
+
 PAIRED = 0.3
 """Mean share by which another pairing of commands and measurements explains more."""
 
@@ -202,7 +205,7 @@ def _of_trial(trial: Trial) -> list[Finding]:
     if len(trial.command) < SHORTEST_RECORD:
         return [_dead(trial, index, passed) for index, passed in frozen.items()]
     if _known(trial, moving):
-        return []
+        return _against_a_lagging_model(trial, moving)
     spectra = Spectra.of(trial.command, trial.measurement, _segment(len(trial.command)))
     found = [] if frozen else _pairing(trial, spectra, moving)
     if found:
@@ -239,6 +242,23 @@ def _known(trial: Trial, moving: Sequence[int]) -> bool:
         return False
     measured, error = trial.measurement[:, moving], (trial.measurement - trial.simulated)[:, moving]
     return bool(np.all(np.var(error, axis=0) < (1.0 - KNOWN) * np.var(measured, axis=0)))
+
+
+def _against_a_lagging_model(trial: Trial, moving: Sequence[int]) -> list[Finding]:
+    """Axes that lead their command though the model that explains them does not: their time runs backwards."""
+    if trial.simulated is None:
+        return []
+    length = _segment(len(trial.command))
+    measured = Spectra.of(trial.command, trial.measurement, length)
+    leads = {index: -measured.lag(index) for index in moving}
+    if max(leads.values()) <= CLEAR_LEAD:
+        return []
+    modelled = Spectra.of(trial.command, trial.simulated, length)
+    return [
+        Finding("reversed_time", trial.name, trial.axes[index], lead, CLEAR_LEAD)
+        for index, lead in leads.items()
+        if lead > CLEAR_LEAD and modelled.lag(index) > -LEAD
+    ]
 
 
 def _comes_late(trial: Trial, index: int) -> bool:
@@ -351,7 +371,7 @@ def _against_the_model(trial: Trial, moving: Sequence[int]) -> Iterator[Finding]
     expressive = [index for index in moving if np.ptp(trial.simulated[:, index]) > 0 and np.ptp(trial.measurement[:, index]) > 0]
     if 2 <= len(expressive) <= MOST_PAIRED:
         both = np.hstack([trial.simulated[:, expressive], trial.measurement[:, expressive]])
-        likeness = np.corrcoef(both, rowvar=False)[: len(expressive), len(expressive) :]
+        likeness = np.asarray(np.corrcoef(both, rowvar=False))[: len(expressive), len(expressive) :]
         exchanged = _exchanged_axes(np.abs(likeness), trial.name, [trial.axes[index] for index in expressive])
         if exchanged:
             yield from exchanged

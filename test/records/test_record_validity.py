@@ -204,7 +204,16 @@ def drifting(sound, random):
     return changed(sound, measurement=np.cumsum(np.cumsum(random.normal(size=sound.command.shape), axis=0), axis=0))
 
 
+def of_another_run(sound, random):
+    """Motion of about a hundredth of the record's length, which has nothing to do with its command."""
+    width = len(sound.command) // 100
+    noise = random.normal(size=(len(sound.command) + width - 1, len(sound.axes)))
+    smooth = np.apply_along_axis(np.convolve, 0, noise, np.hanning(width), "valid")
+    return changed(sound, measurement=smooth)
+
+
 SPOILT = [
+    (of_another_run, {"unrelated_measurement"}),
     (shuffled, {"shuffled_command"}),
     (backwards_command, {"reversed_command"}),
     (backwards, {"reversed_time"}),
@@ -246,6 +255,10 @@ def test_range_and_sign_against_a_model(plant):
         [finding, *_] = check_records([changed(sound, measurement=factor * sound.measurement, simulated=model)])
         assert finding.name == "scaled_measurement" and finding.value == pytest.approx(factor, rel=0.1)
     assert names(changed(sound, command=-sound.command, measurement=-sound.measurement, simulated=model)) == {"sign_turned"}
+    back = load_plant(plant, seed=4, sample_time=sound.sample_time)
+    first, command = back.reset(sound.command[-1]), np.ascontiguousarray(sound.command[::-1])
+    model = np.concatenate([first[None], back.step(command)[:-1]])
+    assert names(changed(sound, command=command, measurement=sound.measurement[::-1], simulated=model)) == {"reversed_time"}
 
 
 @pytest.mark.parametrize("plant", RATES)
