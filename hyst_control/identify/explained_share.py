@@ -69,7 +69,7 @@ def explained_shares(datasets: Sequence[Dataset], errors: Sequence[Array]) -> li
 
 
 def useless(rows: Sequence[ExplainedRow]) -> list[ExplainedRow]:
-    """Axes of which the model explains next to nothing, or less than a constant and a gain."""
+    """Those of `rows` of which the model explains next to nothing, or less than a constant and a gain."""
     return [
         row
         for row in rows
@@ -78,7 +78,7 @@ def useless(rows: Sequence[ExplainedRow]) -> list[ExplainedRow]:
 
 
 def sentence(row: ExplainedRow) -> str:
-    """What there is to say of a useless fit of one axis."""
+    """Note on a useless fit of the axis of `row`, as one line."""
     return (
         f"{row['axis']}: the model explains {100 * row['model']:.1f} % of the measured power, a constant and a gain "
         f"{100 * row['gain']:.1f} %: check the records, or choose another family"
