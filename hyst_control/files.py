@@ -53,13 +53,13 @@ def check_outputs(outputs: Mapping[str, str | Path | None], inputs: Iterable[str
     InputError
         Where an output is an input or lies within one, or two outputs are the same file.
     """
-    read = [Path(path) for path in inputs if path is not None and _exists(path)]
+    read = [Path(path) for path in inputs if path is not None and os.path.lexists(path)]
     named: dict[Path, str] = {}
     for name, path in outputs.items():
         if path is None or path == "-":
             continue
         real = Path(os.path.realpath(path))
-        if _exists(real) and not real.is_file() and not real.is_dir():
+        if os.path.lexists(real) and not real.is_file() and not real.is_dir():
             continue  # a device or FIFO takes any number of them
         for source in read:
             own = Path(os.path.realpath(source))
@@ -137,10 +137,3 @@ def _mode(path: Path) -> int | None:
         return os.stat(path).st_mode
     except (FileNotFoundError, NotADirectoryError):
         return None
-
-
-def _exists(path: str | Path) -> bool:
-    try:
-        return os.path.lexists(path)
-    except ValueError:  # a NUL in a name
-        return False

@@ -49,7 +49,7 @@ def browser() -> Iterator[Callable[..., browsers.Seen]]:
         yield lambda path, width, scheme="light": browsers.look_at(running, path, width, scheme)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def measured_data() -> Path:
     """The folder with measured records."""
     return _shared("data", "HYST_DATA")

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from hyst_control.cli import parser
+from hyst_control.records.record_validity import NAMES
 from hyst_control.reporting.command_reference import command_reference
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -89,9 +90,13 @@ def test_a_command_of_the_readme_parses(line, capsys):
 def test_every_test_that_the_safety_page_names_exists():
     """And every row of its table of faults names one."""
     text = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
-    table = text[text.index("## Faults") : text.index("## A node for your hardware")]
+    table = text[text.index("## Faults") : text.index("## Records and files")]
     rows = [line.split("|")[1:-1] for line in table.splitlines() if line.startswith("| ")][1:]
     assert len(rows) > 15 and all(len(row) == 4 and re.search(r"`test_\w+`", row[3]) and row[2].strip() for row in rows)
+    table = text[text.index("## Records and files") : text.index("## A node for your hardware")]
+    rows = [line.split("|")[1:-1] for line in table.splitlines() if line.startswith("| ")][1:]
+    said = set(re.findall(r"`(\w+)`", "".join(row[1] for row in rows)))
+    assert all("`test_" in row[2] or "as above" in row[2] for row in rows) and set(NAMES) <= said
     defined = {
         name
         for file in (ROOT / "test").rglob("test_*.py")

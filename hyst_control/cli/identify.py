@@ -43,7 +43,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--allow-gaps", action="store_true", help="accept records with lost samples, and use the stretches between them"
     )
-    parser.add_argument("--force", action="store_true", help="fit records, too, that are no measurement of their command")
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="fit records, too, that are no measurement of their command, and write the model whatever it explains",
+    )
+    parser.add_argument(
+        "--strict",
+        action="store_true",
+        help="exit status 3 where the model explains less than a constant and a gain, or the records disagree under it",
+    )
     parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
     _add_when_needed(parser)
@@ -110,6 +119,7 @@ def run(arguments: argparse.Namespace) -> Result:
         start=arguments.start,
         allow_gaps=arguments.allow_gaps,
         force=arguments.force,
+        strict=arguments.strict,
         namespace=arguments.namespace,
         unit=arguments.unit,
         figure=arguments.figure,

@@ -353,6 +353,10 @@ class Report(_Report, total=False):
         Paths of the bags.
     beginnings
         State that was taken for the beginning of each record.
+    verdict
+        "explains", "records_disagree" (under the common model), "explains_nothing", or "invalid_record" where the fit was forced.
+    explained
+        Shares of the measured power that the model explains, and a constant and a gain, a row an axis.
     family, method
         Model family, and "joint" or "paper".
     unit
@@ -374,6 +378,8 @@ class Report(_Report, total=False):
     states: int
     bags: list[str]
     beginnings: list[BeginningRow]
+    verdict: str
+    explained: list[Any]
 
 
 @dataclass(frozen=True)

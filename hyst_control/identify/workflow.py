@@ -12,6 +12,7 @@ from hyst_control.errors import InputError
 from hyst_control.files import check_writable, write_json
 from hyst_control.identify import estimator_of, estimators, identify
 from hyst_control.identify.dataset import Dataset, Fit, Report
+from hyst_control.identify.explained_share import DISAGREE, EXPLAINS, INVALID, NOTHING, explained_shares, sentence, useless
 from hyst_control.identify.fit_report import residual
 from hyst_control.identify.initial_memory import with_beginning
 from hyst_control.identify.learned_discrepancy import discrepancy_of
@@ -21,7 +22,7 @@ from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, Model, sav
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.clock_alignment import aligned_by_reception
 from hyst_control.records.record import Aligned, Record
-from hyst_control.records.record_validity import Trial, refuse_invalid
+from hyst_control.records.record_validity import Trial, check_records, refuse_invalid
 
 AUTO = "auto"
 """In place of a family: the best one."""
@@ -42,11 +43,27 @@ class Result:
     fit
         Model and report.
     output
-        The file it was written to.
+        The file it was written to; None where the model explains nothing and was not.
+    strict
+        Whether a verdict other than "explains" is a failure of the command.
     """
 
     fit: Fit
-    output: Path
+    output: Path | None
+    strict: bool = False
+
+    @property
+    def exit_status(self) -> int:
+        """Exit status of the command: 3 where `strict` and the verdict is not "explains", 2 where no model was written, else 0."""
+        if self.strict and self.fit.report["verdict"] != EXPLAINS:
+            return 3
+        return 0 if self.output is not None else 2
+
+    def written(self) -> Path:
+        """The model file. Raises `InputError` where there is none."""
+        if self.output is None:
+            raise InputError(self.fit.report["notes"][0])
+        return self.output
 
     def text(self) -> str:
         """Summarize the fit in a few lines."""
@@ -67,7 +84,8 @@ class Result:
         if "tried" in report:
             lines += choice_lines(report["tried"])
         lines += [f"  note: {note}" for note in report["notes"]]
-        return "\n".join([*lines, f"  written: {self.output}"])
+        written = "no model is written (--force writes it)" if self.output is None else f"written: {self.output}"
+        return "\n".join([*lines, f"  {written}"])
 
     def document(self) -> Report:
         """The fit report."""
@@ -88,9 +106,10 @@ def identify_bags(
     namespace: str | None = None,
     unit: str = "unknown",
     figure: str | Path | None = None,
+    strict: bool = False,
     **options: object,
 ) -> Result:
-    """Identify a model from bags and write it. Nothing is written unless the fit succeeded.
+    """Identify a model from bags and write it. No model is written that explains less of the records than a constant and a gain.
 
     Parameters
     ----------
@@ -107,9 +126,11 @@ def identify_bags(
     hold, start, allow_gaps, namespace, unit
         How the bags are read: see `datasets_of` and `read_bag`.
     force
-        Fit records, too, that are no measurement of their command, or of several plants.
+        Fit records, too, that are no measurement of their command, or of several plants, and write the model whatever it explains.
     figure
         Figure of the choice between families to write.
+    strict
+        Of the result: see `Result.exit_status`.
     **options
         Options of the family, as values or texts; None: not given.
 
@@ -140,20 +161,35 @@ def identify_bags(
         record = aligned_by_reception(read_bag(bag, namespace, unit), TOPICS)
         notes += record.notes
         datasets += datasets_of(record, hold, start, allow_gaps, notes)
+    looked_at = [each.rows(0, LONGEST_JUDGED) for each in datasets]
+    trials = [Trial(each.name, each.command, each.measurement, each.sample_time, each.axes) for each in looked_at]
     if not force:
-        looked_at = [each.rows(0, LONGEST_JUDGED) for each in datasets]
-        refuse_invalid([Trial(each.name, each.command, each.measurement, each.sample_time, each.axes) for each in looked_at])
+        refuse_invalid(trials)
+    found = check_records(trials) if force else []
     fit = identified(datasets, family, method, **given)
-    notes += [each.text() for each in disagreements(fit.model, [with_beginning(data) for data in datasets])]
-    fit = replace(fit, report={**fit.report, "bags": [str(bag) for bag in bags], "notes": [*notes, *fit.report["notes"]]})
-    save_model(fit.model, output)
+    begun = [with_beginning(data) for data in datasets]
+    shares = explained_shares(begun, [residual(fit.model, data) for data in begun])
+    differing = [each.text() for each in disagreements(fit.model, begun)]
+    verdict = INVALID if found else NOTHING if useless(shares) else DISAGREE if differing else EXPLAINS
+    notes = [
+        *(each.text() for each in found),
+        *(sentence(row) for row in useless(shares)),
+        *notes,
+        *differing,
+        *fit.report["notes"],
+    ]
+    judged: Report = {**fit.report, "verdict": verdict, "explained": shares, "bags": [str(bag) for bag in bags], "notes": notes}
+    fit = replace(fit, report=judged)
+    keep = force or verdict != NOTHING
+    if keep:
+        save_model(fit.model, output)
     if json_path is not None:
         write_json(json_path, fit.report)
     if figure is not None:
         from hyst_control.identify.choice_figure import write_choice  # takes a second
 
         write_choice(figure, fit.report["tried"])
-    return Result(fit, Path(output))
+    return Result(fit, Path(output) if keep else None, strict)
 
 
 def identified(datasets: Sequence[Dataset], family: str | None = None, method: str = "joint", **options: object) -> Fit:

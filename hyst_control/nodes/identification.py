@@ -113,6 +113,7 @@ class Identification(EndingNode):
         output, report = self._within("output"), self._within("json") if given.json else None
         options = {name: getattr(given, name) for name in every_option() if getattr(given, name) != ""}
         result = identify_bags(given.bags, given.family or None, output, json_path=report, **options)
+        result.written()
         return result.text()
 
     def _within(self, name: str) -> str:

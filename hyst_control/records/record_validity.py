@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations, permutations
 
 import numpy as np
@@ -66,17 +67,17 @@ INDEPENDENT = 0.1
 MOST_PAIRED = 4
 """Axes up to which every order is tried."""
 
+CLEAR_LEAD = 3.0
+"""deg by which a measurement leads that a model explains which does not."""
+
 PAIRED = 0.3
-"""Mean share per axis by which another pairing of commands and measurements explains more."""
+"""Mean share by which another pairing of commands and measurements explains more."""
 
-DIFFERENT = 0.5
-"""Median relative difference of two records' responses. Records of one plant with like ranges: 0.4 at most."""
+DIFFERENCES = ((1.3, 0.35), (3.0, 0.5), (np.inf, 0.9))
+"""Ratio of two records' command ranges, and the median relative difference of their responses that says two plants up to it.
 
-VERY_DIFFERENT = 0.9
-"""The same where the ranges are not alike: a hysteresis' gain grows with amplitude, fivefold from the smallest on."""
-
-LIKE_RANGES = 3.0
-"""Ratio of two records' command ranges up to which they are alike."""
+A hysteresis' gain grows with amplitude, fivefold from the smallest on. Records of one plant: 0.26, 0.4 and 0.57 at most.
+"""
 
 EMPTY = 0.01
 """Power relative to the mean below which a frequency is not excited."""
@@ -185,8 +186,9 @@ def check_records(trials: Sequence[Trial]) -> list[Finding]:
         found += own
         if not own and len(trial.command) >= SHORTEST_RECORD:
             sound.append(trial)
-    for one, other in combinations(sound, 2):
-        found += _between(one, other)
+    spectra: dict[tuple[int, int], Spectra] = {}
+    for one, other in combinations(range(len(sound)), 2):
+        found += _between((sound[one], sound[other]), (one, other), spectra)
     return found
 
 
@@ -203,7 +205,7 @@ def _of_trial(trial: Trial) -> list[Finding]:
     if len(trial.command) < SHORTEST_RECORD:
         return [_dead(trial, index, passed) for index, passed in frozen.items()]
     if _known(trial, moving):
-        return []
+        return _against_a_lagging_model(trial, moving)
     spectra = Spectra.of(trial.command, trial.measurement, _segment(len(trial.command)))
     found = [] if frozen else _pairing(trial, spectra, moving)
     if found:
@@ -242,6 +244,23 @@ def _known(trial: Trial, moving: Sequence[int]) -> bool:
     return bool(np.all(np.var(error, axis=0) < (1.0 - KNOWN) * np.var(measured, axis=0)))
 
 
+def _against_a_lagging_model(trial: Trial, moving: Sequence[int]) -> list[Finding]:
+    """Axes that lead their command though the model that explains them does not: their time runs backwards."""
+    if trial.simulated is None:
+        return []
+    length = _segment(len(trial.command))
+    measured = Spectra.of(trial.command, trial.measurement, length)
+    leads = {index: -measured.lag(index) for index in moving}
+    if max(leads.values()) <= CLEAR_LEAD:
+        return []
+    modelled = Spectra.of(trial.command, trial.simulated, length)
+    return [
+        Finding("reversed_time", trial.name, trial.axes[index], lead, CLEAR_LEAD)
+        for index, lead in leads.items()
+        if lead > CLEAR_LEAD and modelled.lag(index) > -LEAD
+    ]
+
+
 def _comes_late(trial: Trial, index: int) -> bool:
     """True where an axis is what was expected of it, by the model or else by its command, but clearly later.
 
@@ -255,6 +274,8 @@ def _comes_late(trial: Trial, index: int) -> bool:
         return False
     late = correlate(other, one, mode="full", method="fft")[len(one) - 1 : len(one) - 1 + max(len(one) // 2, 1)] / size
     lag = int(np.argmax(late))
+    if -float(late[: lag + 1].min()) > late[lag]:
+        return False  # its sign is turned
     return bool(late[lag] ** 2 > KNOWN and late[lag] ** 2 > max(float(late[0]), 0.0) ** 2 + LATER)
 
 
@@ -339,10 +360,9 @@ def _exchanged_axes(likeness: Array, name: str, axes: Sequence[str]) -> list[Fin
     """Axes that are better matched in another order; likeness (A, A) of what is expected of one axis and what is measured on another."""
     count = len(axes)
     best = max(permutations(range(count)), key=lambda order: sum(likeness[order[k], k] for k in range(count)))
-    gained = (sum(float(likeness[best[k], k]) for k in range(count)) - float(np.trace(likeness))) / count
-    if gained <= PAIRED:
-        return []
-    return [Finding("swapped_axes", name, axes[k], gained, PAIRED) for k in range(count) if best[k] != k]
+    moved = [k for k in range(count) if best[k] != k]
+    gained = sum(float(likeness[best[k], k] - likeness[k, k]) for k in moved) / max(len(moved), 1)
+    return [Finding("swapped_axes", name, axes[k], gained, PAIRED) for k in moved] if gained > PAIRED else []
 
 
 def _against_the_model(trial: Trial, moving: Sequence[int]) -> Iterator[Finding]:
@@ -351,7 +371,7 @@ def _against_the_model(trial: Trial, moving: Sequence[int]) -> Iterator[Finding]
     expressive = [index for index in moving if np.ptp(trial.simulated[:, index]) > 0 and np.ptp(trial.measurement[:, index]) > 0]
     if 2 <= len(expressive) <= MOST_PAIRED:
         both = np.hstack([trial.simulated[:, expressive], trial.measurement[:, expressive]])
-        likeness = np.corrcoef(both, rowvar=False)[: len(expressive), len(expressive) :]
+        likeness = np.asarray(np.corrcoef(both, rowvar=False))[: len(expressive), len(expressive) :]
         exchanged = _exchanged_axes(np.abs(likeness), trial.name, [trial.axes[index] for index in expressive])
         if exchanged:
             yield from exchanged
@@ -368,8 +388,9 @@ def _against_the_model(trial: Trial, moving: Sequence[int]) -> Iterator[Finding]
             yield Finding("sign_turned", trial.name, trial.axes[index], correlation, OPPOSED)
 
 
-def _between(one: Trial, other: Trial) -> Iterator[Finding]:
-    """Findings about two sound records beside each other."""
+def _between(trials: tuple[Trial, Trial], numbers: tuple[int, int], known: dict[tuple[int, int], Spectra]) -> Iterator[Finding]:
+    """Findings about two sound records beside each other; known: spectra by the record's number and the length of a segment."""
+    one, other = trials
     name = f"{one.name} and {other.name}"
     if one.axes != other.axes:
         yield Finding("different_plants", name, "", float(len(other.axes)), float(len(one.axes)))
@@ -378,7 +399,10 @@ def _between(one: Trial, other: Trial) -> Iterator[Finding]:
     lengths = [int(round(duration / trial.sample_time)) for trial in (one, other)]
     if min(lengths) < SHORTEST_SEGMENT or max(lengths) > LONGEST_SEGMENT:
         return
-    spectra = [Spectra.of(trial.command, trial.measurement, length) for trial, length in zip((one, other), lengths, strict=True)]
+    for trial, key in zip(trials, zip(numbers, lengths, strict=True), strict=True):
+        if key not in known:
+            known[key] = Spectra.of(trial.command, trial.measurement, key[1])
+    spectra = [known[key] for key in zip(numbers, lengths, strict=True)]
     exchanged = _exchanged_axes_between(spectra, name, one.axes)
     if exchanged:
         yield from exchanged
@@ -387,7 +411,7 @@ def _between(one: Trial, other: Trial) -> Iterator[Finding]:
         spans = [float(np.ptp(trial.command[:, index])) for trial in (one, other)]
         if min(spans) <= 0:
             continue
-        limit = DIFFERENT if max(spans) <= LIKE_RANGES * min(spans) else VERY_DIFFERENT
+        limit = next(difference for ratio, difference in DIFFERENCES if max(spans) <= ratio * min(spans))
         responses = [each.response(index) for each in spectra]
         count = min(len(response) for response, _ in responses)
         shared = responses[0][1][:count] & responses[1][1][:count]
@@ -417,7 +441,7 @@ def _exchanged_axes_between(spectra: Sequence[Spectra], name: str, axes: Sequenc
             shared &= each.response(index)[1][:count] & each.independent[:count]
     if shared.sum() < FEWEST_LINES:
         return []
-    first, second = (np.linalg.solve(each.auto[:count][shared], each.cross[:count][shared]) for each in spectra)
+    first, second = (each.transfer[:count][shared] for each in spectra)
     sizes = [np.sqrt(np.sum(np.abs(each) ** 2, axis=(0, 1))) for each in (first, second)]
     likeness = np.einsum("fab,fac->bc", first.conj(), second).real / np.maximum(np.outer(*sizes), 1e-300)
     return _exchanged_axes(np.abs(likeness), name, axes)
@@ -479,12 +503,20 @@ class Spectra:
         made = (np.abs(self.cross) ** 2 / np.maximum(own, 1e-300)[:, :, None]).sum(axis=0)
         return np.asarray(made / np.maximum(self.power.sum(axis=0), 1e-300), dtype=np.float64)
 
-    @property
+    @cached_property
     def independent(self) -> NDArray[np.bool_]:
         """Frequencies (F,) at which no command is a sum of others."""
         own = np.sqrt(np.maximum(np.einsum("faa->fa", self.auto).real, 1e-300))
         normal = self.auto / (own[:, :, None] * own[:, None, :])
         return np.asarray(np.linalg.eigvalsh(normal)[:, 0] > INDEPENDENT)
+
+    @cached_property
+    def transfer(self) -> Complex:
+        """Responses (F, A, A) [command, measurement] to independent commands; 0 where they are not."""
+        found = np.zeros_like(self.cross)
+        apart = self.independent
+        found[apart] = np.linalg.solve(self.auto[apart], self.cross[apart])
+        return found
 
     def path(self, index: int) -> tuple[Complex, Array]:
         """Cross spectrum (F,) of the command and the measurement of axis `index`, and the share (F,) of its power made so.
@@ -495,11 +527,9 @@ class Spectra:
         cross = self.cross[:, index, index].copy()
         made = np.abs(cross) ** 2 / np.maximum(own * power, 1e-300)
         if self.auto.shape[1] > 1 and (apart := self.independent).any():
-            response = np.linalg.solve(self.auto[apart], self.cross[apart][:, :, index : index + 1])[:, :, 0]
+            response = self.transfer[apart][:, :, index]
             cross[apart] = response[:, index] * own[apart]
-            explained = np.einsum("fa,fa->f", response.conj(), self.cross[apart][:, :, index]).real / np.maximum(
-                power[apart], 1e-300
-            )
+            explained = np.sum(response.conj() * self.cross[apart][:, :, index], axis=1).real / np.maximum(power[apart], 1e-300)
             direct = np.abs(cross[apart]) ** 2 / np.maximum(own[apart] * power[apart], 1e-300)
             made[apart] = np.where(direct > INDEPENDENT, explained, 0.0)
         return cross, np.asarray(made, dtype=np.float64)
@@ -514,7 +544,7 @@ class Spectra:
         if len(every) == 1 or known.sum() < FEWEST_LINES:
             return [self.response(index) for index in axes]
         found = np.zeros(len(known), complex)
-        found[known] = np.linalg.det(np.linalg.solve(self.auto[known], self.cross[known]))
+        found[known] = np.linalg.det(self.transfer[known])
         return [(found, known)]
 
     def lag(self, index: int) -> float:
@@ -537,12 +567,19 @@ class Spectra:
 
     def response(self, index: int) -> tuple[Complex, NDArray[np.bool_]]:
         """Frequency response (F,) of axis `index` to its command, and a mask (F,) of the frequencies at which it is known."""
-        own = self.auto[:, index, index].real
-        cross, made = self.path(index)
-        sure = made > SURE
-        for power in (own, self.power[:, index]):
-            sure &= power > EXCITED * power[1:].max(initial=0.0)
-        return cross / np.maximum(own, 1e-300), sure
+        return self._responses[index]
+
+    @cached_property
+    def _responses(self) -> list[tuple[Complex, NDArray[np.bool_]]]:
+        found = []
+        for index in range(self.auto.shape[1]):
+            own = self.auto[:, index, index].real
+            cross, made = self.path(index)
+            sure = made > SURE
+            for power in (own, self.power[:, index]):
+                sure &= power > EXCITED * power[1:].max(initial=0.0)
+            found.append((cross / np.maximum(own, 1e-300), sure))
+        return found
 
 
 def _segment(count: int) -> int:

@@ -9,10 +9,12 @@ from hyst_control.cli import main
 from hyst_control.config_files import config_path
 from hyst_control.diagnose import workflow
 from hyst_control.diagnose.invalid_records import invalid_report
-from hyst_control.model_file import load_model, simulate
+from hyst_control.identify import workflow as identification
+from hyst_control.model_file import load_model, model_from_document, save_model, simulate
 from hyst_control.records.excitation import build
 from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.record_validity import NAMES
 
 MODEL = config_path("models/pea_hampi.yaml")
 
@@ -63,3 +65,43 @@ def test_records_that_cannot_be_read_are_left_to_the_diagnosis(sound):
     model, command, measurement = sound
     assert invalid_report([record(model, command, np.full_like(measurement, np.nan))], model) is None
     assert invalid_report([record(model, command, measurement)], load_model(config_path("models/fsm_mhl.yaml"))) is None
+
+
+@pytest.mark.parametrize(
+    "name, spoil",
+    [
+        *SPOILT.items(),
+        ("reversed_time", lambda u, y: (u[::-1], y[::-1])),
+        ("unplugged_sensor", lambda u, y: (u, np.cumsum(np.random.default_rng(2).normal(size=y.shape), axis=0))),
+    ],
+)
+def test_measured_records_are_refused_by_both_commands(name, spoil, measured_data, tmp_path, monkeypatch, capsys):
+    """The piezo stack, with a plain gain for its model; an identification sees the sound record beside the spoilt one."""
+    rows = np.loadtxt(measured_data / "pea_p885" / "Test_Vi_Do_Di.dat")[7400:]
+    u, y = rows[:, :1], rows[:, 4:5]
+    chain = [{"stage": "gain", "gain": 12.0}]
+    head = {"format": "hyst_control/model", "version": 1, "name": "gain", "axes": ["x"], "sample_time": 0.005}
+    model = model_from_document({**head, "units": {"command": "V", "measurement": "um"}, "chain": chain})
+    save_model(model, tmp_path / "gain.yaml")
+    for label, (command, measurement) in (("sound", (u, y)), ("spoilt", spoil(u, y))):
+        write_bag(tmp_path / label, record(model, np.ascontiguousarray(command), np.ascontiguousarray(measurement)))
+    monkeypatch.setattr(workflow, "diagnosed", None)
+    monkeypatch.setattr(identification, "identify", None)
+    words = ["diagnose", str(tmp_path / "spoilt"), "--model", str(tmp_path / "gain.yaml"), "--json", str(tmp_path / "gap.json")]
+    assert main(words) == 0
+    document = json.loads((tmp_path / "gap.json").read_text())
+    assert document["verdict"] == "unknown" and document["reasons"] == ["invalid_record", name]
+    assert invalid_report([record(model, u, y)], model) is None
+    capsys.readouterr()
+    words = [
+        "identify",
+        str(tmp_path / "sound"),
+        str(tmp_path / "spoilt"),
+        "--model",
+        "linear",
+        "--output",
+        str(tmp_path / "m.yaml"),
+    ]
+    assert main(words) == 2 and not (tmp_path / "m.yaml").exists()
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1 and NAMES[name][0] in line

@@ -108,22 +108,57 @@ def test_nothing_is_found_whatever_drives_a_plant(data):
     assert check_records([driven(plant, spec, data.draw(st.integers(0, 1000)), "random")]) == []
 
 
+def stack_trials(folder):
+    tables = [np.loadtxt(folder / "pea_p885" / name)[5:][:, [0, 4]] for name in ("Model_Vi_Do.dat", "Test_Vi_Do_Di.dat")]
+    tables += [tables[0][2000:2201], tables[1][:7300], tables[1][7400:]]
+    return [Trial(f"stack {k}", z[:, :1], z[:, 1:], 0.005, ("x",)) for k, z in enumerate(tables)]
+
+
+def mirror_trials(folder, levels=(100, 200, 300), realizations=range(6)):
+    """Records of two periods, with what a frequency response of all of a level's realizations makes of their commands."""
+    found = []
+    for level in levels:
+        u, y = (np.load(folder / "fsm_cubespec" / f"{letter}_{level}mV_train.npy").astype(float) for letter in "uy")
+        u, y = u.transpose(3, 2, 0, 1), 1e6 * y.transpose(3, 2, 0, 1)  # (periods, realizations, N, axes)
+        spectra = [np.fft.rfft(signal.mean(axis=0), axis=1) for signal in (u, y)]
+        response = np.stack([np.linalg.lstsq(spectra[0][:, k], spectra[1][:, k], rcond=1e-6)[0] for k in range(4097)])
+        for k in realizations:
+            made = np.fft.irfft(np.einsum("fa,fab->fb", spectra[0][k], response), 8192, axis=0)
+            both = np.concatenate(u[:, k]), np.concatenate(y[:, k])
+            found.append(Trial(f"{level} mV {k}", *both, 1 / 6400, ("x", "y", "z"), np.concatenate([made, made])))
+    return found
+
+
+def oscillator_trials(folder):
+    tables = [np.load(folder / "bouc_wen" / f"{name}.npy") for name in ("multisine_train", "multisine_test", "sinesweep_test")]
+    return [Trial(str(k), z[:, :1], 1e3 * z[:, 1:], 1 / 750, ("x",)) for k, z in enumerate(tables)]
+
+
+@pytest.fixture(scope="module")
+def measured(request):
+    """Two sound records of each measured plant, and the simulation of a model where there is one."""
+    folder = request.getfixturevalue("measured_data")
+    stack, oscillator = stack_trials(folder), oscillator_trials(folder)
+    stack = [changed(each, simulated=12.0 * each.command) for each in (stack[4], stack[0])]
+    return {"stack": stack, "mirror": mirror_trials(folder, (200,), (0, 3)), "oscillator": [oscillator[0], oscillator[2]]}
+
+
+def without_model(trial):
+    return Trial(**{**vars(trial), "simulated": None})
+
+
 def test_nothing_is_found_on_measured_records(measured_data):
-    stack = [np.loadtxt(measured_data / "pea_p885" / name)[5:][:, [0, 4]] for name in ("Model_Vi_Do.dat", "Test_Vi_Do_Di.dat")]
-    stack += [stack[0][2000:2201], stack[1][:7300], stack[1][7400:]]
-    assert check_records([Trial(f"stack {k}", z[:, :1], z[:, 1:], 0.005, ("x",)) for k, z in enumerate(stack)]) == []
-    mirror = []
-    for level in (100, 200, 300):
-        u, y = (np.load(measured_data / "fsm_cubespec" / f"{letter}_{level}mV_train.npy").astype(float) for letter in "uy")
-        for k in range(6):
-            both = [np.concatenate([signal[:, :, k, 0], signal[:, :, k, 1]]) for signal in (u, y)]
-            mirror.append(Trial(f"{level} mV {k}", both[0], 1e6 * both[1], 1 / 6400, ("x", "y", "z")))
-        mirror.append(Trial(f"{level} mV", u[:, :, 0, 0], 1e6 * y[:, :, 0, 0], 1 / 6400, ("x", "y", "z")))
-    assert check_records(mirror) == []
-    oscillator = [
-        np.load(measured_data / "bouc_wen" / f"{name}.npy") for name in ("multisine_train", "multisine_test", "sinesweep_test")
+    mirror = mirror_trials(measured_data)
+    one_period = [
+        changed(without_model(each), command=each.command[:8192], measurement=each.measurement[:8192]) for each in mirror[::6]
     ]
-    assert check_records([Trial(str(k), z[:, :1], z[:, 1:], 1 / 750, ("x",)) for k, z in enumerate(oscillator)]) == []
+    for trials in (
+        stack_trials(measured_data),
+        [*map(without_model, mirror), *one_period],
+        mirror,
+        oscillator_trials(measured_data),
+    ):
+        assert check_records(trials) == []
 
 
 def shuffled(sound, random):
@@ -169,7 +204,16 @@ def drifting(sound, random):
     return changed(sound, measurement=np.cumsum(np.cumsum(random.normal(size=sound.command.shape), axis=0), axis=0))
 
 
+def of_another_run(sound, random):
+    """Motion of about a hundredth of the record's length, which has nothing to do with its command."""
+    width = len(sound.command) // 100
+    noise = random.normal(size=(len(sound.command) + width - 1, len(sound.axes)))
+    smooth = np.apply_along_axis(np.convolve, 0, noise, np.hanning(width), "valid")
+    return changed(sound, measurement=smooth)
+
+
 SPOILT = [
+    (of_another_run, {"unrelated_measurement"}),
     (shuffled, {"shuffled_command"}),
     (backwards_command, {"reversed_command"}),
     (backwards, {"reversed_time"}),
@@ -211,6 +255,10 @@ def test_range_and_sign_against_a_model(plant):
         [finding, *_] = check_records([changed(sound, measurement=factor * sound.measurement, simulated=model)])
         assert finding.name == "scaled_measurement" and finding.value == pytest.approx(factor, rel=0.1)
     assert names(changed(sound, command=-sound.command, measurement=-sound.measurement, simulated=model)) == {"sign_turned"}
+    back = load_plant(plant, seed=4, sample_time=sound.sample_time)
+    first, command = back.reset(sound.command[-1]), np.ascontiguousarray(sound.command[::-1])
+    model = np.concatenate([first[None], back.step(command)[:-1]])
+    assert names(changed(sound, command=command, measurement=sound.measurement[::-1], simulated=model)) == {"reversed_time"}
 
 
 @pytest.mark.parametrize("plant", RATES)
@@ -245,3 +293,60 @@ def test_a_lag_of_a_good_part_of_a_period_is_no_invalid_record(share):
     for simulated in (None, 0.03 * command[:, None]):
         trial = Trial("late", command[:, None], measured[:, None], step, ("x",), simulated)
         assert not check_records([trial])
+
+
+def permuted(sound, random):
+    return changed(sound, measurement=random.permutation(sound.measurement))
+
+
+def dithering(sound, random):
+    """A dead sensor whose last digit flickers."""
+    return changed(sound, measurement=np.where(random.integers(0, 2, size=sound.command.shape), 3.201, 3.2))
+
+
+def walking(sound, random):
+    return changed(sound, measurement=np.cumsum(random.normal(size=sound.command.shape), axis=0))
+
+
+def backwards_measurement(sound, random):
+    return changed(sound, measurement=sound.measurement[::-1])
+
+
+ALONE = [*SPOILT, (permuted, {"noise_alone"}), (dithering, {"noise_alone"}), (walking, {"unplugged_sensor"})]
+ALONE += [(backwards_measurement, {"reversed_command"})]
+
+
+@pytest.mark.parametrize("spoil, expected", ALONE, ids=[spoil.__name__ for spoil, _ in ALONE])
+@pytest.mark.parametrize("plant", ["stack", "mirror", "oscillator"])
+def test_spoilt_measured_records_are_named_as_what_they_are(plant, spoil, expected, measured):
+    """Without a model, as an identification sees them, and beside a sound record."""
+    sound, other = (without_model(each) for each in measured[plant])
+    broken = spoil(sound, np.random.default_rng(1))
+    if (plant, spoil) == ("mirror", exchanged):  # three sensors that are not where the actuators are: one of both is named
+        assert names(broken) in ({"swapped_signals"}, {"reversed_time"})
+        return
+    assert names(broken) == names(other, broken) == expected
+
+
+AGAINST = [
+    ("sign_turned", lambda sound: changed(sound, measurement=-sound.measurement)),
+    ("scaled_measurement", lambda sound: changed(sound, measurement=1e3 * sound.measurement)),
+    ("scaled_measurement", lambda sound: changed(sound, measurement=1e-3 * sound.measurement)),
+    ("swapped_axes", lambda sound: changed(sound, measurement=np.roll(sound.measurement, 1, axis=1))),
+    ("swapped_axes", lambda sound: changed(sound, measurement=sound.measurement[:, [1, 0, 2]])),
+    ("different_plants", lambda sound: changed(sound, measurement=1.7 * sound.measurement)),
+]
+
+
+@pytest.mark.parametrize("expected, spoil", AGAINST)
+@pytest.mark.parametrize("plant", ["stack", "mirror", "oscillator"])
+def test_measured_records_that_contradict_a_model_or_another_record_are_named(plant, expected, spoil, measured):
+    sound, other = measured[plant]
+    if expected == "swapped_axes" and plant != "mirror":
+        return
+    if expected == "different_plants" and plant == "oscillator":
+        return  # both records differ in range, and the limit is wider
+    broken = spoil(sound)
+    assert names(without_model(other), without_model(broken)) == {expected}
+    if sound.simulated is not None and expected != "different_plants":  # a gain of 1.7 is what a diagnosis is to find
+        assert names(broken) == {expected} and names(sound) == set()

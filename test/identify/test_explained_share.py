@@ -1,0 +1,136 @@
+"""A fit is held against a constant and a gain; one that explains less says so, and writes no model unless it is told to."""
+
+import json
+
+import numpy as np
+import pytest
+
+from hyst_control.cli import main
+from hyst_control.errors import InputError
+from hyst_control.identify import workflow
+from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.explained_share import explained_shares, useless
+from hyst_control.identify.workflow import identify_bags
+from hyst_control.model_file import Model, load_model, model_from_document
+from hyst_control.records.importing import write_bag
+from hyst_control.records.record import Record, Signal
+
+STEP = 1e-3
+TIME = np.arange(9000) * STEP
+FREQUENCIES = np.arange(1, 120) / 3.0
+PHASES = np.random.default_rng(5).uniform(0, 2 * np.pi, len(FREQUENCIES))
+DRIVE = 10.0 + 0.5 * np.sin(2 * np.pi * np.outer(TIME, FREQUENCIES) + PHASES).sum(axis=1)
+
+
+def gain_model(gain: float) -> Model:
+    return model_from_document(
+        {
+            "format": "hyst_control/model",
+            "version": 1,
+            "name": "made",
+            "axes": ["x"],
+            "sample_time": STEP,
+            "units": {"command": "V", "measurement": "um"},
+            "chain": [{"stage": "gain", "gain": gain}],
+        }
+    )
+
+
+def bag(path, measurement):
+    signals = {
+        "command": Signal(TIME, DRIVE[:, None], ("x",), "V"),
+        "measurement": Signal(TIME, measurement[:, None], ("x",), "um"),
+    }
+    write_bag(path, Record(signals, "made"))
+    return str(path)
+
+
+@pytest.mark.parametrize("zero", [0.0, 30.0])
+def test_shares_are_those_of_a_regression_with_one_zero_a_record(zero):
+    random = np.random.default_rng(0)
+    records = []
+    for k in range(2):
+        measured = 0.4 * DRIVE + zero * k + random.normal(size=len(DRIVE))
+        records.append(Dataset(str(k), DRIVE[:, None], measured[:, None], STEP, ("x",), "um"))
+    errors = [data.measurement - 0.3 * data.command for data in records]
+    [row] = explained_shares(records, errors)
+    zeros = np.repeat(np.eye(2), len(DRIVE), axis=0)
+    table, target = np.column_stack([np.tile(DRIVE, 2), zeros]), np.concatenate([data.measurement[:, 0] for data in records])
+    left = target - table @ np.linalg.lstsq(table, target, rcond=None)[0]
+    about_zeros = target - zeros @ np.linalg.lstsq(zeros, target, rcond=None)[0]
+    assert row["gain"] == pytest.approx(1.0 - left @ left / (about_zeros @ about_zeros), rel=1e-9)
+    gained = target - zeros @ np.linalg.lstsq(zeros, target - 0.3 * np.tile(DRIVE, 2), rcond=None)[0] - 0.3 * np.tile(DRIVE, 2)
+    assert row["model"] == pytest.approx(1.0 - gained @ gained / (about_zeros @ about_zeros), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "model, gain, bad",
+    [(0.9, 0.95, True), (0.96, 0.95, False), (0.9995, 0.99999, False), (0.05, 0.0, True), (-3.0, 0.0, True), (0.5, 0.5, False)],
+)
+def test_the_limits(model, gain, bad):
+    row = {"axis": "x", "model": model, "gain": gain}
+    assert useless([row]) == ([row] if bad else [])
+
+
+def test_an_axis_at_rest_is_not_judged():
+    still = Dataset("still", np.zeros((100, 1)), np.zeros((100, 1)), STEP, ("x",), "um")
+    assert explained_shares([still], [np.zeros((100, 1))]) == []
+
+
+@pytest.fixture
+def wrong(monkeypatch):
+    """A fit that moves against the records."""
+    report = {"family": "linear", "method": "joint", "unit": "um", "records": [], "parameters": [], "notes": ["said before"]}
+    monkeypatch.setattr(workflow, "identify", lambda *_, **__: Fit(gain_model(-0.4), dict(report)))
+
+
+@pytest.mark.parametrize(
+    "options, status, kept", [([], 2, False), (["--strict"], 3, False), (["--force"], 0, True), (["--force", "--strict"], 3, True)]
+)
+def test_a_model_that_explains_nothing_is_said_and_not_written(wrong, options, status, kept, tmp_path, capsys):
+    output, json_path = tmp_path / "model.yaml", tmp_path / "fit.json"
+    path = bag(tmp_path / "bag", 0.4 * DRIVE)
+    assert main(["identify", path, "--model", "linear", "--output", str(output), "--json", str(json_path), *options]) == status
+    assert output.exists() == kept
+    document = json.loads(json_path.read_text())
+    assert document["verdict"] == "explains_nothing" and document["notes"][1] == "said before"
+    [row] = document["explained"]
+    assert (
+        row["axis"] == "x" and row["gain"] == pytest.approx(1.0, rel=1e-3) and row["model"] == pytest.approx(1.0 - 2.0**2, rel=0.1)
+    )
+    said = capsys.readouterr().out
+    assert "x: the model explains -29" in said and "% of the measured power, a constant and a gain 100.0 %" in said
+    assert ("no model is written (--force writes it)" in said) != kept
+
+
+def test_a_caller_that_needs_the_model_is_told(wrong, tmp_path):
+    result = identify_bags([bag(tmp_path / "bag", 0.4 * DRIVE)], "linear", tmp_path / "model.yaml")
+    with pytest.raises(InputError, match="x: the model explains -29"):
+        result.written()
+
+
+@pytest.mark.parametrize("late, verdict, status", [(1, "explains", 0), (3, "records_disagree", 3)])
+def test_records_of_two_plants_are_a_verdict_of_their_own(late, verdict, status, tmp_path, monkeypatch, capsys):
+    """The same gain, but one answers 2 ms later: too little to be refused, too much for one plant."""
+    report = {"family": "linear", "method": "joint", "unit": "um", "records": [], "parameters": [], "notes": []}
+    monkeypatch.setattr(workflow, "identify", lambda *_, **__: Fit(gain_model(0.4), dict(report)))
+    answers = 0.4 * np.interp(TIME - STEP, TIME, DRIVE), 0.4 * np.interp(TIME - late * STEP, TIME, DRIVE)
+    noise = np.random.default_rng(0).normal(scale=0.01, size=(2, len(TIME)))
+    bags = [bag(tmp_path / f"bag{k}", answer + noise[k]) for k, answer in enumerate(answers)]
+    output, json_path = tmp_path / "model.yaml", tmp_path / "fit.json"
+    assert main(["identify", *bags, "--model", "linear", "--output", str(output), "--json", str(json_path), "--strict"]) == status
+    document = json.loads(json_path.read_text())
+    assert document["verdict"] == verdict and load_model(output)
+    assert ("they differ by" in " ".join(document["notes"])) == (verdict == "records_disagree")
+    assert capsys.readouterr().err == ""
+
+
+def test_a_forced_fit_keeps_what_was_found(tmp_path, monkeypatch, capsys):
+    report = {"family": "linear", "method": "joint", "unit": "um", "records": [], "parameters": [], "notes": []}
+    monkeypatch.setattr(workflow, "identify", lambda *_, **__: Fit(gain_model(0.4), dict(report)))
+    path = bag(tmp_path / "bag", 0.4 * DRIVE[::-1])
+    output, json_path = tmp_path / "model.yaml", tmp_path / "fit.json"
+    words = ["identify", path, "--model", "linear", "--output", str(output), "--json", str(json_path), "--force", "--strict"]
+    assert main(words) == 3 and output.exists()
+    document = json.loads(json_path.read_text())
+    assert document["verdict"] == "invalid_record" and "bag: x: the command explains the measurement when" in document["notes"][0]
