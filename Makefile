@@ -17,7 +17,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONPATH
 
-.PHONY: demo test test-again fuzz mutate lint docs figures check-compilers check-export check-wheel check-colcon check-readme bench env clean
+.PHONY: demo test test-again fuzz mutate lint docs figures check-browser check-compilers check-export check-wheel check-colcon check-readme bench env clean
 demo: env
 	$(VENV)/bin/hyst demo $(ARGS)
 
@@ -34,11 +34,14 @@ fuzz: env
 mutate: env
 	$(VENV)/bin/python test/fuzz/mutations.py $(ARGS)
 
-docs: $(CHECKS_READY)
-	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --quiet --strict $(ARGS)
+docs: $(CHECKS_READY) env
+	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --quiet --strict $(ARGS)
 
 figures: env
 	$(VENV)/bin/python docs/make_figures.py $(FOLDER)
+
+check-browser:
+	.ci/browser.sh
 
 check-compilers:
 	.ci/compilers.sh

@@ -1,10 +1,17 @@
-"""Progress of a long command, on one line of the terminal: shown only if a command requests it and there is a terminal."""
+"""Progress of a long command, on one line of the terminal: shown only if a command requests it and there is a terminal.
+
+The elapsed time moves while a step takes long: a timer's signal draws the line again every second. It is no thread, because the process
+may fork meanwhile, and a forked child has no timer.
+"""
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import Protocol
 
 
@@ -61,8 +68,36 @@ def shown(wanted: bool = True) -> Iterator[None]:
     try:
         yield
     finally:
+        end()
         bar.close()
+
+
+def end() -> None:
+    """Remove the line for good: before a command prints its result."""
+    global _bar
+    if _bar is not None:
+        _disarm()
+        _bar.close()
         _bar = None
+
+
+def _arm() -> None:
+    """Draw the line again every second, unless something else uses the timer or this is no main thread."""
+    free = signal.getsignal(signal.SIGALRM) is signal.SIG_DFL and threading.current_thread() is threading.main_thread()
+    if free and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0:
+        signal.signal(signal.SIGALRM, _tick)
+        signal.setitimer(signal.ITIMER_REAL, 1.0, 1.0)
+
+
+def _disarm() -> None:
+    if signal.getsignal(signal.SIGALRM) is _tick:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+
+
+def _tick(number: int, frame: FrameType | None) -> None:
+    if _bar is not None:
+        _bar.refresh()
 
 
 def step(text: str) -> None:
@@ -74,6 +109,7 @@ def step(text: str) -> None:
         A few words in the imperative, such as "read bag".
     """
     if _bar is not None:
+        _arm()
         _bar.set_description_str(": ".join(filter(None, [_within, text])), refresh=False)
         _bar.update()
         _bar.refresh()

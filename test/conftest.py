@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
+import browser as browsers
 import pytest
 
 from hyst_control.processes import environment
@@ -37,6 +38,15 @@ def ros_context(domain: int) -> Iterator[object]:
         yield context
     finally:
         rclpy.try_shutdown(context=context)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Callable[..., browsers.Seen]]:
+    """Looks at a page with a real browser: path of the page, width in pixels, color scheme; skipped where there is none."""
+    if reason := browsers.missing():
+        pytest.skip(reason)
+    with browsers.chromium() as running:
+        yield lambda path, width, scheme="light": browsers.look_at(running, path, width, scheme)
 
 
 @pytest.fixture

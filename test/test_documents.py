@@ -10,9 +10,10 @@ import pytest
 import yaml
 
 from hyst_control.cli import parser
+from hyst_control.reporting.command_reference import command_reference
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -29,8 +30,34 @@ def test_paths_that_are_named_exist(page):
 
 
 def test_every_page_is_in_the_navigation():
+    def pages(entries):
+        for entry in entries:
+            for value in entry.values():
+                yield from pages(value) if isinstance(value, list) else [value]
+
     site = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
-    assert {page for entry in site["nav"] for page in entry.values()} == {page.name for page in (ROOT / "docs").glob("*.md")}
+    listed = list(pages(site["nav"]))
+    assert sorted(listed) == sorted(page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md"))
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+
+
+def test_the_reference_of_commands_is_of_this_code():
+    assert (ROOT / "docs/commands.md").read_text(encoding="utf-8") == command_reference(parser()), (
+        "run: python docs/make_reference.py"
+    )
+
+
+def test_the_reference_of_commands_has_every_option():
+    """Read from the parsers, not from what made the page."""
+    text = (ROOT / "docs/commands.md").read_text(encoding="utf-8")
+    commands = next(action for action in parser()._actions if hasattr(action, "choices") and action.choices).choices
+    for name, command in commands.items():
+        section = text.split(f"\n## hyst {name}\n")[1]
+        options = {word for action in command._actions for word in action.option_strings} - {"-h", "--help", "--json", "--quiet"}
+        assert all(f"`{option}`" in section for option in options), name
 
 
 def test_the_readme_shows_every_subcommand():

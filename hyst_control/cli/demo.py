@@ -1,6 +1,9 @@
 """Excite, record, identify and track a simulated actuator through five ROS 2 nodes; ends with Table 5 of the HAMPI paper.
 
-Writes a folder with the bags, the identified models, the figures, summary.json and report.html.
+A last record has an effect in the actuator that the model does not know, and is diagnosed.
+
+Writes a folder with the bags, the identified models, the figures, summary.json, report.html, and gap.html of that
+diagnosis.
 
 example:
   hyst demo --output demo_out
@@ -30,7 +33,7 @@ def run(arguments: argparse.Namespace) -> Table:
     from hyst_control import progress
     from hyst_control.reproduction import demo
 
-    with progress.steps(1 + 2 + len(demo.CONTROLLERS) + 1) as step:
+    with progress.steps(1 + 2 + len(demo.CONTROLLERS) + 2) as step:
         table = demo.run(arguments.output, step)
-    table.notes.append(f"written: {arguments.output}/report.html, summary.json, bags/, models/, figures/")
+    table.notes.append(f"written: {arguments.output}/report.html, gap.html, summary.json, bags/, models/, figures/")
     return table

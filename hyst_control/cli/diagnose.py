@@ -59,24 +59,25 @@ def run(arguments: argparse.Namespace) -> int:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     import sys
 
+    from hyst_control import progress
     from hyst_control.diagnose.workflow import diagnose_bags
 
-    print(
-        diagnose_bags(
-            arguments.bags,
-            arguments.model,
-            json=arguments.json,
-            report=arguments.report,
-            augmented=arguments.augmented,
-            without=arguments.without,
-            seed=arguments.seed,
-            cache=not arguments.no_cache,
-            namespace=arguments.namespace,
-            unit=arguments.unit,
-            progress=not arguments.quiet and sys.stderr.isatty(),
-            warm_up=arguments.warm_up,
-            on=arguments.on,
-            baseline=arguments.baseline,
-        )
+    text = diagnose_bags(
+        arguments.bags,
+        arguments.model,
+        json=arguments.json,
+        report=arguments.report,
+        augmented=arguments.augmented,
+        without=arguments.without,
+        seed=arguments.seed,
+        cache=not arguments.no_cache,
+        namespace=arguments.namespace,
+        unit=arguments.unit,
+        progress=not arguments.quiet and sys.stderr.isatty(),
+        warm_up=arguments.warm_up,
+        on=arguments.on,
+        baseline=arguments.baseline,
     )
+    progress.end()
+    print(text)
     return 0

@@ -169,7 +169,10 @@ def _spans(part: AxisDiagnosis, residual: Array, settings: BudgetSettings) -> di
 
 
 def _kinds(part: AxisDiagnosis, residual: Array, blocks: int) -> dict[str, Array]:
-    """What linear regressions take off one after the other, fitted on every other block and counted on the rest."""
+    """What linear regressions take off one after the other, fitted on every other block and counted on the rest.
+
+    It describes the gap before anything is named, so what follows no such curve is not what the explanation leaves unexplained.
+    """
     found: dict[str, Array] = {}
     nothing = np.zeros(blocks)
     for axis in range(residual.shape[1]):
@@ -178,7 +181,9 @@ def _kinds(part: AxisDiagnosis, residual: Array, blocks: int) -> dict[str, Array
         if not part.chosen.inflated and part.linearised.count:
             left = left - part.problem.rows(taken)[:, axis]
             energy = _blocks(whole**2, blocks)
-            found["coefficients"] = found.get("coefficients", nothing) + energy - np.minimum(_blocks(left**2, blocks), energy)
+            found["like coefficients"] = (
+                found.get("like coefficients", nothing) + energy - np.minimum(_blocks(left**2, blocks), energy)
+            )
         target = left
         fold = (np.arange(len(left)) * blocks // len(left)) % 2
         known = np.zeros((len(left), 0))
@@ -198,7 +203,7 @@ def _kinds(part: AxisDiagnosis, residual: Array, blocks: int) -> dict[str, Array
             before = after
         noise = np.minimum(np.full(blocks, part.problem.sigma[axis] ** 2 * len(left) / blocks), before)
         found["noise"] = found.get("noise", nothing) + noise
-        found["unexplained"] = found.get("unexplained", nothing) + before - noise
+        found["none of these"] = found.get("none of these", nothing) + before - noise
     return found
 
 

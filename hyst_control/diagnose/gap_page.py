@@ -1,4 +1,8 @@
-"""The gap report as one self-contained HTML page: the verdict, where the gap lies, what it looks like, what explains it."""
+"""The gap report as one self-contained HTML page: the verdict, where the gap lies, what it looks like, what explains it.
+
+Three numbers are told apart everywhere on the page: a *share* is a part of the gap's energy (mean square) on the whole record, *shrink*
+is how much less energy beyond the noise floor is left on samples that did not fit, and a *probability* is that of an explanation.
+"""
 
 from __future__ import annotations
 
@@ -9,29 +13,39 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
+from markupsafe import Markup
 from plotly.subplots import make_subplots
 from scipy.signal import welch
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.chain_drawing import chain_picture
+from hyst_control.diagnose.coefficient_changes import coefficient_changes
 from hyst_control.diagnose.diagnosis import AxisDiagnosis, Diagnosis
-from hyst_control.diagnose.gap_reduction import shares
 from hyst_control.diagnose.gap_report import sentence
+from hyst_control.diagnose.rejected_hypotheses import Rejected, rejected
+from hyst_control.diagnose.slow_loops import slow_loops
 from hyst_control.model_file import Model
-from hyst_control.reporting.html_page import figure_markup
+from hyst_control.reporting.html_page import BAND, Palette, figure_markup
 from hyst_control.reporting.html_page import write_page as write_template
+from hyst_control.reporting.provenance import Origin
+from hyst_control.reporting.quantities import quantity
 
-BINS = 3000
+BINS = 1000
 """Stretches of a drawn signal of which the least and the greatest sample are kept."""
 
-LOOP_POINTS = 5000
-MOST_PIECES = 4
+BAND_POINTS = 400
+LOOP_POINTS = 1500
+MOST_FIGURES = 4
 MOST_CANDIDATES = 12
+MOST_REJECTED = 8
 MOST_COEFFICIENTS = 15
-INK, ORANGE, BLUE = "#1c2430", "#c2542d", "#2a6f97"
+LIKELY = 1.645
+"""Standard deviations on either side that hold 90 %."""
+PALETTE = Palette("measured", "simulated", "augmented", "taken off", "noise")
+MEASURED, SIMULATED, AUGMENTED, TAKEN_OFF = (PALETTE.color(name) for name in ("measured", "simulated", "augmented", "taken off"))
 WHERE = {
     "stage": "by place in the chain",
-    "kind": "by kind",
+    "kind": "by kind of curve",
     "band": "by frequency",
     "amplitude": "by displacement",
     "axis": "by axis",
@@ -41,16 +55,23 @@ WHERE = {
 
 @dataclass(frozen=True)
 class Traces:
-    """A piece as it is drawn: time (N,) s, then command, measured, simulated and augmented (None: nothing added), (N, A) each."""
+    """A piece as it is drawn: time (N,) s, then command, measured, simulated and augmented (None: nothing added), (N, A) each.
+
+    band: half of the interval (N, A) that 90 % of the residual lie in where only noise, the tolerance of the coefficients and the
+    model's own error are at work; NaN in rows that do not count.
+    """
 
     time: Array
     command: Array
     measured: Array
     simulated: Array
     augmented: Array | None
+    band: Array
 
 
-def write_page(path: Path, document: Mapping[str, Any], diagnosis: Diagnosis, better: Model | None) -> None:
+def write_page(
+    path: Path, document: Mapping[str, Any], diagnosis: Diagnosis, better: Model | None, origins: Sequence[Origin] = ()
+) -> None:
     """Write the page of a diagnosis.
 
     Parameters
@@ -63,6 +84,8 @@ def write_page(path: Path, document: Mapping[str, Any], diagnosis: Diagnosis, be
         The diagnosis itself, for the figures.
     better
         The augmented model; None where nothing was added.
+    origins
+        Where the diagnosis comes from: bags, model, command.
 
     Raises
     ------
@@ -71,7 +94,7 @@ def write_page(path: Path, document: Mapping[str, Any], diagnosis: Diagnosis, be
     """
     pieces, unit = _traces(diagnosis, better), document["gap"]["unit"]
     signals = [
-        figure_markup(_signals(piece, axis, _title(index, name, len(pieces), diagnosis), unit), 560)
+        figure_markup(_signals(piece, axis, _title(index, name, len(pieces), diagnosis), unit), 620)
         for index, piece in enumerate(pieces)
         for axis, name in enumerate(diagnosis.model.axes)
     ]
@@ -81,20 +104,25 @@ def write_page(path: Path, document: Mapping[str, Any], diagnosis: Diagnosis, be
         "diagnose/templates/gap.html",
         "Where simulation and record part",
         sentence(dict(document)),
+        origins=origins,
         chain=chain_picture(document),
         effects=[_effect_row(effect) for effect in document["effects"]],
         meanings=list(dict.fromkeys(f"{effect['name'].replace('_', ' ')}: {effect['meaning']}" for effect in document["effects"])),
+        rivals=[_rival_row(row) for row in rejected(diagnosis, MOST_REJECTED)],
         augmented=better is not None,
         signals=signals,
         pieces_drawn=len(pieces),
         pieces=len(diagnosis.problem.pieces),
-        waterfall=figure_markup(_waterfall(diagnosis, document), 380),
+        waterfall=figure_markup(_waterfall(document), 400),
         spectrum=figure_markup(_spectrum(pieces, diagnosis, unit), 400),
-        loops=figure_markup(_loops(pieces[0], diagnosis, unit), 440),
-        where=figure_markup(_where(document), 620),
+        loops=figure_markup(_loops(pieces[0], diagnosis, unit), 760),
+        where=_where(document, len(diagnosis.model.axes)),
         candidates=figure_markup(_candidates(weighed), 150 + 28 * len(weighed)) if weighed else None,
         next_experiment=document["next_experiment"],
-        coefficients=[(row["name"], f"{row['z']:+.1f}") for row in document["parameters"][:MOST_COEFFICIENTS]],
+        coefficients=[
+            (row.name, f"{row.before:.5g}", f"{row.after:.5g}", f"{row.deviations:+.1f}")
+            for row in coefficient_changes(diagnosis, MOST_COEFFICIENTS)
+        ],
         replay=[(block["name"], block["text"]) for block in document["replay"]],
         notes=document["notes"],
     )
@@ -103,7 +131,7 @@ def write_page(path: Path, document: Mapping[str, Any], diagnosis: Diagnosis, be
 def _traces(diagnosis: Diagnosis, better: Model | None) -> list[Traces]:
     """The first pieces, whole, in the measurement's unit."""
     problem, found = diagnosis.problem, []
-    for piece in problem.pieces[:MOST_PIECES]:
+    for index, piece in enumerate(problem.pieces[: max(MOST_FIGURES // len(diagnosis.model.axes), 1)]):
         whole = type(problem)(
             problem.model, (type(piece)(piece.command, piece.measurement),), problem.sample_time, problem.hold, problem.sigma
         )
@@ -115,9 +143,25 @@ def _traces(diagnosis: Diagnosis, better: Model | None) -> list[Traces]:
                 piece.measurement,
                 whole.rows(whole.simulate(diagnosis.model.chain.stages)),
                 augmented,
+                np.concatenate([_band(part, index, len(piece.command)) for part in diagnosis.parts], axis=1),
             )
         )
     return found
+
+
+def _band(part: AxisDiagnosis, index: int, rows: int) -> Array:
+    """Half interval (N, A) of a piece: noise, coefficients within their tolerance, and the model's own error."""
+    problem, linearised = part.problem, part.linearised
+    axes = len(problem.model.axes)
+    own = np.zeros(axes) if problem.own_error is None else problem.own_error
+    uncertain = 1.0 - linearised.scatter.companions if linearised.count else np.zeros(0)
+    energy = (linearised.columns**2 @ uncertain).reshape(-1, axes) * problem.sigma**2 + problem.sigma**2 + own**2
+    counts = [np.ones(len(piece.command), bool) if piece.keep is None else piece.keep for piece in problem.pieces]
+    band = np.full((rows, axes), np.nan)
+    if len(counts[index]) == rows:
+        begin = sum(int(np.count_nonzero(kept)) for kept in counts[:index])
+        band[counts[index]] = LIKELY * np.sqrt(energy[begin : begin + int(np.count_nonzero(counts[index]))])
+    return band
 
 
 def _title(index: int, axis: str, pieces: int, diagnosis: Diagnosis) -> str:
@@ -154,17 +198,23 @@ def envelope(time: Array, values: Array, bins: int = BINS) -> tuple[Array, Array
 
 
 def _signals(piece: Traces, axis: int, title: str, unit: str) -> go.Figure:
-    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06, row_heights=[0.58, 0.42])
-    lines = [("measured", piece.measured, INK), ("simulated", piece.simulated, ORANGE)]
+    """Signals small, as they nearly coincide; what they differ by large, over the band of what the model does not claim to know."""
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06, row_heights=[0.34, 0.66])
+    x, half = _thinned_band(piece.time, piece.band[:, axis])
+    look = {"mode": "lines", "line": {"width": 0}, "legendgroup": "band", "hoverinfo": "skip"}
+    figure.add_scatter(x=x, y=-half, showlegend=False, **look, row=2, col=1)
+    name = "noise, tolerance and own error of the model, 90 %"
+    figure.add_scatter(x=x, y=half, name=name, fill="tonexty", fillcolor=BAND, **look, row=2, col=1)
+    lines = [("measured", piece.measured, MEASURED), ("simulated", piece.simulated, SIMULATED)]
     if piece.augmented is not None:
-        lines.append(("augmented", piece.augmented, BLUE))
-    for name, values, colour in lines:
+        lines.append(("augmented", piece.augmented, AUGMENTED))
+    for name, values, color in lines:
         x, y = envelope(piece.time, values[:, axis])
-        figure.add_scatter(x=x, y=y, name=name, legendgroup=name, line={"color": colour, "width": 1.2}, row=1, col=1)
+        figure.add_scatter(x=x, y=y, name=name, legendgroup=name, line={"color": color, "width": 1.2}, row=1, col=1)
         if name != "measured":
             x, y = envelope(piece.time, piece.measured[:, axis] - values[:, axis])
             figure.add_scatter(
-                x=x, y=y, name=name, legendgroup=name, showlegend=False, line={"color": colour, "width": 1.0}, row=2, col=1
+                x=x, y=y, name=name, legendgroup=name, showlegend=False, line={"color": color, "width": 1.0}, row=2, col=1
             )
     figure.update_yaxes(title_text=f"displacement ({unit})", row=1, col=1)
     figure.update_yaxes(title_text=f"residual ({unit})", row=2, col=1)
@@ -173,79 +223,59 @@ def _signals(piece: Traces, axis: int, title: str, unit: str) -> go.Figure:
     return figure
 
 
-def _waterfall(diagnosis: Diagnosis, document: Mapping[str, Any]) -> go.Figure:
-    names, energies = steps(diagnosis)
-    rms = np.sqrt(energies)
-    labels = ["simulator as given", *(f"+ {name.replace('_', ' ')}" for name in names), "+ coefficients", "left"]
-    values = [rms[0], *np.diff(rms), rms[-1]]
+def _thinned_band(time: Array, half: Array) -> tuple[Array, Array]:
+    """The largest half interval of every stretch, as the residual is drawn by its extremes."""
+    edges = np.unique(np.linspace(0, len(time), min(BAND_POINTS, len(time)) + 1).astype(int))
+    counted = np.where(np.isnan(half), 0.0, half)
+    return time[edges[:-1]].astype(np.float32), np.maximum.reduceat(counted, edges[:-1]).astype(np.float32)
+
+
+def _waterfall(document: Mapping[str, Any]) -> go.Figure:
+    """The gap's energy from the simulator as given to what is left: each bar carries what it takes off, in shares of the gap."""
+    rows = taken_off(document)
+    left = 1.0 - sum(share for _, share in rows)
+    gap, unit = document["gap"], document["gap"]["unit"]
+    labels = ["gap", *(f"− {name.replace('_', ' ')}" for name, _ in rows), "left"]
+    values = [100.0, *(-100.0 * share for _, share in rows), 0.0]
     figure = go.Figure(
         go.Waterfall(
             x=labels,
             y=values,
-            measure=["absolute", *["relative"] * (len(rms) - 1), "total"],
-            text=[f"{value:.3g}" for value in (*rms, rms[-1])],
-            textposition=["outside", *["auto"] * (len(rms) - 1), "outside"],
+            measure=["absolute", *["relative"] * len(rows), "total"],
+            text=[
+                f"100 %, {gap['rms']:.3g} {unit} rms",
+                *(f"−{_percent(share)}" for _, share in rows),
+                f"{_percent(left)}, {gap['rms'] * np.sqrt(max(left, 0.0)):.3g} {unit} rms",
+            ],
+            textposition=["outside", *["inside" if share > 0.2 else "outside" for _, share in rows], "outside"],
             connector={"line": {"color": "#9aa1ab"}},
-            totals={"marker": {"color": BLUE}},
-            decreasing={"marker": {"color": "#5b8e3e"}},
-            increasing={"marker": {"color": ORANGE}},
+            totals={"marker": {"color": SIMULATED}},
+            decreasing={"marker": {"color": TAKEN_OFF}},
         )
     )
-    floor = document["gap"]["floor_rms"]
-    figure.add_hline(y=floor, line={"dash": "dash", "color": INK})
     figure.update_traces(cliponaxis=False)
-    figure.update_layout(title={"text": f"dashed: noise floor {floor:.3g} {document['gap']['unit']}", "font": {"size": 13}})
-    figure.update_yaxes(title_text=f"rms ({document['gap']['unit']})", range=[0.0, 1.15 * float(rms.max())])
+    figure.update_yaxes(title_text="share of the gap's energy", ticksuffix=" %", range=[-12.0, 118.0])
     return figure
 
 
-def steps(diagnosis: Diagnosis) -> tuple[list[str], Array]:
-    """Compute the mean squared residual as the effects of the best explanation are added one by one.
+def taken_off(document: Mapping[str, Any]) -> list[tuple[str, float]]:
+    """Shares of the gap's energy that the named effects and the coefficients take off, as the chain's picture has them.
 
     Parameters
     ----------
-    diagnosis : Diagnosis
-        Diagnosis of all axes.
+    document
+        Gap report.
 
     Returns
     -------
-    names
-        Effects (E,), the largest share first.
-    energies
-        Mean squares (E + 2,) over all axes: no effect, each more of them, and fitted coefficients as well.
+    list of tuple
+        Name and share, the effects first.
     """
-    size: dict[str, float] = {}
-    for part in diagnosis.parts:
-        chosen = part.chosen
-        if chosen.candidate is not None:
-            for name, share in zip(chosen.names, shares(part.linearised, chosen), strict=True):
-                size[name] = size.get(name, 0.0) + share
-    names = sorted(size, key=lambda name: -size[name])
-    energies = [_energy(diagnosis, names[:count]) for count in range(len(names) + 1)]
-    fitted = [_square(part, part.chosen.solution.residual) for part in diagnosis.parts]
-    return names, np.array([*energies, _mean(diagnosis, fitted)])
-
-
-def _energy(diagnosis: Diagnosis, names: Sequence[str]) -> float:
-    found = []
-    for part in diagnosis.parts:
-        lin, chosen = part.linearised, part.chosen
-        unknowns, x = None, None
-        if chosen.candidate is not None:
-            kept = [i for i, name in enumerate(chosen.names) if name in names]
-            if kept:
-                unknowns = type(chosen.candidate)(tuple(chosen.candidate.members[i] for i in kept)).unknowns()
-                x = np.concatenate([chosen.solution.x[chosen.candidate.slices()[i]] for i in kept])
-        found.append(_square(part, lin.measured - lin.simulate(np.zeros(lin.count), unknowns, x)))
-    return _mean(diagnosis, found)
-
-
-def _square(part: AxisDiagnosis, residual: Array) -> float:
-    return float(np.mean(part.problem.rows(residual) ** 2))
-
-
-def _mean(diagnosis: Diagnosis, found: Sequence[float]) -> float:
-    return float(np.average(found, weights=[len(part.axes) for part in diagnosis.parts]))
+    stage = {row["name"]: row["share"] for row in document["where"]["stage"]}
+    effects = [effect for effect in document["effects"] if effect["shrink"] is not None]
+    whole = sum(share for name, share in stage.items() if name not in ("coefficients", "noise", "unexplained"))
+    rows = [(effect["name"], whole * effect["share"]) for effect in effects]
+    return [*rows, ("coefficients", stage.get("coefficients", 0.0))]
 
 
 def _spectrum(pieces: Sequence[Traces], diagnosis: Diagnosis, unit: str) -> go.Figure:
@@ -254,9 +284,9 @@ def _spectrum(pieces: Sequence[Traces], diagnosis: Diagnosis, unit: str) -> go.F
     longest = max(pieces, key=lambda piece: len(piece.time))
     window = min(len(longest.time), max(len(longest.time) // 4, 256))
     for axis, name in enumerate(axes):
-        lines = [("before", longest.simulated, ORANGE)]
+        lines = [("simulated", longest.simulated, SIMULATED)]
         if longest.augmented is not None:
-            lines.append(("after", longest.augmented, BLUE))
+            lines.append(("augmented", longest.augmented, AUGMENTED))
         suffix = f", {name}" if len(axes) > 1 else ""
         dash = ("solid", "dot", "dashdot")[axis % 3]
         for label, values, colour in lines:
@@ -265,7 +295,13 @@ def _spectrum(pieces: Sequence[Traces], diagnosis: Diagnosis, unit: str) -> go.F
                 x=frequency[1:], y=np.sqrt(power[1:]), name=label + suffix, line={"color": colour, "width": 1.3, "dash": dash}
             )
         floor = float(diagnosis.parts[_part(diagnosis, axis)].problem.sigma[_within(diagnosis, axis)]) * np.sqrt(2.0 / rate)
-        figure.add_scatter(x=frequency[[1, -1]], y=[floor, floor], name="noise floor" + suffix, line={"color": INK, "dash": "dash"})
+        figure.add_scatter(
+            x=frequency[[1, -1]],
+            y=[floor, floor],
+            name="noise floor" + suffix,
+            mode="lines",
+            line={"color": MEASURED, "dash": "dash"},
+        )
     figure.update_xaxes(type="log", title_text="frequency (Hz)")
     figure.update_yaxes(type="log", title_text=f"residual ({unit}/√Hz)", exponentformat="power")
     return figure
@@ -280,36 +316,62 @@ def _within(diagnosis: Diagnosis, axis: int) -> int:
 
 
 def _loops(piece: Traces, diagnosis: Diagnosis, unit: str) -> go.Figure:
+    """Slow loops of the first piece, and below what the curves differ from the measured one by, which the loops are too large to show."""
     axes = diagnosis.model.axes
-    figure = make_subplots(rows=1, cols=len(axes), subplot_titles=[f"axis {name}" for name in axes] if len(axes) > 1 else None)
-    every = max(len(piece.time) // LOOP_POINTS, 1)
+    figure = make_subplots(
+        rows=2,
+        cols=len(axes),
+        shared_xaxes=True,
+        vertical_spacing=0.05,
+        row_heights=[0.5, 0.5],
+        subplot_titles=[f"axis {name}" for name in axes] if len(axes) > 1 else None,
+    )
+    looks = [
+        ("measured", piece.measured, {"color": MEASURED, "width": 3.0}),
+        ("simulated", piece.simulated, {"color": SIMULATED, "width": 1.6, "dash": "dash"}),
+    ]
+    if piece.augmented is not None:
+        looks.append(("augmented", piece.augmented, {"color": AUGMENTED, "width": 1.6, "dash": "dot"}))
     for axis in range(len(axes)):
-        for name, values, colour in (
-            ("measured", piece.measured, INK),
-            ("simulated", piece.simulated, ORANGE),
-            ("augmented", piece.augmented, BLUE),
-        ):
-            if values is not None:
-                figure.add_scatter(
-                    x=piece.command[::every, axis].astype(np.float32),
-                    y=values[::every, axis].astype(np.float32),
-                    name=name,
-                    legendgroup=name,
-                    showlegend=axis == 0,
-                    line={"color": colour, "width": 1.0},
-                    row=1,
-                    col=axis + 1,
-                )
-    figure.update_xaxes(title_text="command (V)")
-    figure.update_yaxes(title_text=f"displacement ({unit})", col=1)
+        chosen = slow_loops(piece.command[:, axis])
+        for name, values, line in looks:
+            x = _joined([piece.command[rows, axis] for rows in chosen])
+            y = _joined([values[rows, axis] for rows in chosen])
+            look = {"name": name, "legendgroup": name, "line": line, "mode": "lines"}
+            figure.add_scatter(x=x, y=y, showlegend=axis == 0, **look, row=1, col=axis + 1)
+            if name != "measured":
+                error = _joined([piece.measured[rows, axis] - values[rows, axis] for rows in chosen])
+                figure.add_scatter(x=x, y=error, showlegend=False, **look, row=2, col=axis + 1)
+    figure.update_xaxes(title_text="command (V)", row=2)
+    figure.update_yaxes(title_text=f"displacement ({unit})", row=1, col=1)
+    figure.update_yaxes(title_text=f"measured − curve ({unit})", row=2, col=1)
     return figure
 
 
-def _where(document: Mapping[str, Any]) -> go.Figure:
+def _joined(loops: Sequence[Array]) -> Array:
+    """Loops one after the other with a break between, thinned."""
+    most = LOOP_POINTS // max(len(loops), 1)
+    parts = [np.append(loop[:: max(len(loop) // most, 1)], np.nan) for loop in loops]
+    return np.concatenate(parts)[:-1].astype(np.float32)
+
+
+def _where(document: Mapping[str, Any], axes: int) -> Markup:
+    """Bars of shares: one group beside the other, axes only where there are several."""
+    names = [name for name in WHERE if axes > 1 or name != "axis"]
+    columns = 2
+    lines = -(-len(names) // columns)
+    counts = [
+        max((len(document["where"][name]) for name in names[i : i + columns]), default=1) for i in range(0, len(names), columns)
+    ]
     figure = make_subplots(
-        rows=2, cols=3, subplot_titles=[f"<b>{WHERE[name]}</b>" for name in WHERE], horizontal_spacing=0.14, vertical_spacing=0.16
+        rows=lines,
+        cols=columns,
+        subplot_titles=[f"<b>{WHERE[name]}</b>" for name in names],
+        horizontal_spacing=0.2,
+        vertical_spacing=0.22 / lines,
+        row_heights=counts,
     )
-    for index, name in enumerate(WHERE):
+    for index, name in enumerate(names):
         rows = document["where"][name][::-1]
         share = 100.0 * np.array([row["share"] for row in rows])
         low, high = 100.0 * np.array([row["ci90"] for row in rows], dtype=float).reshape(-1, 2).T
@@ -317,21 +379,31 @@ def _where(document: Mapping[str, Any]) -> go.Figure:
             x=share,
             y=[row["name"] for row in rows],
             orientation="h",
-            marker={"color": BLUE},
+            marker={"color": SIMULATED},
             showlegend=False,
             error_x={"type": "data", "symmetric": False, "array": high - share, "arrayminus": share - low, "thickness": 1},
-            row=index // 3 + 1,
-            col=index % 3 + 1,
+            row=index // columns + 1,
+            col=index % columns + 1,
         )
     figure.update_xaxes(range=[0, 105], ticksuffix=" %", nticks=4)
     figure.update_annotations(font_size=13)
-    return figure
+    return figure_markup(figure, 120 * lines + 24 * sum(counts), 560)
+
+
+def _rival_row(row: Rejected) -> tuple[str, ...]:
+    return (
+        row.name,
+        row.axes,
+        f"{row.behind:.1f}" if row.behind < 1e5 else f"{row.behind:.2g}",
+        _percent(row.left),
+        row.why,
+    )
 
 
 def _effect_row(effect: Mapping[str, Any]) -> tuple[str, ...]:
     """Cells of an effect's row."""
     values = "; ".join(
-        f"{name} {_number(row['value'])} {row['unit']} [{_number(row['ci90'][0])} … {_number(row['ci90'][1])}]"
+        f"{name} {_number(row['value'], row['unit'])} [{_number(row['ci90'][0], row['unit'])} … {_number(row['ci90'][1], row['unit'])}]"
         for name, row in effect["parameters"].items()
     )
     spread = effect["shrink_ci90"]
@@ -342,7 +414,6 @@ def _effect_row(effect: Mapping[str, Any]) -> tuple[str, ...]:
         values,
         _share(effect["shrink"]) + (f" [{_share(spread[0])} … {_share(spread[1])}]" if spread else ""),
         _share(effect["shrink_reidentified"]),
-        _share(effect["share"]),
         ", ".join(effect["equivalent"]) or "–",
     )
 
@@ -353,7 +424,7 @@ def _candidates(rows: Sequence[Mapping[str, Any]]) -> go.Figure:
             x=[row["probability"] for row in rows][::-1],
             y=[row["name"].replace("_", " ") for row in rows][::-1],
             orientation="h",
-            marker={"color": ORANGE},
+            marker={"color": AUGMENTED},
             text=[f"{row['probability']:.3f}" for row in rows][::-1],
         )
     )
@@ -361,8 +432,15 @@ def _candidates(rows: Sequence[Mapping[str, Any]]) -> go.Figure:
     return figure
 
 
-def _number(value: float | None) -> str:
-    return "?" if value is None else f"{value:.4g}"
+def _number(value: float | None, unit: str) -> str:
+    if value is None:
+        return "?"
+    return quantity(value, unit, 4) if unit else f"{value:.4g}"
+
+
+def _percent(share: float) -> str:
+    digits = 0 if abs(share) >= 0.1 else 1 if abs(share) >= 0.01 else 2
+    return f"{100 * share:.{digits}f} %"
 
 
 def _share(value: float | None) -> str:

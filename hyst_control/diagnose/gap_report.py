@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from string import Formatter
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from hyst_control.diagnose.gap_budget import budget, stages
 from hyst_control.diagnose.next_experiment import next_experiment
 from hyst_control.diagnose.policy import Reason, Verdict, join
 from hyst_control.effects import EFFECTS
+from hyst_control.reporting.quantities import quantity
 
 SCHEMA = "hyst_control/gap-report"
 VERSION = 1
@@ -178,13 +180,13 @@ def sentence(report: dict[str, Any]) -> str:
     """
     gap, unit = report["gap"], report["gap"]["unit"]
     size = f"{gap['rms']:.3g} {unit} rms ({gap['nrmse']:.2g} % of range, noise floor {gap['floor_rms']:.3g} {unit})"
-    names = [effect["name"].replace("_", " ") for effect in report["effects"]]
+    names = [named(effect) for effect in report["effects"]]
     verdict, reasons = report["verdict"], report.get("reasons", ())
     if verdict == Verdict.NO_GAP.value:
         return f"No gap beyond the model's tolerances and the noise: simulation and record differ by {size}."
     if verdict == Verdict.PARAMETERS.value:
         worst = ", ".join(f"{row['name']} ({row['z']:+.1f} σ)" for row in report["parameters"][:3])
-        return f"The gap of {size} is one of parameters: re-identify {worst or 'the nominal model'}."
+        return f"The gap of {size} is caused by the model's parameters: re-identify {worst or 'the nominal model'}."
     if verdict == Verdict.UNKNOWN.value:
         near = f"; the nearest, {' and '.join(names)}, leaves {100 * report['unexplained_share']:.0f} % of it" if names else ""
         if names and Reason.TOO_MANY_EFFECTS.value in reasons and Reason.ENERGY_LEFT.value not in reasons:
@@ -199,8 +201,30 @@ def sentence(report: dict[str, Any]) -> str:
         else ""
     )
     if verdict == Verdict.AMBIGUOUS.value:
-        return f"The gap of {size} is {' or '.join(names)}: these data cannot tell which.{far}"
-    return f"The gap of {size} is {' and '.join(names)}.{far}"
+        return f"The gap of {size} is caused by {' or '.join(names)}: these data cannot tell which.{far}"
+    return f"The gap of {size} is caused by {' and '.join(names)}.{far}"
+
+
+def named(effect: Mapping[str, Any]) -> str:
+    """Name an effect in the middle of a sentence.
+
+    Parameters
+    ----------
+    effect : mapping of str
+        Of the report's effects.
+
+    Returns
+    -------
+    str
+        Such as "a slew limit of 27.2 kV/s"; the name alone where the catalogue has no phrase, or a value is missing.
+    """
+    plain = str(effect["name"]).replace("_", " ")
+    known = EFFECTS[effect["name"]].phrase if effect["name"] in EFFECTS else ""
+    values = {name: row["value"] for name, row in effect.get("parameters", {}).items()}
+    needed = [field for _, field, _, _ in Formatter().parse(known) if field]
+    if not known or "parameters" not in effect or any(values.get(name) is None for name in needed):
+        return plain
+    return known.format(**{name: quantity(values[name], effect["parameters"][name]["unit"]) for name in needed})
 
 
 def in_words(report: dict[str, Any]) -> str:

@@ -11,6 +11,7 @@ from hyst_control.errors import InputError
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.record import Record
 from hyst_control.records.record_validity import Finding, Trial, check_records
+from hyst_control.reporting.provenance import Origin
 
 INVALID_RECORD = "invalid_record"
 """First of the report's reasons; the findings' names follow it."""
@@ -101,7 +102,7 @@ def _document(trials: Sequence[Trial], model: Model, found: Sequence[Finding]) -
     }
 
 
-def write_invalid_page(path: str, document: dict[str, Any]) -> None:
+def write_invalid_page(path: str, document: dict[str, Any], origins: Sequence[Origin] = ()) -> None:
     """Write the report's page on records that are not diagnosed.
 
     Parameters
@@ -110,6 +111,8 @@ def write_invalid_page(path: str, document: dict[str, Any]) -> None:
         HTML file to write.
     document : dict of str to object
         Gap report with `invalid_records` and `notes`.
+    origins : sequence of Origin
+        Where the report comes from.
 
     Raises
     ------
@@ -120,7 +123,7 @@ def write_invalid_page(path: str, document: dict[str, Any]) -> None:
 
     from hyst_control.reporting.html_page import Page
 
-    page = Page("Gap report", "The record is no measurement of its command, and is not diagnosed.")
+    page = Page("Gap report", "The record is no measurement of its command, and is not diagnosed.", origins)
     page.section("Findings")
     page.table(
         ["record", "axis", "finding", "value", "limit"],

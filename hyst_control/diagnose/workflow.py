@@ -24,6 +24,7 @@ from hyst_control.progress import step
 from hyst_control.records.array_files import read_array
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.record import Record
+from hyst_control.reporting.provenance import provenance
 
 
 def diagnose_bags(
@@ -94,7 +95,7 @@ def diagnose_bags(
     coming = None if on is None else _command(on, namespace, unit)
     if nominal is not None and (refused := invalid_report(records, nominal)) is not None:
         if report is not None:
-            write_invalid_page(report, refused[0])
+            write_invalid_page(report, refused[0], provenance([("record", bags), ("model", [] if model is None else [model])]))
         if json is not None:
             write_json(json, refused[0])
         return refused[1]
@@ -104,14 +105,24 @@ def diagnose_bags(
             document["foreseen"] = {"command": str(on), **foresee(diagnosis, coming).document()}
         except InputError as error:
             raise InputError(f"--on {on}: {error}") from None
-    if report is not None:
-        from hyst_control.diagnose.gap_page import write_page
-
-        write_page(Path(report), document, diagnosis, better)
     if augmented is not None and better is not None:
         save_model(better, augmented)
     if json is not None:
         write_json(json, document)
+    if report is not None:
+        from hyst_control.diagnose.gap_page import write_page
+
+        origins = provenance(
+            [
+                ("record", bags),
+                ("model", [] if model is None else [model]),
+                ("clean records", baseline),
+                ("augmented model", [augmented] if augmented is not None and better is not None else []),
+                ("report as JSON", [] if json is None else [json]),
+            ],
+            [("seed", str(seed)), *([] if nominal is None else [("model's name", nominal.name)])],
+        )
+        write_page(Path(report), document, diagnosis, better, origins)
     return in_words(document)
 
 

@@ -46,4 +46,5 @@ EFFECT = Effect(
     lambda values, around: AmplifierLowpass(**lowpass_values(values)),
     variants=lowpass_variants,
     separating_record="the amplifier's output voltage",
+    phrase="an amplifier low-pass at {cutoff}",
 )

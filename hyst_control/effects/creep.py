@@ -67,4 +67,5 @@ EFFECT = Effect(
     "After every step the piezo grows on, with the logarithm of time or with a few time constants.",
     parameters,
     lambda values, around: Creep(values["gamma"], values.get("begin", 0.1), values.get("decades", 4.0)),
+    phrase="creep of {gamma} per decade",
 )

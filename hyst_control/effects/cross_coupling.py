@@ -43,4 +43,5 @@ EFFECT = Effect(
     stage,
     exercised=lambda around: around.axes > 1,
     couples=True,
+    phrase="cross coupling of {coupling}",
 )

@@ -210,4 +210,5 @@ EFFECT = Effect(
     variants=variants,
     record_check=RecordCheck.COMMAND_LATTICE,
     exercised=lambda around: around.slew > 0,
+    phrase="a held or coarsely rounded command",
 )

@@ -25,4 +25,5 @@ EFFECT = Effect(
     lambda values, around: Delay(values["tau"]),
     separating_record="the amplifier's output voltage",
     also_beside_clean=("sensor",),
+    phrase="a delay of {tau}",
 )

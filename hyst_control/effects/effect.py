@@ -188,6 +188,9 @@ class Effect:
         Further places that an engineer would call by the same name.
     also_beside_clean
         The same, where the signatures differ only beside clean records, whose own error does not go through the drive.
+    phrase
+        The effect in the middle of a sentence, with parameters that the gap report has in braces: "a slew limit of {rate}"; "": its
+        name.
     """
 
     name: str
@@ -209,3 +212,4 @@ class Effect:
     companion: Companion | None = None
     also_at: tuple[str, ...] = ()
     also_beside_clean: tuple[str, ...] = ()
+    phrase: str = ""

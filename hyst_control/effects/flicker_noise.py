@@ -73,4 +73,5 @@ EFFECT = Effect(
     lambda values, around: FlickerNoise(values["rms"], values.get("seed", 0)),
     waveform=False,
     record_check=RecordCheck.FALLING_SPECTRUM,
+    phrase="1/f noise of {rms} rms",
 )

@@ -21,4 +21,5 @@ EFFECT = Effect(
     lambda around: (Parameter("gain", "", 0.0, (0.01,), -0.2, 0.2, 0.03),),
     lambda values, around: Gain(factor(values["gain"])),
     also_at=("drive",),
+    phrase="a gain error of {gain}",
 )

@@ -142,4 +142,5 @@ EFFECT = Effect(
     lambda around: (Parameter("change", "", 0.0, (0.01,), -0.3, 0.3, 0.03), *drift_parameters(around)),
     lambda values, around: GainDrift(values["change"], values["tau"], values.get("decades", 0.0), values.get("initial", 0.0)),
     also_at=("drive",),
+    phrase="a gain drift of {change}",
 )

@@ -61,4 +61,5 @@ EFFECT = Effect(
     lambda values, around: HeldSamples(values["fraction"], values.get("seed", 0)),
     waveform=False,
     record_check=RecordCheck.REPEATED_VALUES,
+    phrase="repeated samples ({fraction} of all)",
 )

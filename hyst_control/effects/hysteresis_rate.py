@@ -82,4 +82,5 @@ EFFECT = Effect(
     parameters,
     lambda values, around: HysteresisRate(values["factor"], values.get("asymmetry", 0.0), values.get("lag", 0.0)),
     variants=lambda around: ({"lag": 0.0}, {"asymmetry": 0.0}),
+    phrase="a rate part of the hysteresis that is {factor} of the model's",
 )

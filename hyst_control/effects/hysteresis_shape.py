@@ -156,4 +156,5 @@ EFFECT = Effect(
     variants=lambda around: ({"behind": 0.0}, {"tilt": 0.0, "behind": 1.0}),
     summary=peak,
     exercised=lambda around: around.command[1] > around.command[0],
+    phrase="a bent or tilted hysteresis",
 )

@@ -91,4 +91,5 @@ EFFECT = Effect(
         values.get("scaled", 0.0),
     ),
     variants=lambda around: ({"scaled": 0.0}, {"scaled": 1.0}, {"scaled": 2.0}),
+    phrase="a change of the hysteresis width by {width}",
 )

@@ -69,4 +69,5 @@ EFFECT = Effect(
     exercised=lambda around: 0.5 / around.sample_time > 65.0,
     line=Line(harmonics=(1, 2, 3, 5, 7)),
     record_check=RecordCheck.MAINS_LINE,
+    phrase="mains hum at {frequency}",
 )

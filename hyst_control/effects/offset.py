@@ -14,4 +14,5 @@ EFFECT = Effect(
     ),
     lambda values, around: Offset(values["offset"]),
     companion=Companion(0, "offset"),
+    phrase="an offset of {offset}",
 )

@@ -44,4 +44,5 @@ EFFECT = Effect(
     ),
     lambda values, around: OffsetDrift(values["change"], values["tau"], values.get("decades", 0.0), values.get("initial", 0.0)),
     companion=Companion(1, "change", 2.0),
+    phrase="an offset drift of {change}",
 )

@@ -13,4 +13,5 @@ EFFECT = Effect(
     lambda values, around: Quantization(values["step"]),
     waveform=False,
     record_check=RecordCheck.VALUE_LATTICE,
+    phrase="quantization in steps of {step}",
 )

@@ -162,4 +162,5 @@ EFFECT = Effect(
     stage,
     coupled_parameters=coupled_parameters,
     summary=gain,
+    phrase="a resonance at {frequency}",
 )

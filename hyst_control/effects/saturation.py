@@ -34,4 +34,5 @@ EFFECT = Effect(
     lambda values, around: Saturation(values["lower"], values["upper"], values.get("knee", 0.0)),
     variants=lambda around: ({"knee": 0.0}, {}),
     exercised=lambda around: around.command[1] > around.command[0],
+    phrase="saturation of the drive",
 )

@@ -26,4 +26,5 @@ EFFECT = Effect(
     lambda values, around: SensorLowpass(**lowpass_values(values)),
     variants=lowpass_variants,
     separating_record="the amplifier's output voltage",
+    phrase="a sensor low-pass at {cutoff}",
 )

@@ -37,4 +37,5 @@ EFFECT = Effect(
     lambda values, around: SensorNoise(values["rms"], values.get("seed", 0)),
     waveform=False,
     record_check=RecordCheck.WHITE_SPECTRUM,
+    phrase="sensor noise of {rms} rms",
 )

@@ -138,4 +138,5 @@ EFFECT = Effect(
     parameters,
     stage,
     exercised=lambda around: around.stroke > 0,
+    phrase="a sensor nonlinearity",
 )

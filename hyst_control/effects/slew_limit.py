@@ -142,4 +142,5 @@ EFFECT = Effect(
     stage,
     variants=lambda around: ({"sides": 0.0}, {"ratio": 1.0, "sides": 1.0}, {"ratio": 1.0, "sides": 2.0}),
     exercised=lambda around: bool(np.isfinite(around.slew) and around.slew > 0),
+    phrase="a slew limit of {rate}",
 )

@@ -366,4 +366,5 @@ EFFECT = Effect(
     ),
     lambda values, around: SofteningModes(values["softening"], values["damping"], max(0.25 * around.stroke, 1e-300)),
     shared=True,
+    phrase="modes that soften with amplitude",
 )

@@ -69,4 +69,5 @@ EFFECT = Effect(
     line=Line(swells=24, skirt=0.05),
     further_lines=(Line(harmonics=(1, 2, 3), swells=6, skirt=0.05),),
     record_check=RecordCheck.SPECTRAL_LINE,
+    phrase="vibration at {frequency}",
 )

@@ -1,15 +1,17 @@
-"""`hyst demo`: excite, record, identify and track, through five real nodes, and the HAMPI paper's Table 5 beside the result.
+"""`hyst demo`: excite, record, identify, track and diagnose, through five real nodes, and the HAMPI paper's Table 5 beside the result.
 
 The plant is a truth PEA that shares no code with the models. Open-loop runs stream blocks; the closed loop goes sample by sample.
 """
 
 from __future__ import annotations
 
+import json
 import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,11 +20,13 @@ from hyst_control.config_files import config_path
 from hyst_control.control.feedforward import build_compensator
 from hyst_control.control.reachable_stroke import check_reachable
 from hyst_control.control.tuning import tune
+from hyst_control.diagnose.workflow import diagnose_bags
 from hyst_control.errors import InputError
 from hyst_control.identify.workflow import Result, identify_bags
 from hyst_control.model_file import Model
 from hyst_control.records import excitation
 from hyst_control.records.bag_reader import read_bag
+from hyst_control.reporting.provenance import provenance
 from hyst_control.reporting.tables import Table
 from hyst_control.reproduction import demo_figures
 from hyst_control.reproduction.node_runs import run_processes
@@ -41,6 +45,8 @@ CONTROLLERS = ("no feedforward", "HAPI", "HAMPI", "HAMPI + PI")
 PUBLISHED = {"HAPI": (3.92, 3.86, 6.71, 8.75), "HAMPI": (1.50, 1.28, 1.61, 2.25)}
 """NRMSE in %, HAMPI paper Table 5."""
 SLEW_LIMIT = 2e6
+WITHHELD = {"name": "slew_limit", "rate": 3e4}
+"""Effect in the actuator that the diagnosis has to find."""
 RATING = (0.0, 150.0)
 
 
@@ -123,6 +129,8 @@ def _run(work: Path, progress: Callable[[str], None]) -> Table:
         shutil.move(track(work / "tracking", controller, reference, results, models, plant), tracked[controller])
         shutil.rmtree(work / "tracking")
     shutil.rmtree(work / "excitation")
+    progress("diagnose a withheld effect")
+    gap = diagnose_withheld(work, models / "hampi.yaml", plant)
     progress("figures and report")
     measured = {controller: aligned(bag) for controller, bag in tracked.items()}
     table = score(measured, reference, stretches)
@@ -134,9 +142,50 @@ def _run(work: Path, progress: Callable[[str], None]) -> Table:
         measured,
         [(s.frequency, s.begin, s.end) for s in stretches],
         table,
+        gap,
+        provenance(
+            [("records", sorted(bags.iterdir())), ("models", sorted(models.glob("*.yaml")))],
+            [("plant", f"{PLANT}, seed {SEED}; while tracking seed {SEED + 1}")],
+        ),
     )
     table.write(work / "summary.json")
     return table
+
+
+def diagnose_withheld(work: Path, model: Path, plant: str) -> dict[str, Any]:
+    """Record the actuator with an effect that the model does not have, and diagnose the record without telling which.
+
+    Parameters
+    ----------
+    work : Path
+        The demo's folder; gets the bag, the page and the report.
+    model : Path
+        Identified model.
+    plant : str
+        Plant file.
+
+    Returns
+    -------
+    dict of str
+        Gap report, with the effect that was withheld under "withheld".
+    """
+    signal = excitation.build({"signal": "diagnostic", "lowest": 0.0, "highest": 50.0, "duration": 0.7}, SAMPLE_TIME)
+    recorded = run_processes(
+        work / "withheld",
+        signal,
+        SAMPLE_TIME,
+        {
+            "hampi_feedforward": {"kind": "proportional", "gain": [1.0], "offset": [0.0]},
+            "pi_feedback": {"lower": RATING[0], "upper": RATING[1], "start": "first_command"},
+            "plant": {"plant": plant, "seed": SEED + 2, "effects": json.dumps([WITHHELD])},
+        },
+        block=BLOCK,
+    )
+    bag = work / "bags" / "withheld"
+    shutil.move(recorded, bag)
+    shutil.rmtree(work / "withheld")
+    diagnose_bags([bag], model, json=str(work / "gap.json"), report=str(work / "gap.html"))
+    return {**json.loads((work / "gap.json").read_text(encoding="utf-8")), "withheld": WITHHELD}
 
 
 def tracking_reference() -> tuple[Array, list[Stretch]]:

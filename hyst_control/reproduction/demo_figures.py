@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -11,18 +12,25 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from hyst_control.chain.stage import Array
+from hyst_control.diagnose.gap_report import named, sentence
 from hyst_control.identify.dataset import Dataset, Fit
 from hyst_control.identify.record_segmentation import stretches_between_rests
 from hyst_control.identify.workflow import datasets_of
 from hyst_control.model_file import simulate
 from hyst_control.records.bag_reader import read_bag
-from hyst_control.reporting.html_page import COLORS, Page
+from hyst_control.reporting.html_page import Page, Palette
+from hyst_control.reporting.provenance import Origin
+from hyst_control.reporting.quantities import quantity
 from hyst_control.reporting.tables import Table
 
 matplotlib.use("Agg")
 from matplotlib import pyplot
 
 LOOP_FREQUENCIES = (1.0, 50.0, 100.0, 300.0)
+MOST_POINTS = 700
+"""Points of a curve on the page, about; the curves are smooth."""
+PALETTE = Palette("measured", "HAPI", "HAMPI", "HAMPI + PI", "no feedforward", "reference")
+"""Every subject has one color in all figures."""
 
 
 def write(
@@ -33,6 +41,8 @@ def write(
     measured: Mapping[str, Mapping[str, Array]],
     stretches: Sequence[tuple[float, int, int]],
     table: Table,
+    gap: Mapping[str, Any],
+    origins: Sequence[Origin],
 ) -> None:
     """Write `figures/*.svg` and `report.html` into the demo's folder.
 
@@ -52,6 +62,10 @@ def write(
         Frequency (Hz), begin and end row of each scored stretch.
     table : Table
         Tracking errors.
+    gap : mapping of str
+        Gap report of the record with a withheld effect, which stands under "withheld".
+    origins : sequence of Origin
+        Where the page comes from.
     """
     data = datasets_of(read_bag(excitation))[0]
     loops = _loops(data, fits)
@@ -59,7 +73,7 @@ def write(
     _draw_loops(folder / "figures" / "loops.svg", loops)
     _draw_tracking(folder / "figures" / "tracking.svg", data.sample_time, reference, measured, stretches, error=False)
     _draw_tracking(folder / "figures" / "error.svg", data.sample_time, reference, measured, stretches, error=True)
-    _page(loops, data.sample_time, fits, reference, measured, stretches, table).write(folder / "report.html")
+    _page(loops, data.sample_time, fits, reference, measured, stretches, table, gap, origins).write(folder / "report.html")
 
 
 def _loops(data: Dataset, fits: Mapping[str, Fit]) -> dict[float, dict[str, tuple[Array, Array]]]:
@@ -89,11 +103,13 @@ def _page(
     measured: Mapping[str, Mapping[str, Array]],
     stretches: Sequence[tuple[float, int, int]],
     table: Table,
+    gap: Mapping[str, Any],
+    origins: Sequence[Origin],
 ) -> Page:
-    page = Page(
-        "Feedforward of a piezo stage with hysteresis",
-        "A truth actuator was excited, recorded, identified and made to track a "
-        "4 um reference at four frequencies; every signal went over ROS 2 topics.",
+    page = Page("Feedforward of a piezo stage with hysteresis", _verdict(table, gap), origins)
+    page.note(
+        "A truth actuator, a simulation that shares no code with the models, was excited, recorded, identified and made to track a 4 um "
+        "reference at four frequencies; then it was changed, recorded and diagnosed. Every signal went over ROS 2 topics."
     )
     cases = list(dict.fromkeys(row.case for row in table.rows))
     subjects = list(dict.fromkeys(row.subject for row in table.rows))
@@ -114,9 +130,14 @@ def _page(
             for case in cases
         ],
     )
-    page.figure(_tracking_figure(sample_time, reference, measured, stretches), 900)
-    page.section("Loops", "Displacement over drive, measured on the excitation record and simulated by the identified models.")
-    page.figure(_loop_figure(loops), 460)
+    page.note("Left the displacement, in the middle its error, on the right the drive voltage that each controller asks for.")
+    page.figure(_tracking_figure(sample_time, reference, measured, stretches), 960, 900)
+    page.section(
+        "Hysteresis at each frequency",
+        "Displacement over drive, measured on the excitation record and simulated by the identified models; beneath, by how much each "
+        "model misses the measured curve.",
+    )
+    page.figure(_loop_figure(loops), 640, 900)
     page.section(
         "Identified models", "Fitted to the excitation record; held-out blocks took no part in the choice of the structure."
     )
@@ -132,7 +153,45 @@ def _page(
             for name, fit in fits.items()
         ],
     )
+    page.section(
+        "An effect that the model does not know",
+        f"The actuator was given {_withheld(gap)}, and the diagnosis was not told. The page gap.html beside this one shows what it found.",
+    )
+    page.note(sentence(dict(gap)))
+    page.table(
+        ["effect", "probability", "parameters", "shrink, re-identified"],
+        [
+            [
+                effect["name"].replace("_", " "),
+                f"{effect['probability']:.2f}",
+                "; ".join(f"{name} {quantity(row['value'], row['unit'], 4)}" for name, row in effect["parameters"].items()),
+                "–" if effect["shrink_reidentified"] is None else f"{100 * effect['shrink_reidentified']:.1f} %",
+            ]
+            for effect in gap["effects"]
+        ],
+    )
     return page
+
+
+def _verdict(table: Table, gap: Mapping[str, Any]) -> str:
+    """What the demo has shown, in one sentence."""
+    errors = {
+        subject: [row.value for row in table.rows if (row.subject, row.quantity) == (subject, "nrmse")]
+        for subject in ("no feedforward", "HAMPI", "HAMPI + PI")
+    }
+    ranges = {subject: f"{min(values):.2g} to {max(values):.2g} %" for subject, values in errors.items()}
+    named = gap["verdict"] == "effect" and gap["effects"][0]["name"] == gap["withheld"]["name"]
+    found = "was named" if named else f"was not named: the verdict is {gap['verdict'].replace('_', ' ')}"
+    return (
+        f"Without a model the stage misses its reference by {ranges['no feedforward']} of the range, with the identified model as "
+        f"feedforward by {ranges['HAMPI']}, with feedback besides by {ranges['HAMPI + PI']}; an effect that was put into the actuator "
+        f"afterwards {found}."
+    )
+
+
+def _withheld(gap: Mapping[str, Any]) -> str:
+    values = {name: {"value": value, "unit": "V/s"} for name, value in gap["withheld"].items() if name != "name"}
+    return named({"name": gap["withheld"]["name"], "parameters": values})
 
 
 def _tracking_figure(
@@ -140,64 +199,69 @@ def _tracking_figure(
 ) -> go.Figure:
     figure = make_subplots(
         rows=len(stretches),
-        cols=2,
-        horizontal_spacing=0.08,
+        cols=3,
+        horizontal_spacing=0.07,
         vertical_spacing=0.07,
         subplot_titles=[
-            text
+            f"{frequency:g} Hz: {what}"
             for frequency, _, _ in stretches
-            for text in (f"{frequency:g} Hz: displacement [um]", f"{frequency:g} Hz: error [um]")
+            for what in ("displacement [um]", "error [um]", "drive [V]")
         ],
     )
     for index, (_, begin, end) in enumerate(stretches, start=1):
-        time = 1e3 * sample_time * np.arange(end - begin)
-        figure.add_trace(
-            go.Scatter(
-                x=time,
-                y=reference[begin:end, 0],
-                name="reference",
-                line={"color": COLORS[0], "dash": "dot"},
-                legendgroup="reference",
-                showlegend=index == 1,
-            ),
-            index,
-            1,
+        rows = slice(begin, end, max((end - begin) // MOST_POINTS, 1))
+        time = (1e3 * sample_time * np.arange(end - begin)).astype(np.float32)[:: rows.step]
+        line = {"color": PALETTE.color("reference"), "dash": "dot"}
+        name, shown = "reference", index == 1
+        figure.add_scatter(
+            x=time, y=_single(reference[rows]), name=name, legendgroup=name, showlegend=shown, line=line, row=index, col=1
         )
-        for colour, (name, signals) in zip(COLORS[1:], measured.items(), strict=False):
-            y = signals["measurement"][begin:end, 0]
-            look = {"name": name, "line": {"color": colour, "width": 1.3}, "legendgroup": name}
-            figure.add_trace(go.Scatter(x=time, y=y, showlegend=index == 1, **look), index, 1)
-            figure.add_trace(go.Scatter(x=time, y=y - reference[begin:end, 0], showlegend=False, **look), index, 2)
+        for name, signals in measured.items():
+            look = {"name": name, "legendgroup": name, "line": {"color": PALETTE.color(name), "width": 1.3}}
+            curves = (signals["measurement"][rows], signals["measurement"][rows] - reference[rows], signals["command"][rows])
+            for column, values in enumerate(curves, start=1):
+                figure.add_scatter(x=time, y=_single(values), showlegend=shown and column == 1, **look, row=index, col=column)
     figure.update_xaxes(title_text="time [ms]", row=len(stretches))
+    figure.update_annotations(font_size=13)
     return figure
 
 
+def _single(values: Array) -> Array:
+    """First axis in single precision, which is more than a picture shows."""
+    return values[:, 0].astype(np.float32)
+
+
 def _loop_figure(loops: Mapping[float, Mapping[str, tuple[Array, Array]]]) -> go.Figure:
-    figure = make_subplots(rows=1, cols=len(loops), subplot_titles=[f"{frequency:g} Hz" for frequency in loops])
-    for column, (_, sources) in enumerate(loops.items(), start=1):
-        for colour, (name, (u, y)) in zip(COLORS, sources.items(), strict=False):
-            figure.add_trace(
-                go.Scatter(
-                    x=u,
-                    y=y,
-                    name=name,
-                    legendgroup=name,
-                    showlegend=column == 1,
-                    line={"color": colour, "width": 1.4, "dash": "solid" if name == "measured" else "dash"},
-                ),
-                1,
-                column,
+    figure = make_subplots(
+        rows=2,
+        cols=len(loops),
+        shared_xaxes=True,
+        vertical_spacing=0.06,
+        subplot_titles=[f"{frequency:g} Hz" for frequency in loops],
+    )
+    for column, sources in enumerate(loops.values(), start=1):
+        _, truth = sources["measured"]
+        every = slice(None, None, max(len(truth) // MOST_POINTS, 1))
+        for name, (u, y) in sources.items():
+            line = {"color": PALETTE.color(name), "width": 1.4, "dash": "solid" if name == "measured" else "dash"}
+            look = {"name": name, "legendgroup": name, "line": line}
+            if name != "measured":
+                error = (truth - y)[every].astype(np.float32)
+                figure.add_scatter(x=u[every].astype(np.float32), y=error, showlegend=False, **look, row=2, col=column)
+            figure.add_scatter(
+                x=u[every].astype(np.float32), y=y[every].astype(np.float32), showlegend=column == 1, **look, row=1, col=column
             )
-    figure.update_xaxes(title_text="command [V]")
-    figure.update_yaxes(title_text="displacement [um]", col=1)
+    figure.update_xaxes(title_text="command [V]", row=2)
+    figure.update_yaxes(title_text="displacement [um]", row=1, col=1)
+    figure.update_yaxes(title_text="measured − model [um]", row=2, col=1)
     return figure
 
 
 def _draw_loops(path: Path, loops: Mapping[float, Mapping[str, tuple[Array, Array]]]) -> None:
     figure, axes = pyplot.subplots(1, len(loops), figsize=(3.2 * len(loops), 3.4), sharey=True, squeeze=False)
     for axis, (frequency, sources) in zip(axes[0], loops.items(), strict=True):
-        for colour, (name, (u, y)) in zip(COLORS, sources.items(), strict=False):
-            axis.plot(u, y, color=colour, linewidth=1.1, linestyle="-" if name == "measured" else "--", label=name)
+        for name, (u, y) in sources.items():
+            axis.plot(u, y, color=PALETTE.color(name), linewidth=1.1, linestyle="-" if name == "measured" else "--", label=name)
         axis.set(title=f"{frequency:g} Hz", xlabel="command [V]")
     axes[0][0].set_ylabel("displacement [um]")
     axes[0][0].legend(frameon=False)
@@ -216,10 +280,10 @@ def _draw_tracking(
     for axis, (frequency, begin, end) in zip(axes[0], stretches, strict=True):
         time = 1e3 * sample_time * np.arange(end - begin)
         if not error:
-            axis.plot(time, reference[begin:end], color=COLORS[0], linestyle=":", label="reference")
-        for colour, (name, signals) in zip(COLORS[1:], measured.items(), strict=False):
+            axis.plot(time, reference[begin:end], color=PALETTE.color("reference"), linestyle=":", label="reference")
+        for name, signals in measured.items():
             y = signals["measurement"][begin:end, 0] - (reference[begin:end, 0] if error else 0.0)
-            axis.plot(time, y, color=colour, linewidth=1.0, label=name)
+            axis.plot(time, y, color=PALETTE.color(name), linewidth=1.0, label=name)
         axis.set(title=f"{frequency:g} Hz", xlabel="time [ms]")
     axes[0][0].set_ylabel("error [um]" if error else "displacement [um]")
     axes[0][-1].legend(frameon=False, fontsize="small")

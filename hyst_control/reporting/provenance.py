@@ -1,0 +1,93 @@
+"""Provenance of a page or file: version, date, command, and the files it was made from."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Origin:
+    """One line of the provenance.
+
+    Parameters
+    ----------
+    name
+        Such as "model".
+    texts
+        One or several texts; paths where `files` is true.
+    files
+        Whether the texts are paths of files or folders, to which the page links.
+    """
+
+    name: str
+    texts: tuple[str, ...]
+    files: bool = False
+
+    def seen_from(self, folder: Path) -> tuple[str, list[tuple[str, str | None]]]:
+        """Prepare the line for a page.
+
+        Parameters
+        ----------
+        folder
+            Folder that the page lies in.
+
+        Returns
+        -------
+        tuple
+            The name, and for each text its link relative to the folder, None where there is nothing to link to. What lies in the
+            page's folder is called by its place there.
+        """
+        if not self.files:
+            return self.name, [(text, None) for text in self.texts]
+        links = [_link(text, folder) for text in self.texts]
+        return self.name, [
+            (text if link is None or link.startswith("..") else link, link) for text, link in zip(self.texts, links, strict=True)
+        ]
+
+
+def provenance(files: Sequence[tuple[str, Sequence[str | Path]]] = (), facts: Sequence[tuple[str, str]] = ()) -> list[Origin]:
+    """Describe where a result comes from.
+
+    Parameters
+    ----------
+    files
+        Names and paths of what was read, such as ("bag", ["record"]); those without a path are left out.
+    facts
+        Names and texts of what else matters, such as ("seed", "0").
+
+    Returns
+    -------
+    list of Origin
+        The files, the facts, the command, the version and the date.
+    """
+    found = [Origin(name, tuple(str(path) for path in paths), True) for name, paths in files if paths]
+    found += [Origin(name, (text,)) for name, text in facts]
+    return [
+        *found,
+        Origin("command", (_command(),)),
+        Origin("made by", (f"hyst_control {_version()}",)),
+        Origin("date", (datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),)),
+    ]
+
+
+def _command() -> str:
+    return shlex.join([Path(sys.argv[0] or "python").name, *sys.argv[1:]])
+
+
+def _version() -> str:
+    try:
+        return version("hyst_control")
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _link(text: str, folder: Path) -> str | None:
+    path = Path(text)
+    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix() if path.exists() else None

@@ -1,0 +1,34 @@
+(async () => {
+  "use strict";
+  const charts = [...document.querySelectorAll("figure.chart")].map(place => ({
+    place, text: place.firstElementChild.textContent, drawing: document.createElement("div")
+  }));
+  const dark = window.matchMedia("(prefers-color-scheme: dark)");
+  const draw = isDark => Promise.all(charts.map(async ({ place, text, drawing }) => {
+    // What is drawn in ink is light on a dark page.
+    const { data, layout } = JSON.parse(isDark ? text.replaceAll("#1c2430", "#e6e8ec") : text);
+    layout.font.color = isDark ? "#e6e8ec" : "#1c2430";
+    layout.hoverlabel = { bgcolor: isDark ? "#1e242d" : "#ffffff" };
+    drawing.style.height = "100%";
+    if (!drawing.isConnected) place.append(drawing);
+    await Plotly.react(drawing, data, layout, { displaylogo: false, responsive: true, displayModeBar: "hover" });
+  }));
+  try {
+    const packed = Uint8Array.from(atob(document.getElementById("library").textContent), letter => letter.charCodeAt(0));
+    const unpacked = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+    const library = document.createElement("script");
+    library.textContent = await new Response(unpacked).text();
+    document.head.append(library);
+    await draw(dark.matches);
+    dark.addEventListener("change", () => draw(dark.matches));
+    window.addEventListener("beforeprint", () => draw(false));
+    window.addEventListener("afterprint", () => draw(dark.matches));
+    document.body.dataset.drawn = charts.length;
+  } catch (error) {
+    for (const { place } of charts) {
+      place.style.height = "auto";
+      place.append("This browser cannot draw the figure (" + error + "): a version of 2023 or later can.");
+    }
+    throw error;
+  }
+})();
