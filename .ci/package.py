@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def versions(package: Package) -> Iterator[str]:
-    """Where setup.py, the changelog or the citation say another version or licence."""
+    """Where setup.py, the changelog or the citation say another version or license."""
     given = setup_arguments()
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     changelog = re.search(r"^## (\d\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
@@ -63,7 +63,7 @@ def versions(package: Package) -> Iterator[str]:
     if given["name"] != package.name:
         yield f"name {package.name}, setup.py has {given['name']}"
     if package.licenses != [given["license"]] or citation["license"] != given["license"]:
-        yield f"licence {', '.join(package.licenses)}, setup.py has {given['license']}, CITATION.cff {citation['license']}"
+        yield f"license {', '.join(package.licenses)}, setup.py has {given['license']}, CITATION.cff {citation['license']}"
 
 
 def setup_arguments() -> dict[str, Any]:

@@ -1,7 +1,12 @@
-"""Draw the README's figures: `make figures` (the chain), with FOLDER=the tour's folder also the loops and the tracking of its bags."""
+"""Draw the figures of README and documents: `make figures`.
+
+Without a folder the chain; with FOLDER=the tour's folder the loops and the tracking of its bags, and pictures of the page `gap.html` and
+`report.html` in it (the tutorial leaves a `gap.html` in build/tutorial, `make demo` a `report.html` in demo_out), taken by Chromium.
+"""
 
 from __future__ import annotations
 
+import shutil
 import sys
 from pathlib import Path
 
@@ -74,7 +79,42 @@ def tour(folder: Path) -> None:
     save(figure, "tour.png")
 
 
+PICTURES = {
+    "gap_verdict.png": ("gap.html", "h1", ".wide table >> nth=0"),
+    "gap_signals.png": ("gap.html", "h2:has-text('Measured, simulated')", "figure.chart >> nth=0"),
+    "gap_loops.png": ("gap.html", "h2:has-text('Slow hysteresis')", "figure.chart >> nth=1"),
+    "gap_rivals.png": ("gap.html", "h2:has-text('Rejected rivals')", "h2:has-text('Rejected rivals') ~ .wide"),
+    "report_tracking.png": ("report.html", "h1", "figure.chart >> nth=0"),
+    "report_loops.png": ("report.html", "h2:has-text('Hysteresis at each')", "figure.chart >> nth=1"),
+}
+"""By file: the page, and the first and last element in the picture."""
+
+
+def screenshots(folder: Path) -> None:
+    """Pictures of the pages in a folder, as a reader sees them."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"])
+        for name, (page, first, last) in PICTURES.items():
+            if (folder / page).is_file():
+                view = browser.new_page(viewport={"width": 1000, "height": 800}, color_scheme="light")
+                view.goto((folder / page).resolve().as_uri())
+                view.wait_for_selector("body[data-drawn]", timeout=240_000)
+                boxes = [view.locator(selector).first.bounding_box() for selector in (first, last)]
+                top, bottom = boxes[0]["y"] - 8, boxes[1]["y"] + boxes[1]["height"] + 8
+                clip = {"x": 0, "y": top, "width": 1000, "height": bottom - top}
+                view.screenshot(path=str(FIGURES / name), full_page=True, clip=clip)
+                view.close()
+                print(f"written: {FIGURES / name}")
+        browser.close()
+
+
 if __name__ == "__main__":
     signal_chain()
     if len(sys.argv) > 1:
-        tour(Path(sys.argv[1]))
+        given = Path(sys.argv[1])
+        if (given / "tracking").exists():
+            tour(given)
+        if any((given / page).is_file() for page in ("gap.html", "report.html")):
+            screenshots(given)

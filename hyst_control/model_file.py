@@ -248,7 +248,7 @@ def model_from_document(document: Any) -> Model:
         except MemoryError:
             raise InputError(f"chain[{index}] ({stage.name}): too large for this machine at {sample_time:g} s") from None
     try:
-        chain.filter(Sampling(float(sample_time), len(axes), hold))  # modifiers change their neighbours
+        chain.filter(Sampling(float(sample_time), len(axes), hold))  # modifiers change their neighbors
     except InputError as error:
         raise InputError(f"chain: {error}") from None
     return Model(

@@ -107,7 +107,7 @@ def test_a_list_of_parameters_is_found():
 
 
 def test_a_list_of_names_is_found(tmp_path):
-    """The test can fail: what it is against is recognised."""
+    """The test can fail: what it is against is recognized."""
     text = 'FOLLOWERS = {"piezo": ("creep", "backlash")}\nif stage.name == "delay":\n    pass\ntext = "a gain"\nkey = "gain"\n'
     path = PACKAGE / "effects" / "no_such_file.py"
     tree = ast.parse(text)

@@ -179,7 +179,7 @@ EXAMPLES: dict[str, Example] = {
     ),
     "sensor_noise": Example({"rms": 0.08}, 0.02, 10.0, "Flat in the spectrum, the same at rest and in motion."),
     "flicker_noise": Example({"rms": 0.15}, 0.2, 10.0, "Rises towards low frequencies, wanders at rest."),
-    "outliers": Example({"fraction": 0.01, "size": 2.0}, 0.02, 10.0, "Single samples far off, their neighbours untouched."),
+    "outliers": Example({"fraction": 0.01, "size": 2.0}, 0.02, 10.0, "Single samples far off, their neighbors untouched."),
     "quantization": Example(
         {"step": 0.25},
         0.02,

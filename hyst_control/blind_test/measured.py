@@ -385,7 +385,7 @@ def record_of(level: mirror.Level, realization: int) -> Record:
     time = mirror.SAMPLE_TIME * np.arange(len(command), dtype=np.float64)
     return Record(
         {"command": Signal(time, command, mirror.AXES, "V"), "measurement": Signal(time, measurement, mirror.AXES, "um")},
-        f"{level.name}, realisation {realization + 1}",
+        f"{level.name}, realization {realization + 1}",
     )
 
 

@@ -173,17 +173,17 @@ def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric
     )
     share("pairs: at least one", 0.97, doubles, lambda pair: bool(set(_named(pair)) & set(_truth(pair))))
     apart = [pair[1]["shrink_realised"] for pair in pairs if pair[1].get("shrink_realised")]
-    value("shrink, predicted - realised: median", 0.02, [abs(a - b) for a, b, _ in apart], False, np.median)
+    value("shrink, predicted - realized: median", 0.02, [abs(a - b) for a, b, _ in apart], False, np.median)
     value(
-        "shrink, predicted - realised: 90 % quantile", 0.08, [abs(a - b) for a, b, _ in apart], False, lambda x: np.quantile(x, 0.9)
+        "shrink, predicted - realized: 90 % quantile", 0.08, [abs(a - b) for a, b, _ in apart], False, lambda x: np.quantile(x, 0.9)
     )
     ahead = [
         abs(pair[1]["foreseen"]["shrink"] - pair[1]["shrink_realised"][1])
         for pair in pairs
         if pair[1].get("shrink_realised") and pair[1].get("foreseen")
     ]
-    value("shrink, foreseen for the fresh command - realised: median", 0.02, ahead, False, np.median)
-    value("shrink, foreseen for the fresh command - realised: 90 % quantile", 0.08, ahead, False, lambda x: np.quantile(x, 0.9))
+    value("shrink, foreseen for the fresh command - realized: median", 0.02, ahead, False, np.median)
+    value("shrink, foreseen for the fresh command - realized: 90 % quantile", 0.08, ahead, False, lambda x: np.quantile(x, 0.9))
     share(
         "true parameter within its 90 % interval",
         0.85,

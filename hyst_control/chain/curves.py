@@ -61,7 +61,7 @@ def polynomial_curve(coefficients: Array, field: str) -> Curve:
     for left, right in zip(edges[:-1], edges[1:], strict=True):
         if np.polyval(p, right) <= np.polyval(p, left):
             raise InputError(
-                f"{field}: the curve falls between {left:.4g} and {right:.4g} of the normalised input: "
+                f"{field}: the curve falls between {left:.4g} and {right:.4g} of the normalized input: "
                 "a branch must rise all the way; correct the coefficients"
             )
     return Curve(np.array([0.0, 1.0]), p.reshape(1, -1))
@@ -94,7 +94,7 @@ def knot_curve(knots: Array, values: Array, field: str) -> Curve:
     if np.any(np.diff(values) <= 0):
         i = int(np.argmax(np.diff(values) <= 0))
         raise InputError(
-            f"{field}: the curve falls between {knots[i]:.4g} and {knots[i + 1]:.4g} of the normalised input: "
+            f"{field}: the curve falls between {knots[i]:.4g} and {knots[i + 1]:.4g} of the normalized input: "
             "a branch must rise all the way; correct the values"
         )
     return Curve(knots, np.ascontiguousarray(PchipInterpolator(knots, values).c.T))

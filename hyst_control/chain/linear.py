@@ -420,7 +420,7 @@ class StateSpace(LinearStage):
 class RateCorrection(LinearStage):
     """Ψ = (k1 dv/dt + b1) / (k2 s + b2), the lag driven by the command's rate (MHL paper Eq. 4).
 
-    k1 output unit s / V, b1 output unit, k2 s, b2 dimensionless. Realised as the high-pass k1 s / (k2 s + b2) of the command
+    k1 output unit s / V, b1 output unit, k2 s, b2 dimensionless. Realized as the high-pass k1 s / (k2 s + b2) of the command
     plus the constant b1 / b2, so no difference quotient is taken.
     """
 

@@ -113,7 +113,7 @@ def advance_linear(
     position: int,
     output: Array,
 ) -> int:
-    """Run S systems of m inputs each over a block; see `Discretised`. Returns the new position.
+    """Run S systems of m inputs each over a block; see `Discretized`. Returns the new position.
 
     Parameters
     ----------

@@ -225,7 +225,7 @@ def tustin_systems(run: Sequence[Stage], sampling: Sampling) -> list[DiscreteSys
 
 
 def discrete_stage(systems: Sequence[DiscreteSystem], sample_time: float) -> StateSpace:
-    """Digital filters side by side as one `state_space` stage; realised in second-order sections, which keep slow poles exact.
+    """Digital filters side by side as one `state_space` stage; realized in second-order sections, which keep slow poles exact.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ IEEE/ASME Trans. Mechatronics 18 (2013)):
     u_j+1 = u_j + F^-1 { Q (P^H P + damping I)^-1 P^H F { reference - y[u_j] } }
 
 with P the sampled response of the model linearised at its mean slope, matrices over the axes, so coupled axes, delays and
-non-minimum-phase zeros need nothing special. It is the regularised least-squares step on the lifted system, whose matrix P
+non-minimum-phase zeros need nothing special. It is the regularized least-squares step on the lifted system, whose matrix P
 diagonalises. Q learns slow errors first: its bandwidth is widened by half whenever an iteration no longer brings a tenth, until
 four times in a row nothing is gained. Learning everything at once ends three times worse with the HAMPI model, whose rate term
 acts like a right-half-plane zero: fast errors that the linear P does not describe are then learnt first, and stay.

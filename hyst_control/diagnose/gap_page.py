@@ -387,7 +387,7 @@ def _where(document: Mapping[str, Any], axes: int) -> Markup:
         )
     figure.update_xaxes(range=[0, 105], ticksuffix=" %", nticks=4)
     figure.update_annotations(font_size=13)
-    return figure_markup(figure, 120 * lines + 24 * sum(counts))
+    return figure_markup(figure, 120 * lines + 24 * sum(counts), 560)
 
 
 def _rival_row(row: Rejected) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """Fitting a model with candidate effects to records, its scattered coefficients marginalized.
 
-The penalised misfit, all in units of the noise, for coefficients z with prior N(0, 1) and effect parameters x (scaled so that
+The penalized misfit, all in units of the noise, for coefficients z with prior N(0, 1) and effect parameters x (scaled so that
 their broad prior is N(x0, 1)):
 
     Φ(z, x) = ½ w ‖y - ŷ(z, x)‖² + ½ ‖z‖² + ½ ‖x - x0‖²

@@ -52,7 +52,7 @@ class AddedMass(Modifier):
 
 
 def _heavier(system: LinearSystem, ratio: Array, growth: Array) -> LinearSystem:
-    """The old mode cancelled and the new one put in its place, behind the system, output by output."""
+    """The old mode canceled and the new one put in its place, behind the system, output by output."""
     ratios = []
     for output, (share, more) in enumerate(zip(ratio, growth, strict=True)):
         if not (share or more):

@@ -119,7 +119,7 @@ def find_onsets(quantity: str, units: Sequence[str], moments: Array, values: Arr
 
 
 class _Fit:
-    """Generalised least squares of a unit's nights with a shift at each of them in turn."""
+    """Generalized least squares of a unit's nights with a shift at each of them in turn."""
 
     def __init__(self, moments: Array, values: Array, white: float, walk: float) -> None:
         there = np.isfinite(values)

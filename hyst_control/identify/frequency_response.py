@@ -37,7 +37,7 @@ class FrequencyResponse:
     total_variance
         Variance (F, p, m) because of noise and stochastic nonlinear distortion together; None where the experiment cannot separate
         them.
-    realisations
+    realizations
         Number of realizations averaged.
     """
 

@@ -6,7 +6,7 @@ Time is counted in samples here (sample time 1), poles accordingly: λ = p · sa
 
 with one term per real pole and two, conjugate to each other, per complex pair. Each pole carries a residue matrix c bᵀ
 of rank one, so n poles are n states. φ_j is the exact response of a mode to the held command, late by τ_j samples
-(`hyst_control.chain.linear.discretise` computes the same), and t_i, d_o are the transient of a record that is not
+(`hyst_control.chain.linear.discretize` computes the same), and t_i, d_o are the transient of a record that is not
 periodic: its discrete Fourier transform obeys the same equations with one more input of constant spectrum (Pintelon &
 Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., 2012, section 6.3).
 

@@ -26,6 +26,7 @@ read once at the start. The feedforward and the reference generator take further
 | `hampi_feedforward`, `mhl_feedforward` | `reference` | `feedforward` |
 | `pi_feedback` | `reference`, `feedforward`, `measurement` | `command`, `feedback` |
 | `plant` | `command` | `measurement` |
+| `simulated_stage`, `pi_stage`, `iio_stage` | `command` | `measurement` of a stage on hardware, in place of `plant` |
 | `recorder` | all five | a rosbag2 MCAP bag |
 | `identification` | bags | a model file (`~/identify`) |
 | `diagnosis` | `command`, `measurement` | `residual`, `gap` with an alarm, a full diagnosis (`~/diagnose`) |

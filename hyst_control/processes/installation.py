@@ -40,7 +40,7 @@ LEAST_MEMORY = 2.0
 
 
 class Verdict(Enum):
-    """Judgement of a check."""
+    """Judgment of a check."""
 
     GOOD = "good"
     NOTE = "note"

@@ -367,7 +367,7 @@ def _array_of(name: str, arrays: dict[str, Array]) -> str | None:
 
 
 def _table(array: Array) -> Array:
-    """Rows by columns: samples come first; further dimensions (channels, realisations, periods) become columns in their order."""
+    """Rows by columns: samples come first; further dimensions (channels, realizations, periods) become columns in their order."""
     if array.ndim < 2:
         return array.reshape(-1, 1)
     return array.reshape(len(array), -1) if array.size else np.empty((len(array), 0))

@@ -69,7 +69,7 @@ class Palette:
         return self._colors.setdefault(subject, COLORS[len(self._colors) % len(COLORS)])
 
 
-def figure_markup(figure: go.Figure, height: int = 420) -> Markup:
+def figure_markup(figure: go.Figure, height: int = 420, least_width: int = 0) -> Markup:
     """Convert a zoomable figure to markup for a template; the page draws it.
 
     Parameters
@@ -78,6 +78,8 @@ def figure_markup(figure: go.Figure, height: int = 420) -> Markup:
         The figure.
     height
         Height, pixels.
+    least_width
+        Width, pixels, below which the figure is scrolled sideways instead of squeezed: for several columns.
 
     Returns
     -------
@@ -85,11 +87,12 @@ def figure_markup(figure: go.Figure, height: int = 420) -> Markup:
         The markup.
     """
     figure.update_layout(**LAYOUT, height=height)
-    figure.update_xaxes(**GRID)
+    figure.update_xaxes(**GRID, ticklabelstandoff=7)  # the label below the corner does not touch the one beside it
     figure.update_yaxes(**GRID)
     data = str(figure.to_json()).replace("</", "<\\/")
     return Markup(  # JSON within a script element needs no escape but that of its end
-        f"<figure class='chart' style='height:{height}px'><script type='application/json'>{data}</script></figure>"
+        f"<div class='wide'><figure class='chart' style='height:{height}px;min-width:{least_width}px'>"
+        f"<script type='application/json'>{data}</script></figure></div>"
     )
 
 
@@ -174,17 +177,17 @@ class Page:
         """
         self._content.append({"kind": "table", "headers": headers, "rows": rows})
 
-    def figure(self, figure: go.Figure, height: int = 420) -> None:
+    def figure(self, figure: go.Figure, height: int = 420, least_width: int = 0) -> None:
         """Add a zoomable figure.
 
         Parameters
         ----------
         figure
             The figure.
-        height
-            Height, pixels.
+        height, least_width
+            As in `figure_markup`.
         """
-        self._content.append({"kind": "figure", "drawing": figure_markup(figure, height)})
+        self._content.append({"kind": "figure", "drawing": figure_markup(figure, height, least_width)})
 
     def note(self, text: str) -> None:
         """Add a small paragraph.

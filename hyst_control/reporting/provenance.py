@@ -41,9 +41,15 @@ class Origin:
         Returns
         -------
         tuple
-            The name, and for each text its link relative to the folder, None where there is nothing to link to.
+            The name, and for each text its link relative to the folder, None where there is nothing to link to. What lies in the
+            page's folder is called by its place there.
         """
-        return self.name, [(text, _link(text, folder) if self.files else None) for text in self.texts]
+        if not self.files:
+            return self.name, [(text, None) for text in self.texts]
+        links = [_link(text, folder) for text in self.texts]
+        return self.name, [
+            (text if link is None or link.startswith("..") else link, link) for text, link in zip(self.texts, links, strict=True)
+        ]
 
 
 def provenance(files: Sequence[tuple[str, Sequence[str | Path]]] = (), facts: Sequence[tuple[str, str]] = ()) -> list[Origin]:

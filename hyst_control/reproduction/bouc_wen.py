@@ -38,7 +38,7 @@ PADDING = 4000
 """Zeros before and behind a record that is not periodic, while it is interpolated."""
 PUBLISHED = (1.2e-5, 5.4e-5)
 """Simulation error, m: best and worst of the polynomial state-space models of Noël et al., arXiv 1610.09138 (-98.3 and -85.3 dB)."""
-TARGETS = {"grey box": 3e-6, "generic": 1.2e-5}
+TARGETS = {"gray box": 3e-6, "generic": 1.2e-5}
 EQUATIONS = {"mass": 2e-6, "damping": 1e-5, "stiffness": 0.05, "alpha": 0.05, "beta": 8e-4, "gamma": -1.1e-3, "exponent": 1.0}
 """Parameters of the benchmark's equations in V (N), um and s; nothing but the table is told of them."""
 SWEEP_BANDS = (20.0, 25.0, 30.0, 35.0, 40.0, 45.0, 50.0)
@@ -54,7 +54,7 @@ class Candidate:
 
 
 CANDIDATES = (
-    Candidate("Bouc-Wen oscillator, grey box", "bouc_wen"),
+    Candidate("Bouc-Wen oscillator, gray box", "bouc_wen"),
     Candidate("Duhem oscillator, generic", "duhem_oscillator"),
     Candidate("Duhem oscillator, 12 knots, none at 0", "duhem_oscillator", {"table_size": 12}),
     Candidate("play operators and dynamics (hapi)", "hapi"),
@@ -307,7 +307,7 @@ def report_parameters(table: Table, subject: str, fit: Fit) -> None:
     subject : str
         Name of the model in the table.
     fit : Fit
-        The grey box.
+        The gray box.
     """
     for row in fit.report["parameters"]:
         if row["name"] in EQUATIONS:
@@ -325,7 +325,7 @@ def report_parameters(table: Table, subject: str, fit: Fit) -> None:
 
 
 def report_sweep(table: Table, subject: str, model: Model, test: Test) -> None:
-    """Add the ratio of measured to simulated displacement by frequency: what the grey box leaves of the sweep.
+    """Add the ratio of measured to simulated displacement by frequency: what the gray box leaves of the sweep.
 
     Parameters
     ----------
@@ -334,7 +334,7 @@ def report_sweep(table: Table, subject: str, model: Model, test: Test) -> None:
     subject : str
         Name of the model in the table.
     model : Model
-        The grey box.
+        The gray box.
     test : Test
         The sine sweep.
     """
@@ -344,7 +344,7 @@ def report_sweep(table: Table, subject: str, model: Model, test: Test) -> None:
         inside = (frequency >= lower) & (frequency < upper)
         inside[: PERIOD // 8], inside[-PERIOD // 8 :] = False, False
         ratio = np.vdot(simulated[inside], measured[inside]) / np.vdot(simulated[inside], simulated[inside])
-        case, title = f"{lower:g}-{upper:g} Hz", "What the grey box leaves of the sweep: measured over simulated"
+        case, title = f"{lower:g}-{upper:g} Hz", "What the gray box leaves of the sweep: measured over simulated"
         table.add(title, case, subject, "amplitude_ratio_less_1", "%", 100.0 * (abs(ratio) - 1.0))
         table.add(title, case, subject, "phase", "deg", float(np.angle(ratio, deg=True)))
 

@@ -27,6 +27,8 @@ matplotlib.use("Agg")
 from matplotlib import pyplot
 
 LOOP_FREQUENCIES = (1.0, 50.0, 100.0, 300.0)
+MOST_POINTS = 700
+"""Points of a curve on the page, about; the curves are smooth."""
 PALETTE = Palette("measured", "HAPI", "HAMPI", "HAMPI + PI", "no feedforward", "reference")
 """Every subject has one color in all figures."""
 
@@ -129,13 +131,13 @@ def _page(
         ],
     )
     page.note("Left the displacement, in the middle its error, on the right the drive voltage that each controller asks for.")
-    page.figure(_tracking_figure(sample_time, reference, measured, stretches), 960)
+    page.figure(_tracking_figure(sample_time, reference, measured, stretches), 960, 900)
     page.section(
         "Hysteresis at each frequency",
         "Displacement over drive, measured on the excitation record and simulated by the identified models; beneath, by how much each "
         "model misses the measured curve.",
     )
-    page.figure(_loop_figure(loops), 640)
+    page.figure(_loop_figure(loops), 640, 900)
     page.section(
         "Identified models", "Fitted to the excitation record; held-out blocks took no part in the choice of the structure."
     )
@@ -172,7 +174,7 @@ def _page(
 
 
 def _verdict(table: Table, gap: Mapping[str, Any]) -> str:
-    """Result of the demo in one sentence."""
+    """What the demo has shown, in one sentence."""
     errors = {
         subject: [row.value for row in table.rows if (row.subject, row.quantity) == (subject, "nrmse")]
         for subject in ("no feedforward", "HAMPI", "HAMPI + PI")
@@ -207,8 +209,8 @@ def _tracking_figure(
         ],
     )
     for index, (_, begin, end) in enumerate(stretches, start=1):
-        rows = slice(begin, end)
-        time = (1e3 * sample_time * np.arange(end - begin)).astype(np.float32)
+        rows = slice(begin, end, max((end - begin) // MOST_POINTS, 1))
+        time = (1e3 * sample_time * np.arange(end - begin)).astype(np.float32)[:: rows.step]
         line = {"color": PALETTE.color("reference"), "dash": "dot"}
         name, shown = "reference", index == 1
         figure.add_scatter(
@@ -239,13 +241,16 @@ def _loop_figure(loops: Mapping[float, Mapping[str, tuple[Array, Array]]]) -> go
     )
     for column, sources in enumerate(loops.values(), start=1):
         _, truth = sources["measured"]
+        every = slice(None, None, max(len(truth) // MOST_POINTS, 1))
         for name, (u, y) in sources.items():
-            look = {"name": name, "legendgroup": name, "line": {"color": PALETTE.color(name), "width": 1.4}}
+            line = {"color": PALETTE.color(name), "width": 1.4, "dash": "solid" if name == "measured" else "dash"}
+            look = {"name": name, "legendgroup": name, "line": line}
             if name != "measured":
-                look["line"]["dash"] = "dash"
-                error = (truth - y).astype(np.float32)
-                figure.add_scatter(x=u.astype(np.float32), y=error, showlegend=False, **look, row=2, col=column)
-            figure.add_scatter(x=u.astype(np.float32), y=y.astype(np.float32), showlegend=column == 1, **look, row=1, col=column)
+                error = (truth - y)[every].astype(np.float32)
+                figure.add_scatter(x=u[every].astype(np.float32), y=error, showlegend=False, **look, row=2, col=column)
+            figure.add_scatter(
+                x=u[every].astype(np.float32), y=y[every].astype(np.float32), showlegend=column == 1, **look, row=1, col=column
+            )
     figure.update_xaxes(title_text="command [V]", row=2)
     figure.update_yaxes(title_text="displacement [um]", row=1, col=1)
     figure.update_yaxes(title_text="measured − model [um]", row=2, col=1)

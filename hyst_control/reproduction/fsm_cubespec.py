@@ -362,7 +362,7 @@ def run(json_path: str | Path | None = None, figures_dir: str | Path | None = No
         if chosen is None or selected < chosen[0]:
             chosen = selected, model, subject
     assert chosen is not None, "no model of all levels"
-    table.add(ALL, "all", f"chosen on realisation 5: {chosen[2]}", "relative_error_select", "% of rms", chosen[0], n=1)
+    table.add(ALL, "all", f"chosen on realization 5: {chosen[2]}", "relative_error_select", "% of rms", chosen[0], n=1)
     report_laws(table, levels, [found[0].model for found in fits])
     report_shares(table, levels, chosen[1])
     report_residual(table, levels, chosen[1])
@@ -462,7 +462,7 @@ def report_linear(table: Table, levels: Sequence[Level], fits: Sequence[Sequence
     models : sequence of Model
         Linear models, one per level.
     """
-    title = "Linear model per level, realisation 6"
+    title = "Linear model per level, realization 6"
     for level, found, model in zip(levels, fits, models, strict=True):
         began = time.perf_counter()
         errors = simulation_error(model, level, TEST)
@@ -494,7 +494,7 @@ def report_nonparametric(table: Table, levels: Sequence[Level]) -> None:
     levels : sequence of Level
         Records of all levels.
     """
-    title = "Nonparametric response per level, realisation 6"
+    title = "Nonparametric response per level, realization 6"
     for level in levels:
         records = [level.command[:, :, r].mean(axis=2) for r in FIT], [level.measurement[:, :, r].mean(axis=2) for r in FIT]
         for subject, width, degree in (("per line", 1, 0), ("local polynomial", HALF_WIDTH, 2)):
@@ -512,9 +512,9 @@ def report_nonparametric(table: Table, levels: Sequence[Level]) -> None:
         noise = float(np.sum(np.mean((level.measurement[..., 0] - level.measurement[..., 1]) ** 2, axis=(0, 2)) / 2.0))
         table.add(title, level.name, "noise of one period", "relative_error", "% of rms", 100.0 * np.sqrt(noise / power))
         bla = robust_bla(level.command, level.measurement, SAMPLE_TIME)
-        assert bla.distortion_variance is not None, "a single realisation tells no distortion"
+        assert bla.distortion_variance is not None, "a single realization tells no distortion"
         size = np.sum(np.abs(bla.response) ** 2)
-        # Variances of the mean over two groups: a single group, hence a single realisation, has twice as much.
+        # Variances of the mean over two groups: a single group, hence a single realization, has twice as much.
         for subject, variance in (("noise in the response", bla.noise_variance), ("nonlinear distortion", bla.distortion_variance)):
             table.add(title, level.name, subject, "relative_size", "% of rms", 100.0 * np.sqrt(2.0 * np.sum(variance) / size), n=6)
 
@@ -531,7 +531,7 @@ def report_across(table: Table, levels: Sequence[Level], models: Sequence[Model]
     models : sequence of Model
         Linear models, one per level.
     """
-    title = "Linear model of one level on another, realisation 6 (published: 15 to 33 %)"
+    title = "Linear model of one level on another, realization 6 (published: 15 to 33 %)"
     for level in levels:
         for other, model in zip(levels, models, strict=True):
             if other is not level:
@@ -546,7 +546,7 @@ def report_across(table: Table, levels: Sequence[Level], models: Sequence[Model]
                 )
 
 
-ALL = "One model for all levels, realisation 6"
+ALL = "One model for all levels, realization 6"
 
 
 def report_one(
@@ -672,7 +672,7 @@ def report_shares(table: Table, levels: Sequence[Level], model: Model) -> None:
         table.add(title, "all", name, "share", "% of mean square", 100.0 * value / sum(totals.values()), n=len(TEST))
 
 
-SHARES = "Shares of the gap between the linear simulator and the mirror, realisation 6"
+SHARES = "Shares of the gap between the linear simulator and the mirror, realization 6"
 
 
 def shares_page(table: Table) -> str:
@@ -710,7 +710,7 @@ def report_residual(table: Table, levels: Sequence[Level], model: Model) -> None
     model : Model
         Chosen model of all levels.
     """
-    title = "What the chosen model leaves, by frequency, realisation 6"
+    title = "What the chosen model leaves, by frequency, realization 6"
     for level in levels:
         measured = level.measurement[:, :, TEST].mean(axis=3)
         error = measured - steady_state(model, level.command[:, :, TEST].mean(axis=3))

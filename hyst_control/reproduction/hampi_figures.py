@@ -61,7 +61,7 @@ def write(
     """
     folder.mkdir(parents=True, exist_ok=True)
     page = Page(
-        "HAMPI: modelling and feedforward control of a piezo actuator",
+        "HAMPI: modeling and feedforward control of a piezo actuator",
         "The paper's experiments on a truth actuator whose "
         "physics is not the model's; every signal went over ROS 2 topics in lockstep. The published figures are of the paper's "
         "own actuator.",

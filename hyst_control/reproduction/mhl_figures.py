@@ -58,7 +58,7 @@ def write(
     """
     folder.mkdir(parents=True, exist_ok=True)
     page = Page(
-        "MHL: modelling and control of a fast steering mirror",
+        "MHL: modeling and control of a fast steering mirror",
         "The paper's experiments on a truth mirror whose physics is not "
         "the model's; every signal went over ROS 2 topics in lockstep. The published figures are of the paper's own mirror.",
     )

@@ -25,7 +25,7 @@ def test_the_page_is_what_the_command_writes():
 
 @pytest.mark.parametrize("name", ["delay", "cross_coupling", "sensor_noise"])
 def test_a_figure_has_the_gap_in_it(name, tmp_path, monkeypatch):
-    """Orange, the gap's colour, where the effect is; and none of it when there is no effect to draw."""
+    """Orange, the gap's color, where the effect is; and none of it when there is no effect to draw."""
     from PIL import Image
 
     def orange() -> int:

@@ -80,7 +80,7 @@ def by_recursion(turns, stage: Madelung) -> float:
 
 
 def test_the_major_loop_is_the_published_curves():
-    """Polynomials p5…p1 of the normalised input, MHL paper Eq. 1, 2, scaled to meet at 3.2."""
+    """Polynomials p5…p1 of the normalized input, MHL paper Eq. 1, 2, scaled to meet at 3.2."""
     x = np.linspace(0, 1, 101)
     y = run(STAGES["quintic"], np.concatenate([100 * x, 100 * x[::-1], 100 * x]))
     up, down = np.polyval([*UP, 0.0], x), np.polyval([*DOWN, 0.0], x)
@@ -209,7 +209,7 @@ def test_a_polynomial_is_accepted_when_it_rises_and_only_then(p, q):
 
 def test_a_falling_curve_is_refused_with_its_interval():
     """x - 2.4 x² + 2.4 x³ … falls where 1 - 4.8 x + 4.5 x² < 0, between 0.283 and 0.784."""
-    with pytest.raises(InputError, match=r"ascending: the curve falls between 0\.28\d* and 0\.78\d* of the normalised input"):
+    with pytest.raises(InputError, match=r"ascending: the curve falls between 0\.28\d* and 0\.78\d* of the normalized input"):
         Madelung([1.5, -2.4, 1.0], [0.1], 1.0, 1.0)
     with pytest.raises(InputError, match=r"descending: the curve falls between 0.4 and 0.7 .*values"):
         Madelung([0.0, 0.2, 0.5, 1.0], [0.0, 0.5, 0.5, 1.0], 1.0, 1.0, knots=[0.0, 0.4, 0.7, 1.0])

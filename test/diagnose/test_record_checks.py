@@ -22,7 +22,7 @@ TIME = STEP * np.arange(6000)
 
 
 def test_numbers_of_few_digits_are_no_held_samples():
-    """A slow motion in noise, printed with so few digits that neighbours coincide now and then, on more levels than a lattice has."""
+    """A slow motion in noise, printed with so few digits that neighbors coincide now and then, on more levels than a lattice has."""
     random = np.random.default_rng(1)
     printed = np.round(20.0 * np.sin(2 * np.pi * TIME) + 0.2 * random.standard_normal(len(TIME)), 3)
     same = np.mean(np.diff(printed) == 0.0)

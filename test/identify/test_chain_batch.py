@@ -50,7 +50,7 @@ def test_every_chain_gives_the_same_numbers_as_alone(hold: str) -> None:
 
 
 def test_what_chains_share_is_run_once() -> None:
-    """Neighbours in one parameter of curves, rate part and dynamics: 2 loops, 2 of G behind them for each, 3 rate parts with G."""
+    """Neighbors in one parameter of curves, rate part and dynamics: 2 loops, 2 of G behind them for each, 3 rate parts with G."""
     chains = [mhl(0.1, 1e-6, SLOW), mhl(0.2, 1e-6, SLOW), mhl(0.1, 2e-6, SLOW), mhl(0.1, 1e-6, FAST)]
     filters = [node for node in Bundle(chains, Sampling(5e-5, 1, "zoh")).nodes if node.running is not None]
     loops = [node for node in filters if type(node.running).__name__ == "MadelungFilter"]

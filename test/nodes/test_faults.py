@@ -182,7 +182,7 @@ def ReferenceGenerator_of(signal):
         (PlantNode, {"model": "nowhere.yaml"}, "nowhere.yaml"),
         (PlantNode, {"plant": "pea", "effects": "delay"}, r"plant: effects: must be a list .*, got 'delay'"),
         (PlantNode, {"plant": "pea", "effects": "[{name: dealy}]"}, "'dealy' is unknown"),
-        (PlantNode, {"plant": "pea", "parameters": "{colour: 1}"}, "parameters.colour"),
+        (PlantNode, {"plant": "pea", "parameters": "{color: 1}"}, "parameters.color"),
         (PlantNode, {"model": MODEL, "parameters": "{noise: 0.0}"}, "write them into the model file"),
         (PlantNode, {"model": MODEL, "axes": ["x", "y"]}, "axes"),
         (PiFeedback, {"upper": -1.0}, "upper"),

@@ -128,6 +128,7 @@ def test_links_are_relative_to_the_page(tmp_path):
         for origin in provenance([("record", [tmp_path / "bags/one", "gone"])], [("seed", "3")])
     )
     assert rows["record"] == [(str(tmp_path / "bags/one"), "../bags/one"), ("gone", None)]
+    assert dict(Origin("record", (str(tmp_path / "bags"),), True).seen_from(tmp_path)[1:][0]) == {"bags": "bags"}
     assert rows["seed"] == [("3", None)] and {"command", "made by", "date"} <= set(rows)
 
 
