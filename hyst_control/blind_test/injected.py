@@ -311,7 +311,10 @@ def mirror_machine(scoring: bool, level: int) -> Machine:
     case, other = (mirror.TEST[0], mirror.SELECT[0]) if scoring else (mirror.SELECT[0], mirror.TEST[0])
 
     def twice(realization: int, period: int) -> Clean:
-        command, measurement = (np.tile(rows[:, :, realization, period], (2, 1)) for rows in (data.command, data.measurement))
+        command, measurement = (
+            np.concatenate([rows[:, :, realization, 1 - period], rows[:, :, realization, period]])
+            for rows in (data.command, data.measurement)
+        )
         return Clean(f"{data.name}, realization {realization + 1}", command, measurement)
 
     def model() -> Any:

@@ -33,6 +33,7 @@ from hyst_control.identify.learned_discrepancy import LearnedDiscrepancy, discre
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.correlation import correlation_length
 from hyst_control.records.record import Record
+from hyst_control.records.repeated_periods import is_same, period_of
 from hyst_control.records.session_zero import SHAPES, usual_zero, without_zero
 
 LEAST_DIRECTION = 0.1
@@ -277,21 +278,16 @@ def matching(command: Array, clean: Sequence[Piece], settings: BaselineSettings)
     found = []
     for piece in clean:
         other = piece.command
-        if len(other) >= len(command) and _same(command, other[: len(command)], settings):
+        if len(other) >= len(command) and is_same(command, other[: len(command)], settings.same_command):
             shift = 0
         else:
             shift = _shift(command, other, int(np.ceil(settings.overlap * len(command))))
         begin, end = max(0, -shift), min(len(command), len(other) - shift)
-        if end - begin >= settings.overlap * len(command) and _same(
-            command[begin:end], other[begin + shift : end + shift], settings
+        if end - begin >= settings.overlap * len(command) and is_same(
+            command[begin:end], other[begin + shift : end + shift], settings.same_command
         ):
             found.append(Match(piece, shift, begin, end))
     return found
-
-
-def _same(one: Array, other: Array, settings: BaselineSettings) -> bool:
-    span = max(float(np.ptp(one)), 1e-300)
-    return bool(np.sqrt(np.mean((one - other) ** 2)) <= settings.same_command * span)
 
 
 def _shift(command: Array, other: Array, least: int) -> int:
@@ -309,16 +305,10 @@ def _shift(command: Array, other: Array, least: int) -> int:
 
 def _between_periods(command: Array, error: Array, settings: BaselineSettings) -> list[Array]:
     """Differences (N, A) of the error between successive periods of a periodic command; empty if it is not periodic."""
-    rows = command - command.mean(axis=0)
-    total = np.sum([correlate(rows[:, axis], rows[:, axis], mode="full", method="fft") for axis in range(rows.shape[1])], axis=0)
-    right = total[len(rows) :]  # from lag 1 on
-    least = int(np.argmax(right < 0.5 * total[len(rows) - 1])) if np.any(right < 0.5 * total[len(rows) - 1]) else len(rows)
-    if 2 * least >= len(rows):
+    period = period_of(command, settings.same_command)
+    if period is None:
         return []
-    period = least + int(np.argmax(right[least : len(rows) // 2])) + 1
-    if not _same(command[period:], command[:-period], settings):
-        return []
-    count = len(rows) // period
+    count = len(command) // period
     whole = error[: count * period].reshape(count, period, -1)
     return [without_zero(later - earlier)[0] for earlier, later in zip(whole[:-1], whole[1:], strict=True)]
 

@@ -97,6 +97,7 @@ class NoiseSettings:
     )
     rest_samples: int = _setting("samples", "shortest rest whose spectrum is used; two of them are needed in all")
     rest_part: int = _setting("1/parts", "first part of a rest that does not count: it still settles")
+    copied_share: float = _setting("share of the samples", "samples equal in two periods from which one is a copy of the other")
 
 
 @dataclass(frozen=True)

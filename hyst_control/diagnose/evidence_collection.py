@@ -21,11 +21,11 @@ from hyst_control.diagnose.evidence import (
 from hyst_control.diagnose.flicker_estimation import flicker
 from hyst_control.diagnose.hypothesis_fit import Linearised
 from hyst_control.diagnose.hypothesis_search import Found, Scored, strain
-from hyst_control.diagnose.noise_floor import noise_of
+from hyst_control.diagnose.noise_floor import noise_between_periods, noise_of
 from hyst_control.diagnose.predictability import predictable_share
 from hyst_control.diagnose.problem import Problem
 from hyst_control.diagnose.record_checks import outliers
-from hyst_control.diagnose.session import SessionZero
+from hyst_control.diagnose.session import CarriedError, SessionZero
 from hyst_control.diagnose.unexplained_residual import leftover
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import RecordCheck
@@ -252,7 +252,7 @@ def white_noise(problem: Problem, residuals: Array, axis: int, settings: NoiseSe
     settings : NoiseSettings
         Values of the configuration.
     rests : bool
-        Whether stretches at rest count.
+        Whether stretches at rest count, and differences between periods of the command.
 
     Returns
     -------
@@ -261,11 +261,26 @@ def white_noise(problem: Problem, residuals: Array, axis: int, settings: NoiseSe
 
     """
     edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in problem.pieces)])
-    return noise_of(
-        [residuals[a:b, axis] for a, b in zip(edges[:-1], edges[1:], strict=True)],
-        [piece.counted(piece.command)[:, axis] for piece in problem.pieces] if rests else None,
-        settings,
-    )
+    left = [residuals[a:b, axis] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    commands = [piece.counted(piece.command)[:, axis] for piece in problem.pieces] if rests else None
+    found = noise_of(left, commands, settings)
+    return min(found, _between_periods(problem, left, axis, settings)) if rests else found
+
+
+def _between_periods(problem: Problem, left: Sequence[Array], axis: int, settings: NoiseSettings) -> float:
+    """White noise of an axis by differences between periods; infinite where the commands do not repeat.
+
+    Rows that do not count have noise as well. But where a clean record is carried over, its noise is in the residual, and elsewhere in
+    none of the record.
+    """
+    pieces = problem.pieces
+    if not any(isinstance(stage, CarriedError) for stage in problem.model.chain.stages):
+        return noise_between_periods(
+            [piece.measurement[:, axis] for piece in pieces], [piece.command for piece in pieces], settings
+        )
+    if any(piece.keep is not None and np.count_nonzero(np.diff(piece.keep)) > 2 for piece in pieces):
+        return np.inf
+    return noise_between_periods(left, [piece.counted(piece.command) for piece in pieces], settings)
 
 
 def _hypothesis(scored: Scored, size: int) -> HypothesisEvidence:

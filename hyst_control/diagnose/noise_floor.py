@@ -8,6 +8,8 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, NoiseSettings
+from hyst_control.records.repeated_periods import period_of
+from hyst_control.records.session_zero import without_zero
 
 
 def noise_of(
@@ -40,6 +42,40 @@ def noise_of(
         if sum(map(len, rests)) >= 2 * settings.rest_samples:
             found.append(_upper(rests, settings.band))
     return found[-1] if found[-1] < settings.rests_below * found[0] else found[0]
+
+
+def noise_between_periods(rows: Sequence[Array], commands: Sequence[Array], settings: NoiseSettings = CONFIGURATION.noise) -> float:
+    """Noise by what records of a periodic command differ by between its periods: all that follows the command cancels.
+
+    Of each record two stretches are compared that are as many periods long as it holds twice, without zero, drift and curvature. What
+    is slow otherwise, or does not settle within them, makes it too large, never too small.
+
+    Parameters
+    ----------
+    rows : sequence of ndarray, shape (N,)
+        Measurement, or residual, of every stretch; any unit.
+    commands : sequence of ndarray, shape (N, A)
+        Of the same stretches, V.
+    settings : NoiseSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    float
+        Rms, in the unit of the rows; infinite where some command does not repeat, or where rows of one are mere copies.
+
+    """
+    differences = []
+    for values, command in zip(rows, commands, strict=True):
+        period = period_of(command)
+        if period is None:
+            return np.inf
+        length = period * (len(values) // (2 * period))
+        later, earlier = values[length : 2 * length], values[:length]
+        if length < settings.rest_samples or np.mean(later == earlier) > settings.copied_share:
+            return np.inf
+        differences.append(without_zero((later - earlier)[:, None])[0] / np.sqrt(2.0))
+    return float(np.sqrt(np.mean(np.concatenate(differences) ** 2))) if differences else np.inf
 
 
 def resting(command: Array, settings: NoiseSettings = CONFIGURATION.noise) -> list[tuple[int, int]]:

@@ -1,0 +1,66 @@
+"""Period of a command that repeats, and what a record differs by from period to period."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import correlate
+
+Array = NDArray[np.float64]
+
+SAME = 1e-3
+"""Rms difference of two commands, in the range of the first, up to which they are the same."""
+
+
+def period_of(command: Array, same: float = SAME) -> int | None:
+    """Find the period of a command.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N, A)
+        Command, V.
+    same : float
+        Rms difference between periods, in the command's range, up to which they are the same.
+
+    Returns
+    -------
+    int or None
+        Samples; None where the command does not repeat, or holds fewer than two periods.
+
+    """
+    rows, count = command - command.mean(axis=0), len(command)
+    products = np.sum([correlate(column, column, mode="full", method="fft") for column in rows.T], axis=0)[count - 1 :]
+    squares = np.concatenate([[0.0], np.cumsum(np.sum(rows**2, axis=1))])
+    lags = np.arange(count // 2 + 1)
+    energy = squares[count - lags] + squares[-1] - squares[lags]
+    difference = (energy - 2.0 * products[lags]) / (count - lags)
+    apart = difference > squares[-1] / count  # half of what is unrelated
+    if not apart.any():
+        return None
+    least = int(np.argmax(apart))
+    equal = difference <= command.shape[1] * (same * np.ptp(command)) ** 2
+    equal[:least] = False
+    if not equal.any():
+        return None
+    first = int(np.argmax(equal))
+    end = first + int(np.argmin(np.append(equal[first:], False)))
+    return first + int(np.argmin(difference[first:end]))
+
+
+def is_same(one: Array, other: Array, same: float = SAME) -> bool:
+    """Compare two commands.
+
+    Parameters
+    ----------
+    one, other : ndarray, shape (N, A)
+        Commands, V.
+    same : float
+        Rms difference, in the range of the first, up to which they are the same.
+
+    Returns
+    -------
+    bool
+
+    """
+    span = max(float(np.ptp(one)), 1e-300)
+    return bool(np.sqrt(np.mean((one - other) ** 2)) <= same * span)
