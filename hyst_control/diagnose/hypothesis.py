@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, cast
@@ -10,12 +10,14 @@ from typing import Any, cast
 import numpy as np
 from scipy.signal import lfilter
 
+from hyst_control.chain.linear import TransferFunction
 from hyst_control.chain.parameter import Array
 from hyst_control.chain.stage import Stage
 from hyst_control.diagnose.hypothesis_fit import Unknowns
 from hyst_control.diagnose.problem import Problem
 from hyst_control.effects import EFFECTS, insert
 from hyst_control.effects.effect import Effect, Line, Parameter
+from hyst_control.effects.placement import mechanics_index
 
 STEP = 0.02
 """Of difference quotients by scaled parameters."""
@@ -206,6 +208,61 @@ class Member:
         steps = [STEP if x[p] + STEP <= upper[p] else -STEP for p in range(self.size)]
         return np.column_stack([(self.extra(x + step * np.eye(self.size)[p]) - base) / step for p, step in enumerate(steps)])
 
+    @property
+    def is_linear(self) -> bool:
+        """True where the mechanics' output is linear in some of the parameters."""
+        return not self.is_extra and any(parameter.sensor is not None for parameter in self.parameters)
+
+    def linear_columns(self, x: Array) -> tuple[list[int], Array]:
+        """Derivatives by the parameters in which the mechanics' output is linear, about the nominal model.
+
+        One simulation for all that differ in their sensor only, of the added response alone.
+
+        Parameters
+        ----------
+        x : ndarray, shape (P,)
+            Scaled parameters; only the others of them matter.
+
+        Returns
+        -------
+        indices : list of int
+            Of these parameters.
+        columns : ndarray, shape (M, P')
+            In units of the noise.
+        """
+        linear = [p for p, parameter in enumerate(self.parameters) if parameter.sensor is not None]
+        start = np.array(x, dtype=float)
+        start[linear] = 0.0
+        key = start.tobytes()
+        if key not in self._responses:
+            self._responses.clear()
+            self._responses[key] = self._linear_columns(start, linear)
+        return linear, self._responses[key]
+
+    @cached_property
+    def _responses(self) -> dict[bytes, Array]:
+        return {}
+
+    def _linear_columns(self, start: Array, linear: Sequence[int]) -> Array:
+        stages, axes = self.problem.model.chain.stages, len(self.problem.model.axes)
+        index = mechanics_index(stages)
+        if index is not None:
+            stages = (*stages[:index], TransferFunction((0.0,), (1.0,)), *stages[index + 1 :])
+        alone = self.problem.simulate(stages)
+        responses: dict[str, list[tuple[int, int]]] = {}
+        for column, p in enumerate(linear):
+            responses.setdefault(self.parameters[p].response, []).append((column, p))
+        found = np.zeros((len(alone), len(linear)))
+        for together in responses.values():
+            x = start.copy()
+            x[[p for _, p in together]] = 1.0
+            added = self.problem.simulate(insert(stages, self.place, self.stage(x))) - alone
+            for column, p in together:
+                sensor = self.parameters[p].sensor
+                assert sensor is not None
+                found[sensor::axes, column] = added[sensor::axes]
+        return found
+
     def _coupled(self, x: Array) -> Array:
         values = self.values(x)
         rate = 2 * np.pi * values.get("corner", np.inf) * self.problem.sample_time  # of the low-pass, per sample
@@ -312,14 +369,30 @@ class Candidate:
         def extra(x: Array) -> Array:
             return cast(Array, sum(member.extra(x[part]) for member, part in parts if member.is_extra))
 
-        def extra_columns(x: Array) -> tuple[list[int], Array]:
-            added = [(part, member.extra_columns(x[part])) for member, part in parts if member.is_extra]
-            return [p for part, _ in added for p in range(part.start, part.stop)], np.hstack([columns for _, columns in added])
+        def known_columns(x: Array, wanted: Collection[int] | None = None) -> tuple[list[int], Array]:
+            indices, found = [], []
+            for member, part in parts:
+                if wanted is not None and not any(p in wanted for p in range(part.start, part.stop)):
+                    continue
+                if member.is_extra:
+                    indices += list(range(part.start, part.stop))
+                    found.append(member.extra_columns(x[part]))
+                elif member.is_linear:
+                    linear, columns = member.linear_columns(x[part])
+                    indices += [part.start + p for p in linear]
+                    found.append(columns)
+            return indices, np.hstack(found) if found else np.zeros((0, 0))
 
         lower, upper, centre = (np.concatenate([bound[i] for bound in bounds]) for i in range(3))
-        if not any(member.is_extra for member in self.members):
-            return Unknowns(stages, None, lower, upper, centre)
-        return Unknowns(stages, extra, lower, upper, centre, extra_columns=extra_columns)
+        known = any(member.is_extra or member.is_linear for member in self.members)
+        return Unknowns(
+            stages,
+            extra if any(member.is_extra for member in self.members) else None,
+            lower,
+            upper,
+            centre,
+            known_columns=known_columns if known else None,
+        )
 
     def with_member(self, member: Member) -> Candidate:
         """Add an effect, in signal order.

@@ -12,7 +12,7 @@ only the effect's few columns are renewed. `refined` renews them all.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,8 +37,8 @@ LEAST_GAIN = 0.02
 class Unknowns:
     """Parameters that are fitted besides z: `stages(z stages, x)` inserts what they mean, `extra(x)` adds to the output.
 
-    x (P,) within lower … upper; centre: the prior's mean; step: of the difference quotients. extra_columns(x): which parameters only
-    add, and ∂extra/∂x of them (M, P'), for which no chain has to run.
+    x (P,) within lower … upper; centre: the prior's mean; step: of the difference quotients. known_columns(x, wanted): which
+    parameters have columns ∂ŷ/∂x (M, P') that are known without a run of the whole chain, and these, at least those that are wanted.
     """
 
     stages: Callable[[tuple[Stage, ...], Array], tuple[Stage, ...]]
@@ -47,7 +47,7 @@ class Unknowns:
     upper: Array
     centre: Array
     step: float = 0.02
-    extra_columns: Callable[[Array], tuple[list[int], Array]] | None = None
+    known_columns: Callable[[Array, Collection[int] | None], tuple[list[int], Array]] | None = None
 
 
 @dataclass(frozen=True)
@@ -219,7 +219,7 @@ def fit(
             design, away = np.zeros((len(y), 0)), x
         else:
             try:
-                design, away = _effect_columns(linearised, fitted, z, x, y - residual, weight), x - fitted.centre
+                design, away = effect_columns(linearised, fitted, z, x, y - residual, weight), x - fitted.centre
             except InputError:
                 break  # next to these values the chain cannot be simulated
         normal, right = _normal(columns, gram, design, residual, z, away, sample_weight)
@@ -254,22 +254,62 @@ def fit(
     return Solution(misfit, z, x, residual, covariance, information)
 
 
-def _effect_columns(linearised: Linearised, unknowns: Unknowns, z: Array, x: Array, base: Array, weight: Array | None) -> Array:
-    """∂ŷ/∂x (M, P) by differences from `base` (known where weight is not 0), taken inwards at a bound."""
-    found = np.empty((len(base), len(x)))
-    added: list[int] = []
-    if unknowns.extra_columns is not None:
-        added, columns = unknowns.extra_columns(x)
-        found[:, added] = columns
+def effect_columns(
+    linearised: Linearised,
+    unknowns: Unknowns,
+    z: Array,
+    x: Array,
+    base: Array,
+    weight: Array | None = None,
+    chosen: Sequence[int] | None = None,
+) -> Array:
+    """Derivatives ∂ŷ/∂x of the effects' parameters: known ones, else difference quotients, taken inwards at a bound.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem and columns of its coefficients.
+    unknowns : Unknowns
+        Parameters of the effects.
+    z : ndarray, shape (K,)
+        Nuisance coefficients.
+    x : ndarray, shape (P,)
+        Scaled parameters.
+    base : ndarray, shape (M,)
+        Output there, in units of the noise; known where the weight is not 0.
+    weight : ndarray of shape (M,) or None
+        1 for values that count, 0 for others; None: all count.
+    chosen : sequence of int, optional
+        Indices of the parameters; all unless given.
+
+    Returns
+    -------
+    ndarray, shape (M, P')
+        A column for every chosen parameter.
+
+    Raises
+    ------
+    InputError
+        Where the chain cannot be simulated next to these values.
+    """
+    chosen = range(len(x)) if chosen is None else chosen
+    found = np.zeros((len(base), len(chosen)))
+    place = {p: column for column, p in enumerate(chosen)}
+    known: list[int] = []
+    if unknowns.known_columns is not None:
+        known, columns = unknowns.known_columns(x, place)
+        inside = [i for i, p in enumerate(known) if p in place]
+        if inside:
+            found[:, [place[known[i]] for i in inside]] = columns if len(inside) == len(known) else columns[:, inside]
     counted = slice(None) if weight is None else weight > 0
-    for p in sorted(set(range(len(x))) - set(added)):
+    for p in [p for p in chosen if p not in known]:
         step = unknowns.step if x[p] + unknowns.step <= unknowns.upper[p] else -unknowns.step
         moved = x.copy()
         moved[p] += step
-        found[:, p] = 0.0
-        found[counted, p] = ((linearised.simulate(z, unknowns, moved) - base) / step)[counted]
-        if not is_bounded(found[:, p]):
+        column = ((linearised.simulate(z, unknowns, moved) - base) / step)[counted]
+        if not is_bounded(column):
             raise InputError("the chain grows without limit next to these values")
+        found[counted, place[p]] = column
     return found if weight is None else found * weight[:, None]
 
 

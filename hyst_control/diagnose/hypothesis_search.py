@@ -22,7 +22,7 @@ from scipy.optimize import minimize_scalar
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, SearchSettings, Thresholds
 from hyst_control.diagnose.hypothesis import Candidate, Member
-from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, Unknowns, fit, is_bounded, refined
+from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, Unknowns, effect_columns, fit, is_bounded, refined
 from hyst_control.diagnose.policy import strained as are_strained
 from hyst_control.diagnose.problem import Problem
 from hyst_control.errors import InputError
@@ -550,13 +550,9 @@ def _after_step(
     if len(member.parameters) == len(chosen) and len(member.starts()) > settings.screened:
         # Many starts over frequencies say enough of those; the amplitudes are what a step can find.
         chosen = [i for i, p in zip(chosen, member.parameters, strict=True) if not p.logarithmic]
-    design = np.empty((len(residual), len(chosen)))
-    for column, i in enumerate(chosen):
-        moved = x.copy()
-        moved[i] += unknowns.step if x[i] + unknowns.step <= unknowns.upper[i] else -unknowns.step
-        design[:, column] = (linearised.simulate(nominal, unknowns, moved) - simulated) / (moved[i] - x[i])
-    if not (is_bounded(residual) and is_bounded(design)):
-        raise InputError("the chain grows without limit next to these values")
+    if not is_bounded(residual):
+        raise InputError("the chain grows without limit at these values")
+    design = effect_columns(linearised, unknowns, nominal, x, simulated, chosen=chosen)
     known, weight = linearised.unexplained(design), linearised.problem.weight
     right = known.T @ residual
     there = x.copy()

@@ -23,11 +23,15 @@ from platformdirs import user_cache_path
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NullSettings
 from hyst_control.diagnose.hypothesis import Candidate, Member
-from hyst_control.diagnose.hypothesis_fit import Linearised, fit, is_bounded
+from hyst_control.diagnose.hypothesis_fit import Linearised, effect_columns, fit, is_bounded
 from hyst_control.effects.effect import Surroundings
 from hyst_control.errors import InputError
 from hyst_control.model_file import model_to_document
 from hyst_control.parallel import forked
+
+MANY = 100
+"""Parameters from which an effect's gain by chance is what its evidence takes off for their number (half a logarithm of the information
+of each, never less than its expected gain): as part of the threshold it would hide all effects of few parameters."""
 
 
 def threshold(
@@ -159,20 +163,14 @@ def tangents(linearised: Linearised, members: Sequence[Member], count: int) -> l
     found = []
     z = np.zeros(linearised.count)
     for member in members:
-        if not member.size or member.is_suggested:
-            continue  # there or not, with no small first step
+        if not member.size or member.is_suggested or member.size > MANY:
+            continue  # there or not, with no small first step; or more than chance may gain is taken off by the evidence
         unknowns, starts = Candidate((member,)).unknowns(), member.starts()
         for x in starts[:: max(len(starts) // count, 1)]:
             try:
-                base = linearised.simulate(z, unknowns, x)
-                columns = []
-                for p in range(len(x)):
-                    moved = x.copy()
-                    moved[p] += unknowns.step if x[p] + unknowns.step <= unknowns.upper[p] else -unknowns.step
-                    columns.append((linearised.simulate(z, unknowns, moved) - base) / (moved[p] - x[p]))
+                design = effect_columns(linearised, unknowns, z, x, linearised.simulate(z, unknowns, x))
             except InputError:
                 continue
-            design = np.stack(columns, axis=1)
             if is_bounded(design):
                 found.append(design)
     return found

@@ -10,10 +10,17 @@ from typing import Any
 import numpy as np
 
 from hyst_control.chain import Chain, Sampling, Stage
+from hyst_control.chain.linear import LinearStage
 from hyst_control.chain.parameter import Array
 from hyst_control.effects.effect import Surroundings
+from hyst_control.effects.placement import mechanics_index
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
+
+SAME_POLE = 1e-6
+"""Relative distance up to which two poles are one: axes without coupling have each a copy of the modes."""
+FAR_POLE = 5.0
+"""A real pole that has no other to make a mode with gets one this many times faster."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +118,41 @@ class Problem:
             (float(measurement.min()), float(measurement.max())),
             len(self.model.axes),
             self.slowest,
+            shared_modes(self.model),
+            min(0 if piece.keep is None else int(np.argmax(piece.keep)) for piece in self.pieces) * self.sample_time,
         )
+
+
+def shared_modes(model: Model) -> tuple[tuple[float, float], ...]:
+    """Modes of mechanics that drive the axes together.
+
+    Parameters
+    ----------
+    model : Model
+        Nominal model.
+
+    Returns
+    -------
+    tuple of (float, float)
+        Frequency (Hz) and damping by mode; real poles in pairs, which have a damping above 1. None where the axes do not mix.
+
+    """
+    stages = model.chain.stages
+    index = mechanics_index(stages)
+    mechanics = None if index is None else stages[index]
+    if not isinstance(mechanics, LinearStage) or not mechanics.mixes_axes:
+        return ()
+    poles = np.concatenate([np.linalg.eigvals(system.A) for system in mechanics.systems(len(model.axes))])
+    found: list[complex] = []
+    for pole in sorted(poles[poles.imag >= 0.0], key=abs):
+        if all(abs(pole - other) > SAME_POLE * abs(pole) for other in found):
+            found.append(complex(pole))
+    real = [-pole.real for pole in found if pole.imag == 0.0]
+    if len(real) % 2:
+        real.append(FAR_POLE * real[-1])
+    pairs = [(one * other, one + other) for one, other in zip(real[::2], real[1::2], strict=True)]
+    pairs += [(abs(pole) ** 2, -2.0 * pole.real) for pole in found if pole.imag]
+    return tuple((float(np.sqrt(square)) / (2 * np.pi), float(0.5 * middle / np.sqrt(square))) for square, middle in pairs)
 
 
 def axis_model(model: Model, axis: int) -> Model:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hyst_control.chain.linear import CrossCoupling
+from hyst_control.chain.stage import Stage
+from hyst_control.effects.coupled_modes import CoupledModes
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 
 
@@ -17,8 +19,56 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     return (Parameter("coupling", "", 0.0, (0.01,), -0.2, 0.2, 0.03), corner)
 
 
-def stage(values: Values, around: Surroundings) -> CrossCoupling:
-    """Onto every axis comes `coupling` of the next one (the last one's next is the first).
+def coupled_parameters(around: Surroundings) -> tuple[Parameter, ...]:
+    """On all axes of a plant that mixes them: from every other axis' input to every sensor a response in the modes of the mechanics.
+
+    Each in phase with the modes' positions and in quadrature, and a static part, as shares of the stroke over the command's span.
+
+    Parameters
+    ----------
+    around
+        Record that the sizes are judged by.
+    """
+    if not around.modes:
+        return parameters(around)
+    parts = [f"{part}_{mode}" for part in MODAL for mode in range(len(around.modes))] + [STATIC]
+    return tuple(
+        Parameter(
+            f"{part}_{sensor}_{source}", "", 0.0, (0.0,), -2.0, 2.0, 0.1, told=False, sensor=sensor, response=f"{part}_{source}"
+        )
+        for part in parts
+        for sensor in range(around.axes)
+        for source in range(around.axes)
+        if sensor != source
+    )
+
+
+MODAL, STATIC = ("in_phase", "quadrature"), "static"
+
+
+def at_rest(values: Values) -> dict[str, float]:
+    """Coupling of a matrix of responses: its greatest share at rest, of commands of one size in any pattern over the axes.
+
+    Parameters
+    ----------
+    values
+        Of the parameters, by name.
+    """
+    static = [name for name in values if name.startswith(f"{STATIC}_")]
+    if not static:
+        return {}
+    axes = 1 + max(int(name.rpartition("_")[2]) for name in static)
+    matrix = np.zeros((axes, axes))
+    for name, value in values.items():
+        part, _, source = name.rpartition("_")
+        part, _, sensor = part.rpartition("_")
+        if part == STATIC or part.startswith(f"{MODAL[0]}_"):
+            matrix[int(sensor), int(source)] += value
+    return {"coupling": float(np.linalg.norm(matrix, 2))}
+
+
+def stage(values: Values, around: Surroundings) -> Stage:
+    """Onto every axis comes `coupling` of the next one (the last one's next is the first), or a matrix of responses in all modes.
 
     Parameters
     ----------
@@ -28,6 +78,17 @@ def stage(values: Values, around: Surroundings) -> CrossCoupling:
         Record that the sizes are judged by.
     """
     axes = around.axes
+    if f"{STATIC}_0_1" in values:
+        size = around.stroke / max(around.command[1] - around.command[0], 1e-300)
+
+        def matrix_of(part: str) -> np.ndarray:
+            return size * np.array(
+                [[values.get(f"{part}_{sensor}_{source}", 0.0) for source in range(axes)] for sensor in range(axes)]
+            )
+
+        in_phase, quadrature = (np.array([matrix_of(f"{part}_{mode}") for mode in range(len(around.modes))]) for part in MODAL)
+        frequency, damping = np.array(around.modes).T
+        return CoupledModes(frequency, damping, in_phase, quadrature, matrix_of(STATIC))
     coupling = np.broadcast_to(np.array(values["coupling"], dtype=float), axes)
     matrix = np.eye(axes)
     for axis in range(axes if axes > 1 else 0):
@@ -38,9 +99,11 @@ def stage(values: Values, around: Surroundings) -> CrossCoupling:
 EFFECT = Effect(
     "cross_coupling",
     "motion",
-    "A share of the other axis' motion comes in through a first-order low-pass.",
+    "A share of the other axis' motion comes in, through a first-order low-pass or in the modes that coupled axes share.",
     parameters,
     stage,
     exercised=lambda around: around.axes > 1,
     couples=True,
+    coupled_parameters=coupled_parameters,
+    summary=at_rest,
 )

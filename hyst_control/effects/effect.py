@@ -58,6 +58,11 @@ class Surroundings:
     slowest
         Lowest frequency (Hz) that the command excites, where clean records keep the model's own error apart, so that effects may be
         as large as physics allows; None where they do not.
+    modes
+        Frequency (Hz) and damping of every mode of the nominal mechanics, where these drive the axes together; a damping above 1
+        stands for two real poles.
+    begin
+        s from the start of the record to the first sample that is compared.
     """
 
     sample_time: float
@@ -67,6 +72,8 @@ class Surroundings:
     measurement: tuple[float, float]
     axes: int
     slowest: float | None = None
+    modes: tuple[tuple[float, float], ...] = ()
+    begin: float = 0.0
 
     @property
     def stroke(self) -> float:
@@ -99,6 +106,10 @@ class Parameter:
     suggested
         Whether its starts are what the effect's record check suggests, where that suggests any; each then stands for values
         nearby, of which the one that comes closest to the record is where a fit begins.
+    sensor
+        Index of the one sensor that sees it, of a parameter in which the mechanics' output is linear; None of any other.
+    response
+        Of such a parameter: those of one response differ in their sensor only, and one simulation shows them all.
     """
 
     name: str
@@ -111,6 +122,8 @@ class Parameter:
     logarithmic: bool = False
     told: bool = True
     suggested: bool = False
+    sensor: int | None = None
+    response: str = ""
 
 
 @dataclass(frozen=True)

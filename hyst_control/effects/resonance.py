@@ -104,9 +104,10 @@ def coupled_parameters(around: Surroundings) -> tuple[Parameter, ...]:
         frequency,
         damping,
         *(
-            Parameter(name, "", 0.0, (0.0,), -1.0, 1.0, 0.1, told=False)
+            Parameter(name, "", 0.0, (0.0,), -1.0, 1.0, 0.1, told=False, sensor=sensor, response=f"{part}_{source}")
             for part in PARTS
-            for name in np.ravel(names(part, around.axes))
+            for sensor, row in enumerate(names(part, around.axes))
+            for source, name in enumerate(row)
         ),
     )
 

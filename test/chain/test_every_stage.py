@@ -119,6 +119,13 @@ EXAMPLES = {
         "in_phase": (0.05 * np.eye(n) - 0.02).tolist(),
         "quadrature": np.full((n, n), 0.01).tolist(),
     },
+    "coupled_modes": lambda n: {
+        "frequency": [900.0, 1500.0],
+        "damping": [0.1, 1.2],
+        "in_phase": [(0.05 * np.eye(n) - 0.02).tolist(), np.full((n, n), 0.02).tolist()],
+        "quadrature": [np.full((n, n), 0.01).tolist(), np.diag(np.arange(n) * 0.01).tolist()],
+        "static": np.full((n, n), -0.01).tolist(),
+    },
     "added_mass": lambda n: {"mass_ratio": spread(n, 0.3, -0.2)},
     "backlash": lambda n: {"half_width": spread(n, 2.0, 0.0)},
     "vibration": lambda n: {"amplitude": spread(n, 0.5, 0.0), "frequency": 170.0, "phase": 1.0},
@@ -150,6 +157,7 @@ MODIFIERS = (
     "hysteresis_rate",
     "resonance",
     "coupled_resonance",
+    "coupled_modes",
     "added_mass",
     "softening_modes",
 )

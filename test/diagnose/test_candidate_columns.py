@@ -22,7 +22,7 @@ def test_columns_of_what_is_added_are_its_derivatives(names):
     candidate = Candidate(tuple(next(member for member in members if member.name == name) for name in names))
     unknowns = candidate.unknowns()
     x = np.random.default_rng(1).normal(size=len(unknowns.lower)) * 0.1
-    which, columns = unknowns.extra_columns(x)
+    which, columns = unknowns.known_columns(x)
     assert len(which) == sum(member.size for member in candidate.members if member.is_extra) == columns.shape[1]
     for p, column in zip(which, columns.T, strict=True):
         ahead, behind = (unknowns.extra(x + sign * 1e-4 * np.eye(len(x))[p]) for sign in (1, -1))

@@ -11,10 +11,11 @@ from hyst_control.chain import Chain
 from hyst_control.chain.linear import StateSpace
 from hyst_control.diagnose.hypothesis import catalogue
 from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.record import Record, Signal
 
-STEP, COUNT, SIGMA = 1e-4, 6000, 1e-3
+STEP, COUNT, SHORT, SIGMA = 1e-4, 6000, 2500, 1e-3
 MODES = ((310.0, 0.02), (820.0, 0.015), (1900.0, 0.03))
 LOST = 1
 
@@ -88,3 +89,45 @@ def test_no_effect_is_on_all_axes_and_once_more_on_one(answer):
     everywhere, x, y = (members["gain", axis] for axis in (None, 0, 1))
     assert everywhere.excludes(x) and y.excludes(everywhere) and x.excludes(x)
     assert not x.excludes(y) and not everywhere.excludes(members["delay", None])
+
+
+@pytest.fixture(scope="module")
+def uncoupled():
+    """A model whose axes have each all modes and its own input alone, beside the structure."""
+    a, b, c = modal()
+    stage = StateSpace(
+        block_diag(a, a).tolist(),
+        block_diag(*(b[:, [i]] for i in range(2))).tolist(),
+        block_diag(*(c[[i]] for i in range(2))).tolist(),
+        np.zeros((2, 2)).tolist(),
+    )
+    model = Model("apart", ("x", "y"), {"command": "V", "measurement": "um"}, STEP, Chain((stage,)), noise={"sigma": SIGMA})
+    command, time = drive(1)[:SHORT], STEP * np.arange(SHORT)
+    measured = played(command) + SIGMA * np.random.default_rng(2).normal(size=(SHORT, 2))
+    record = Record(
+        {"command": Signal(time, command, ("x", "y"), "V"), "measurement": Signal(time, measured, ("x", "y"), "um")}, "drive"
+    )
+    others = [name for name in EFFECTS if name not in ("cross_coupling", "resonance", "gain", "delay", "added_mass")]
+    report, _, better = diagnosed([record], model, cache=False, without=others)
+    return model, report, better
+
+
+def test_a_missing_coupling_is_a_matrix_of_responses_with_all_modes(uncoupled):
+    model, report, better = uncoupled
+    assert report["verdict"] == "effect" and [effect["name"] for effect in report["effects"]] == ["cross_coupling"]
+    [effect] = report["effects"]
+    assert effect["axis"] == ["x", "y"] and set(effect["parameters"]) == {"coupling"} and effect["shrink"] > 0.99
+    command = drive(9)
+    measured = played(command)
+    left, before = (np.mean((measured - simulate(one, command)) ** 2) for one in (better, model))
+    assert left < 0.01 * before
+
+
+def test_its_size_is_that_of_the_static_responses_between_the_axes(uncoupled):
+    model, report, _ = uncoupled
+    a, b, c = modal()
+    rest = -c @ np.linalg.solve(a, b)
+    command = drive(1)[:SHORT]
+    measured = played(command)
+    coupling = np.linalg.norm(rest - np.diag(np.diag(rest)), 2) * np.ptp(command) / np.ptp(measured)
+    assert report["effects"][0]["parameters"]["coupling"]["value"] == pytest.approx(coupling, rel=0.05)

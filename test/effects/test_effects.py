@@ -299,6 +299,38 @@ def test_a_mode_of_all_axes_is_a_matrix_of_transfer_functions_more():
     }
 
 
+def test_coupling_in_modes_is_a_matrix_of_transfer_functions_more():
+    """Two modes, and two real poles as a mode of damping above 1; entry PART_MODE_OUTPUT_INPUT says what comes from where."""
+    modes = ((700.0, 0.02), (300.0, 1.25))
+    record = replace(around("fsm_mhl"), axes=2, modes=modes)
+    parameters, random = EFFECTS["cross_coupling"].coupled_parameters(record), np.random.default_rng(4)
+    assert len(parameters) == 2 * (2 * len(modes) + 1) and not any(p.told for p in parameters)
+    values = {p.name: random.normal() for p in parameters}
+    size = record.stroke / (record.command[1] - record.command[0])
+    base = TransferFunction([6e6], [1.0, 300.0, 3e6])
+    added = []
+    for mode, (frequency, damping) in enumerate(modes):
+        w = 2 * np.pi * frequency
+        part = [[[0.0, 0.0, 0.0] for _ in range(2)] for _ in range(2)]
+        for i, j in ((0, 1), (1, 0)):
+            part[i][j] = [
+                0.5 * size * values[f"static_{i}_{j}"],
+                size * values[f"quadrature_{mode}_{i}_{j}"] * w + size * values[f"static_{i}_{j}"] * damping * w,
+                size * values[f"in_phase_{mode}_{i}_{j}"] * w**2 + 0.5 * size * values[f"static_{i}_{j}"] * w**2,
+            ]
+        added.append(TransferFunction(part, [1.0, 2 * damping * w, w**2], coupled=True))
+    u = command("fsm_mhl")
+    found = run([base, EFFECTS["cross_coupling"].stage(values, record)], u)
+    np.testing.assert_allclose(
+        found, run([Parallel(((base,), *((one,) for one in added)))], u), rtol=1e-9, atol=1e-9 * np.abs(found).max()
+    )
+    at_rest = [
+        [0.0 if i == j else values[f"static_{i}_{j}"] + sum(values[f"in_phase_{m}_{i}_{j}"] for m in range(2)) for j in range(2)]
+        for i in range(2)
+    ]
+    assert EFFECTS["cross_coupling"].summary(values) == {"coupling": pytest.approx(np.linalg.norm(at_rest, 2))}
+
+
 def test_play_is_half_as_wide_as_its_loop():
     u = np.concatenate([np.linspace(0, 10, 50), np.linspace(10, 0, 50), [0.0]])[:, None]
     found = run([Backlash(0.5)], u, hold="foh")

@@ -1,0 +1,74 @@
+"""Further responses of coupled mechanics, from every input to every sensor, in modes that they share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, cast
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from hyst_control.chain.linear import LinearStage, LinearSystem, stacked
+from hyst_control.chain.parameter import AllAxes, all_axes
+from hyst_control.chain.stage import Modifier, Stage, register
+from hyst_control.effects.coupled_resonance import ChangedTogether
+from hyst_control.effects.placement import with_mechanics
+from hyst_control.errors import InputError
+
+
+@register
+@dataclass(frozen=True)
+class CoupledModes(Modifier):
+    """Adds S + Σ (P ω² + V ω s) / (s² + 2 damping ω s + ω²), a sum over modes, to the mechanics before it; ω = 2π frequency (Hz).
+
+    S: `static`, [output][input]; P: `in_phase`, V: `quadrature`, both [mode][output][input], in the mechanics' output per its input. A
+    damping above 1 is two real poles. A chain without mechanics has G = 1 behind what it has.
+    """
+
+    name: ClassVar[str] = "coupled_modes"
+    place: ClassVar[str] = "mechanics"
+    frequency: AllAxes = all_axes("Hz", "by mode", 1, above=0.0)
+    damping: AllAxes = all_axes("", "by mode", 1, above=0.0)
+    in_phase: AllAxes = all_axes("output unit / input unit", "P, [mode][output][input]", 3)
+    quadrature: AllAxes = all_axes("output unit / input unit", "V, [mode][output][input]", 3)
+    static: AllAxes = all_axes("output unit / input unit", "S, [output][input]", 2)
+
+    @property
+    def mixes_axes(self) -> bool:
+        return True
+
+    def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
+        modes = len(np.atleast_1d(np.array(self.frequency, dtype=float)))
+        due = {"damping": (modes,), "in_phase": (modes, axes, axes), "quadrature": (modes, axes, axes), "static": (axes, axes)}
+        for field, shape in due.items():
+            if np.shape(getattr(self, field)) != shape:
+                raise InputError(
+                    f"{field}: has shape {np.shape(getattr(self, field))}, {shape} is due for {modes} modes of {axes} axes"
+                )
+        before, index = with_mechanics(before)
+        return (
+            *before[:index],
+            ChangedTogether(cast(LinearStage, before[index]), self._with_modes, self.name),
+            *before[index + 1 :],
+        )
+
+    def _with_modes(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
+        whole, eye = stacked(systems), np.eye(axes)
+        states, entering, leaving = [], [], []
+        values = (np.array(getattr(self, name), dtype=float) for name in ("frequency", "damping", "in_phase", "quadrature"))
+        for frequency, damping, in_phase, quadrature in zip(*values, strict=True):
+            driven = np.any(in_phase, axis=0) | np.any(quadrature, axis=0)
+            w, inputs = 2 * np.pi * frequency, eye[driven]
+            # A mode per input, in position and velocity / ω.
+            states.append(np.kron(np.eye(len(inputs)), [[0.0, w], [-w, -2.0 * damping * w]]))
+            entering.append(np.kron(inputs, [[0.0], [w]]))
+            leaving.append(np.stack([in_phase[:, driven], quadrature[:, driven]], axis=2).reshape(axes, -1))
+        return [
+            LinearSystem(
+                block_diag(whole.A, *states),
+                np.vstack([whole.B, *entering]),
+                np.hstack([whole.C, *leaving]),
+                whole.D + np.array(self.static, dtype=float),
+                whole.bias,
+            )
+        ]
