@@ -25,6 +25,7 @@ from hyst_control.chain.linear import Delay, StateSpace, TransferFunction
 from hyst_control.chain.stage import Array, Stage, frozen
 from hyst_control.diagnose.gap_report import sentence
 from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.errors import InputError
 from hyst_control.files import write_json, write_text
 from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
@@ -53,6 +54,9 @@ FEW_OPERATORS = 3
 CLEAN_ROWS, STRETCH = 7200, 1800
 """Rows of the second file, and of a record of it, on which the stack's whole model states its error."""
 TITLE = "Measured, an effect withheld"
+PLANTS = ("stack", "mirror")
+NOTHING = "nothing"
+"""Of a case whose model is whole."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +96,14 @@ class Withheld:
         return hashlib.sha256(head.encode() + b"".join(s.time.tobytes() + s.values.tobytes() for s in signals)).hexdigest()
 
 
-def run(out: str, page: str | None = None, modes: str = "all", note: Callable[[str], None] = print) -> Table:
+def run(
+    out: str,
+    page: str | None = None,
+    modes: str = "all",
+    note: Callable[[str], None] = print,
+    plants: Sequence[str] | None = None,
+    levels: Sequence[int] | None = None,
+) -> Table:
     """Diagnose every case.
 
     Parameters
@@ -105,6 +116,10 @@ def run(out: str, page: str | None = None, modes: str = "all", note: Callable[[s
         One of `MODES`.
     note
         Called with every line of progress.
+    plants
+        Of `PLANTS`; all unless given.
+    levels
+        Levels (mV) whose models of the mirror are diagnosed; all unless given.
 
     Returns
     -------
@@ -114,20 +129,28 @@ def run(out: str, page: str | None = None, modes: str = "all", note: Callable[[s
     Raises
     ------
     InputError
-        The measurements are absent.
+        The measurements are absent, or there is no such plant or level.
     """
+    for given, known, what in ((plants, PLANTS, "--plants"), (levels, mirror.LEVELS, "--levels")):
+        for value in given or ():
+            if value not in known:
+                raise InputError(f"{what} {value}: unknown, give some of {', '.join(map(str, known))}")
     folder = Path(out) / "measured"
     folder.mkdir(parents=True, exist_ok=True)
     table = Table("blind-test --measured")
     rows = []
-    cases = [*stack_cases(), *mirror_cases(MODES[modes], note)]
+    cases: list[Withheld] = []
+    if plants is None or PLANTS[0] in plants:
+        cases += stack_cases()
+    if plants is None or PLANTS[1] in plants:
+        cases += mirror_cases(MODES[modes], note, levels or mirror.LEVELS)
     for case, report in zip(cases, forked(lambda i: report_on(cases[i], folder), len(cases)), strict=True):
         rows.append((case, report))
         add(table, case, report)
         note(f"{case.plant}, without {case.element}: {sentence(report)}")
     add_summary(table, rows)
     if page is not None:
-        write_page(Path(page), rows, modes)
+        write_page(Path(page), rows, modes, plants or PLANTS, levels or mirror.LEVELS)
     return table
 
 
@@ -177,6 +200,26 @@ def add(table: Table, case: Withheld, report: dict[str, Any]) -> None:
     table.add(TITLE, case.plant, f"without {case.element}", "unexplained", "", float(report["unexplained_share"] or 0.0))
 
 
+def is_solved(case: Withheld, report: dict[str, Any]) -> bool:
+    """Report whether a case has the right verdict: no gap of a whole model, else the withheld element first, and an explanation.
+
+    Parameters
+    ----------
+    case
+        The case.
+    report
+        Report on it.
+
+    Returns
+    -------
+    bool
+        True if so.
+    """
+    if case.element == NOTHING:
+        return bool(report["verdict"] == "no_gap")
+    return named_right(case, report) and report["verdict"] in ("effect", "parameters")
+
+
 def named_right(case: Withheld, report: dict[str, Any]) -> bool:
     """Report whether the first name given is the withheld element, or one that the data cannot separate from it.
 
@@ -223,6 +266,8 @@ def add_summary(table: Table, rows: Sequence[tuple[Withheld, dict[str, Any]]]) -
     """
     from hyst_control.blind_test.scores import wilson
 
+    solved = sum(is_solved(case, report) for case, report in rows)
+    table.add(TITLE, "all", "all cases", "solved", "", solved / max(len(rows), 1), n=len(rows), ci95=wilson(solved, len(rows)))
     scored = [(case, report) for case, report in rows if case.right]
     right = sum(named_right(case, report) for case, report in scored)
     table.add(
@@ -237,7 +282,9 @@ def add_summary(table: Table, rows: Sequence[tuple[Withheld, dict[str, Any]]]) -
     )
 
 
-def mirror_cases(modes: Sequence[int], note: Callable[[str], None] = print) -> Iterator[Withheld]:
+def mirror_cases(
+    modes: Sequence[int], note: Callable[[str], None] = print, of: Sequence[int] = mirror.LEVELS
+) -> Iterator[Withheld]:
     """Construct the crippled models of the mirror, and every level's model against a higher level.
 
     Parameters
@@ -246,6 +293,8 @@ def mirror_cases(modes: Sequence[int], note: Callable[[str], None] = print) -> I
         Levels (mV) whose model loses each of its modes in turn.
     note
         Called with every line of progress.
+    of
+        Levels (mV) whose models are diagnosed.
 
     Yields
     ------
@@ -263,12 +312,14 @@ def mirror_cases(modes: Sequence[int], note: Callable[[str], None] = print) -> I
         + ", ".join(f"{100 * found.held_out:.2f} % ({late:g})" for late, found in zip(DELAYS, fits, strict=True))
     )
     for level, found in whole.items():
+        if level not in of:
+            continue
         data = measured[level]
         bare = mirror.model_of(found.model, f"fsm_{level}mV", float(np.abs(data.command).max()))
         model = replace(bare, discrepancy=own_error(bare, data, mirror.SELECT[0]))
         record, warm_up = record_of(data, mirror.TEST[0]), mirror.PERIOD * mirror.SAMPLE_TIME
         floor = float(np.sqrt(np.mean(errors(model, data, mirror.TEST[0]) ** 2)))
-        yield Withheld(f"mirror, {level} mV", "nothing", (), model, record, warm_up, floor)
+        yield Withheld(f"mirror, {level} mV", NOTHING, (), model, record, warm_up, floor)
         for element, right, crippled in models_without_elements(model, level in modes, data, floor):
             yield Withheld(f"mirror, {level} mV", element, right, crippled, record, warm_up, floor)
         for other in (other for other in mirror.LEVELS if other > level):
@@ -529,7 +580,7 @@ def stack_cases() -> Iterator[Withheld]:
     few = identify([cycle], "pi", operators=FEW_OPERATORS, nuisance="offset").model
     part = nested.rows(0, rows.stop)
     for element, model in (
-        ("nothing", whole),
+        (NOTHING, whole),
         ("hysteresis", without_memory(few, cycle)),
         (f"all but {FEW_OPERATORS} of {stack.OPERATORS} operators", few),
     ):
@@ -569,7 +620,13 @@ def without_memory(model: Model, cycle: Dataset) -> Model:
     return with_stages(model, TransferFunction((slope,), (1.0,)))
 
 
-def write_page(path: Path, rows: Sequence[tuple[Withheld, dict[str, Any]]], modes: str) -> None:
+def write_page(
+    path: Path,
+    rows: Sequence[tuple[Withheld, dict[str, Any]]],
+    modes: str,
+    plants: Sequence[str] = PLANTS,
+    levels: Sequence[int] = mirror.LEVELS,
+) -> None:
     """Write docs/blind-test-measured.md.
 
     Parameters
@@ -580,7 +637,11 @@ def write_page(path: Path, rows: Sequence[tuple[Withheld, dict[str, Any]]], mode
         Cases with their reports.
     modes
         One of `MODES`.
+    plants, levels
+        That were diagnosed.
     """
+    given = "" if tuple(plants) == PLANTS else f" --plants {' '.join(plants)}"
+    given += "" if tuple(levels) == tuple(mirror.LEVELS) else f" --levels {' '.join(map(str, levels))}"
     lost = {
         "none": "leaves out the cases that lose one mode",
         "middle": "has the cases that lose one mode at the middle level only",
@@ -588,26 +649,35 @@ def write_page(path: Path, rows: Sequence[tuple[Withheld, dict[str, Any]]], mode
     lines = [
         "# The diagnosis on measurements, an effect withheld",
         "",
-        f"Generated by `hyst blind-test --measured --modes {modes} --page`" + (f", which {lost[modes]}." if modes in lost else "."),
+        f"Generated by `hyst blind-test --measured --modes {modes}{given} --page`"
+        + (f", which {lost[modes]}." if modes in lost else "."),
         "",
         *(line.strip() for line in (__doc__ or "").strip().splitlines()),
         "",
         "Shrink: share of the gap's energy above the noise that the named effects take off on blocks that neither chose nor fitted "
-        "them. The mirror's states are those of the model itself; nothing was fitted to the realization that is diagnosed.",
+        "them. The mirror's states are those of the model itself; nothing was fitted to the realization that is diagnosed. Right: the "
+        "withheld element is named first, with the verdict `effect` or `parameters` (first: with another verdict), or no gap is "
+        "found where nothing is withheld.",
         "",
-        "| measured plant | withheld | gap, rms | whole model, rms | named | right | shrink | unexplained | in words |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| measured plant | withheld | gap, rms | whole model, rms | verdict | named | right | shrink | unexplained | in words |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for case, report in rows:
         names = ", ".join(
             effect["name"] + (f" ({', '.join(effect['axis'])})" if effect["axis"] else "") for effect in report["effects"]
         )
-        right = "" if not case.right else "yes" if named_right(case, report) else "no"
+        right = "yes" if is_solved(case, report) else "first" if named_right(case, report) else "no"
         lines.append(
             f"| {case.plant} | {case.element} | {report['gap']['rms']:.3g} {report['gap']['unit']} | {case.floor:.3g} | "
-            f"{names or report['verdict']} | {right} | {best_shrink(report):.2f} | {report['unexplained_share'] or 0:.2f} | "
+            f"{report['verdict']} | {names} | {right} | {best_shrink(report):.2f} | {report['unexplained_share'] or 0:.2f} | "
             f"{sentence(report)} |"
         )
     scored = [(case, report) for case, report in rows if case.right]
-    lines += ["", f"Named first: {sum(named_right(*row) for row in scored)} of {len(scored)}."]
+    whole = [(case, report) for case, report in rows if case.element == NOTHING]
+    lines += [
+        "",
+        f"Named first: {sum(named_right(*row) for row in scored)} of {len(scored)}, of these "
+        f"{sum(is_solved(*row) for row in scored)} with the verdict `effect` or `parameters`. "
+        f"No gap of a whole model: {sum(is_solved(*row) for row in whole)} of {len(whole)}.",
+    ]
     write_text(path, "\n".join(lines) + "\n")

@@ -34,7 +34,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--injected", action="store_true", help="with --seed: put known effects into measured records of the stack and the mirror"
     )
     parser.add_argument(
-        "--plants", nargs="+", metavar="PLANT", help="with --injected: measured plants, stack and mirror (default: both)"
+        "--plants",
+        nargs="+",
+        metavar="PLANT",
+        help="with --injected or --measured: measured plants, stack and mirror (default: both)",
+    )
+    parser.add_argument(
+        "--levels",
+        nargs="+",
+        type=int,
+        metavar="MV",
+        help="with --measured: levels whose models of the mirror are used (default: all)",
     )
     parser.add_argument(
         "--modes",
@@ -63,7 +73,9 @@ def run(arguments: argparse.Namespace) -> Table:
     if arguments.measured:
         from hyst_control.blind_test import measured
 
-        return measured.run(arguments.output, arguments.page, modes=arguments.modes)
+        return measured.run(
+            arguments.output, arguments.page, modes=arguments.modes, plants=arguments.plants, levels=arguments.levels
+        )
     if arguments.injected:
         from hyst_control.blind_test import injected
 

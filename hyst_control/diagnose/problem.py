@@ -119,6 +119,7 @@ class Problem:
             len(self.model.axes),
             self.slowest,
             shared_modes(self.model),
+            min(0 if piece.keep is None else int(np.argmax(piece.keep)) for piece in self.pieces) * self.sample_time,
         )
 
 
@@ -138,9 +139,10 @@ def shared_modes(model: Model) -> tuple[tuple[float, float], ...]:
     """
     stages = model.chain.stages
     index = mechanics_index(stages)
-    if index is None or not isinstance(stages[index], LinearStage) or not stages[index].mixes_axes:
+    mechanics = None if index is None else stages[index]
+    if not isinstance(mechanics, LinearStage) or not mechanics.mixes_axes:
         return ()
-    poles = np.concatenate([np.linalg.eigvals(system.A) for system in stages[index].systems(len(model.axes))])
+    poles = np.concatenate([np.linalg.eigvals(system.A) for system in mechanics.systems(len(model.axes))])
     found: list[complex] = []
     for pole in sorted(poles[poles.imag >= 0.0], key=abs):
         if all(abs(pole - other) > SAME_POLE * abs(pole) for other in found):

@@ -86,9 +86,9 @@ def stage(values: Values, around: Surroundings) -> Stage:
                 [[values.get(f"{part}_{sensor}_{source}", 0.0) for source in range(axes)] for sensor in range(axes)]
             )
 
-        parts = [np.array([matrix_of(f"{part}_{mode}") for mode in range(len(around.modes))]) for part in MODAL]
+        in_phase, quadrature = (np.array([matrix_of(f"{part}_{mode}") for mode in range(len(around.modes))]) for part in MODAL)
         frequency, damping = np.array(around.modes).T
-        return CoupledModes(frequency, damping, *parts, matrix_of(STATIC))
+        return CoupledModes(frequency, damping, in_phase, quadrature, matrix_of(STATIC))
     coupling = np.broadcast_to(np.array(values["coupling"], dtype=float), axes)
     matrix = np.eye(axes)
     for axis in range(axes if axes > 1 else 0):

@@ -61,6 +61,8 @@ class Surroundings:
     modes
         Frequency (Hz) and damping of every mode of the nominal mechanics, where these drive the axes together; a damping above 1
         stands for two real poles.
+    begin
+        s from the start of the record to the first sample that is compared.
     """
 
     sample_time: float
@@ -71,6 +73,7 @@ class Surroundings:
     axes: int
     slowest: float | None = None
     modes: tuple[tuple[float, float], ...] = ()
+    begin: float = 0.0
 
     @property
     def stroke(self) -> float:

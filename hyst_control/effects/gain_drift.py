@@ -122,14 +122,17 @@ def drift_code(stage: Stage, axes: int, expression: str, title: str) -> CCode:
 def drift_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Time constant of a drift, from a twentieth of the record to so long that the drift is straight; spread and initial part.
 
+    A drift that has settled before the first sample that is compared would be a constant.
+
     Parameters
     ----------
     around
         Record that the sizes are judged by.
     """
     length = around.duration
+    least = max(0.05 * length, around.begin)
     return (
-        Parameter("tau", "s", length, (0.2 * length, length), 0.05 * length, 10.0 * length, 1.0, True),
+        Parameter("tau", "s", length, (max(0.2 * length, least), length), least, 10.0 * length, 1.0, True),
         Parameter("decades", "", 0.0, (0.0, 1.5), 0.0, 3.0, 1.0, told=False),
         Parameter("initial", "", 0.0, (0.0,), -1.0, 0.0, 0.5, told=False),
     )

@@ -80,6 +80,29 @@ def test_a_case_that_has_its_report_is_not_diagnosed_again(tmp_path, monkeypatch
     assert len(calls) == 4 and [path.name for path in tmp_path.iterdir()] == ["mirror_100_mv_mode_at_30_hz.json"]
 
 
+@pytest.mark.parametrize(
+    ("element", "verdict", "names", "solved"),
+    [
+        ("nothing", "no_gap", (), True),
+        ("nothing", "unknown", (), False),
+        ("input delay", "effect", ("delay", "gain"), True),
+        ("input delay", "effect", ("gain", "delay"), False),
+        ("input delay", "ambiguous", ("delay", "gain"), False),
+        ("input delay", "no_gap", (), False),
+    ],
+)
+def test_a_case_is_solved_by_name_and_verdict(element, verdict, names, solved):
+    case = Withheld("mirror", element, ("delay",) if element != "nothing" else (), None, None, 0.0, 0.1)  # type: ignore[arg-type]
+    assert measured.is_solved(case, {"verdict": verdict, "effects": [{"name": name} for name in names]}) == solved
+
+
+@pytest.mark.parametrize(("given", "said"), [({"plants": ["stuck"]}, "--plants stuck"), ({"levels": [250]}, "--levels 250")])
+def test_what_was_not_measured_is_refused(tmp_path, given, said):
+    with pytest.raises(InputError, match=said):
+        measured.run(str(tmp_path), **given)
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_measured_stack_without_its_elements():
     """The whole model has no gap on loops that it was not fitted to; without hysteresis, or with few operators, that is named first."""
     try:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import signal
@@ -236,3 +238,11 @@ def test_axes_may_have_realizations_of_their_own():
         found = running.process(u)
         for axis, values in enumerate(each):
             np.testing.assert_allclose(found[:, axis], run([operators, kind(**values)], u[:, axis]), rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["gain_drift", "offset_drift"])
+def test_a_drift_has_not_settled_before_the_first_sample_that_is_compared(name):
+    parameters = {p.name: p for p in EFFECTS[name].parameters(replace(AROUND, duration=2.0, begin=1.0))}
+    tau = parameters["tau"]
+    assert tau.lower == 1.0 and all(tau.lower <= start <= tau.upper for start in tau.starts)
+    assert {p.name: p for p in EFFECTS[name].parameters(AROUND)}["tau"].lower == pytest.approx(0.05)
