@@ -35,6 +35,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--report", metavar="OUT.html", help="HTML page to write")
     parser.add_argument("--augmented", metavar="OUT.yaml", help="model file to write: the model with the effects added")
+    parser.add_argument(
+        "--learned-residual",
+        action="store_true",
+        help="where no known effect explains the gap, add to that model what is left, as far as it follows the command",
+    )
     parser.add_argument("--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the catalogue")
     parser.add_argument(
         "--on",
@@ -77,6 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
             warm_up=arguments.warm_up,
             on=arguments.on,
             baseline=arguments.baseline,
+            learned_residual=arguments.learned_residual,
         )
     )
     return 0

@@ -71,6 +71,10 @@ class Baseline:
         Rms that an effect must remove from the residual to be named at all, measurement unit.
     clean : Problem or None
         The clean records; None if the model file's discrepancy is used instead.
+    error : ndarray, shape (A,)
+        Rms of the model's own error on the clean records without their zeros, measurement unit.
+    learned : LearnedDiscrepancy or None
+        What predicts this error on other commands; None where that is not known, or of axes that the model mixes.
     """
 
     problem: Problem
@@ -79,6 +83,29 @@ class Baseline:
     usual_zero: Array
     floor: Array
     clean: Problem | None
+    error: Array
+    learned: LearnedDiscrepancy | None = None
+
+    def error_energy(self, command: Array, sample_time: float) -> float:
+        """Predict the energy of the model's own error on a command.
+
+        Parameters
+        ----------
+        command : ndarray, shape (N, A)
+            V.
+        sample_time : float
+            s.
+
+        Returns
+        -------
+        float
+            Sum over the axes of the mean square, measurement unit squared.
+        """
+        if self.learned is None:
+            return float(np.sum(self.error**2))
+        design, _ = without_zero(self.learned.features.rows(np.ascontiguousarray(command[:, 0]), sample_time))
+        spread = np.column_stack([self.learned.mean, self.learned.factor])
+        return float(np.mean(np.sum((design @ spread) ** 2, axis=1)) + self.learned.rest**2)
 
 
 def no_model(record: Record) -> Model:
@@ -199,7 +226,8 @@ def _beside_own_error(problem: Problem, stated: Mapping[str, Any], clean: Proble
     usual = np.fmin(usual, settings.usual_share * spans[:, None])
     length = max(seconds / problem.sample_time, 1.0)
     beside = replace(problem, model=model, slowest=_slowest(problem), own_error=rest, own_correlation=length)
-    return Baseline(beside, False, error, usual, settings.other_command * excess, clean)
+    known = learned[0] if len(learned) == len(error) == 1 else None
+    return Baseline(beside, False, error, usual, settings.other_command * excess, clean, excess, known)
 
 
 def _predicted(problem: Problem, learned: LearnedDiscrepancy) -> LearnedError:
@@ -255,7 +283,9 @@ def _carried(
         own_error=repeatability if differences else None,
         own_correlation=max((correlation_length(rows) for rows in differences), default=1.0),
     )
-    return Baseline(beside, True, repeatability, usual, settings.same_floor * repeatability, clean)
+    own = np.concatenate([without_zero(rows)[0] for rows in series])
+    error = np.sqrt(np.mean(own**2, axis=0))
+    return Baseline(beside, True, repeatability, usual, settings.same_floor * repeatability, clean, error)
 
 
 def matching(command: Array, clean: Sequence[Piece], settings: BaselineSettings) -> list[Match]:

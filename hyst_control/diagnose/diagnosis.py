@@ -406,14 +406,17 @@ def _floor(problem: Problem, stated: Array, configuration: Configuration) -> flo
 def _without_truncation(linearised: Linearised, findings: Sequence[Finding], configuration: Configuration) -> Problem:
     """The same problem, where a converter rounded down or up with the half step added that it took off or put on.
 
-    Only where the mean of what the coefficients leave is that half step: any other constant is an offset.
+    Only where the constant that fits best beside the coefficients is that half step: any other one is an offset.
     """
     problem = linearised.problem
     shift = np.zeros(len(problem.model.axes))
-    rows = problem.rows(linearised.unexplained(linearised.measured - linearised.nominal))
+    gap = linearised.unexplained(linearised.measured - linearised.nominal)
     for finding in findings:
         if finding.check is RecordCheck.VALUE_LATTICE:
-            steps = float(np.mean(rows[:, finding.axis])) / finding.value
+            constant = np.zeros((len(gap) // len(shift), len(shift)))
+            constant[:, finding.axis] = 1.0 / problem.sigma[finding.axis]
+            column = constant.reshape(-1)
+            steps = float(column @ gap / (column @ linearised.unexplained(column))) / finding.value
             if abs(abs(steps) - 0.5) < configuration.checks.truncation:
                 shift[finding.axis] = -0.5 * np.sign(steps) * finding.value
     if not shift.any():

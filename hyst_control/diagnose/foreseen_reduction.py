@@ -2,7 +2,8 @@
 
 A record shows only those effects that its command excites, so the gap shrinks differently on another command. No measurement of that
 command exists; the fitted model, effects and coefficients together, takes its place. The gaps of the nominal and of the augmented
-model are computed against it.
+model are computed against it. What the model leaves on clean records, or what even the best explanation leaves, stays in both gaps: no
+effect removes it.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.diagnosis import AxisDiagnosis, Diagnosis
+from hyst_control.diagnose.evidence_collection import stated_noise
 from hyst_control.diagnose.problem import Piece, Problem
 from hyst_control.errors import InputError
 
@@ -71,9 +73,37 @@ def foresee(diagnosis: Diagnosis, command: Array) -> Foreseen:
         true = _simulated(part, problem, z, True)
         nominal, augmented = (_simulated(part, problem, 0.0 * z, effects) for effects in (False, True))
         lines = _line_energy(part)
-        before += float(np.sum(np.mean((true - nominal) ** 2, axis=0))) + lines
-        after += float(np.sum(np.mean((true - augmented) ** 2, axis=0))) + 2.0 * lines  # its phase is another one in every record
+        own = own_error_energy(part, problem.pieces[0].command)
+        before += float(np.sum(np.mean((true - nominal) ** 2, axis=0))) + lines + own
+        after += float(np.sum(np.mean((true - augmented) ** 2, axis=0))) + 2.0 * lines + own  # the phase of lines is another one
     return Foreseen(float(np.sqrt(before / count)), float(np.sqrt(after / count)))
+
+
+def own_error_energy(part: AxisDiagnosis, command: Array) -> float:
+    """Compute the energy that the model's own error adds to every gap on a command.
+
+    It is what the model leaves on clean records: as learned on other commands, or carried over from the same one, or stated. Where
+    the best explanation leaves more than that, beyond the noise, it is this remainder.
+
+    Parameters
+    ----------
+    part : AxisDiagnosis
+        Diagnosis of one problem.
+    command : ndarray, shape (N, A)
+        V.
+
+    Returns
+    -------
+    float
+        Sum over the axes of the mean square, measurement unit squared.
+    """
+    problem = part.problem
+    left = problem.rows(part.chosen.solution.residual)
+    remainder = float(np.sum(np.maximum(np.mean(left**2, axis=0) - problem.sigma**2, 0.0)))
+    if part.baseline is None:
+        stated = stated_noise(problem.model)
+        return max(remainder, float(np.sum(np.maximum(stated**2 - problem.sigma**2, 0.0))))
+    return max(remainder, part.baseline.error_energy(command, problem.sample_time))
 
 
 def _on(part: AxisDiagnosis, command: Array, others: Array | None) -> Problem:

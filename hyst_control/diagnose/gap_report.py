@@ -26,6 +26,7 @@ def gap_report(
     blocks: Sequence[Block] = (),
     augmented: str | None = None,
     with_next: bool = True,
+    remainder: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Make the report.
 
@@ -41,6 +42,8 @@ def gap_report(
         Path of the model file with the effects added.
     with_next : bool
         Whether to choose the next experiment.
+    remainder : dict of str, optional
+        What is left where no known effect explains the gap, as `Remainder.document` makes it.
 
     Returns
     -------
@@ -72,6 +75,8 @@ def gap_report(
     )
     if any(part.baseline for part in diagnosis.parts):
         document |= _finite(_beside_clean_records(diagnosis))
+    if remainder is not None:
+        document["predictable"] = _finite(remainder)
     return document
 
 
@@ -246,6 +251,8 @@ def in_words(report: dict[str, Any]) -> str:
             f"  next: {following['excitation']} separates {' from '.join(following['separates'])} by {following['distance']:.1f} σ"
             + (f"; {following['note']}" if following["note"] else "")
         )
+    if "level" in (report.get("predictable") or {}):
+        lines += _predictable(report["predictable"])
     if report.get("foreseen"):
         ahead, unit = report["foreseen"], report["gap"]["unit"]
         lines.append(
@@ -254,6 +261,23 @@ def in_words(report: dict[str, Any]) -> str:
         )
     lines += [f"  note: {note}" for note in report["notes"]]
     return "\n".join(lines)
+
+
+def _predictable(found: dict[str, Any]) -> list[str]:
+    """What of an unexplained remainder follows the command."""
+    lines = [f"  of what is left beyond the noise, {100 * found['share']:.0f} % follows the command"]
+    for title in ("band", "level", "branch"):
+        rows = [row for row in found[title] if row["share"] > 0.02]
+        if rows:
+            told = ", ".join(f"{row['name']} {100 * row['predictable']:.0f} % of {100 * row['share']:.0f} %" for row in rows)
+            lines.append(f"      {title}: {told}")
+    if found["learned_residual"]:
+        far, added = found["learned_residual"]["shrink"], found["learned_residual"]["added"]
+        lines.append(
+            f"      a learned residual {'was added: it' if added else 'would'} shrink{'s' if added else ''} what the effects leave by "
+            f"{100 * far:.0f} % on blocks that it was not learned from"
+        )
+    return lines
 
 
 def _short(value: float | None) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from hyst_control.diagnose.diagnosis import Diagnosis, diagnose
 from hyst_control.diagnose.foreseen_reduction import foresee
 from hyst_control.diagnose.gap_report import gap_report, in_words
 from hyst_control.diagnose.invalid_records import invalid_report, write_invalid_page
+from hyst_control.diagnose.unknown_remainder import remainder_of, with_learned_residual
 from hyst_control.effects import EFFECTS
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
@@ -41,6 +43,7 @@ def diagnose_bags(
     warm_up: float = 0.0,
     on: str | None = None,
     baseline: Sequence[str | Path] = (),
+    learned_residual: bool = False,
 ) -> str:
     """Diagnose bags and write what is asked for.
 
@@ -70,6 +73,8 @@ def diagnose_bags(
         A bag or a .npy file with the command (N, A) of a run to come, for which the report then says how far the gap will shrink.
     baseline : sequence of path
         Clean records of the same plant, or of its sisters.
+    learned_residual : bool
+        Whether the augmented model gets a stage for what no known effect explains, where that follows the command.
 
     Returns
     -------
@@ -88,6 +93,8 @@ def diagnose_bags(
     for path in (json, report, augmented):
         if path is not None and not Path(path).resolve().parent.is_dir():
             raise InputError(f"{path}: {Path(path).resolve().parent} is no folder: choose one that exists")
+    if learned_residual and augmented is None:
+        raise InputError("--learned-residual: is a stage of the augmented model: give --augmented with the file to write")
     nominal = None if model is None else load_model(model)
     records = [read_bag(bag, namespace, unit) for bag in bags]
     clean = [read_bag(bag, namespace, unit) for bag in baseline]
@@ -98,7 +105,9 @@ def diagnose_bags(
         if json is not None:
             write_json(json, refused[0])
         return refused[1]
-    document, diagnosis, better = diagnosed(records, nominal, seed, without, cache, augmented, progress, warm_up, clean)
+    document, diagnosis, better = diagnosed(
+        records, nominal, seed, without, cache, augmented, progress, warm_up, clean, learned_residual
+    )
     if coming is not None:
         try:
             document["foreseen"] = {"command": str(on), **foresee(diagnosis, coming).document()}
@@ -125,6 +134,7 @@ def diagnosed(
     progress: bool = False,
     warm_up: float = 0.0,
     baseline: Sequence[Record] = (),
+    learned_residual: bool = False,
 ) -> tuple[dict[str, Any], Diagnosis, Model | None]:
     """Diagnose records, with the report.
 
@@ -140,6 +150,8 @@ def diagnosed(
         Path that the report names for the augmented model.
     baseline : sequence of Record
         Clean records of the same plant, or of its sisters.
+    learned_residual : bool
+        As in `diagnose_bags`.
 
     Returns
     -------
@@ -161,8 +173,18 @@ def diagnosed(
     tell("shrink on held-out blocks")
     attribution = attribute(diagnosis)
     better = augmented_model(diagnosis) if attribution.effects and model is not None else None
+    remainder = remainder_of(diagnosis)
+    added = learned_residual and model is not None and remainder is not None and bool(remainder.stages)
+    if added and model is not None and remainder is not None:
+        better = with_learned_residual(better or replace(model, name=f"{model.name}_augmented"), remainder)
     blocks = [block for record in records for block in replay(record, diagnosis.configuration.replay)]
-    document = gap_report(diagnosis, attribution, blocks, str(augmented) if augmented and better is not None else None)
+    document = gap_report(
+        diagnosis,
+        attribution,
+        blocks,
+        str(augmented) if augmented and better is not None else None,
+        remainder=None if remainder is None else remainder.document(added),
+    )
     return document, diagnosis, better
 
 

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 from scipy.linalg import eigh
 
+from hyst_control.chain.command_features import Array, CommandFeatures
 from hyst_control.errors import InputError
 from hyst_control.model_file import DISCREPANCY_VERSION
-from hyst_control.records.command_features import Array, CommandFeatures
 from hyst_control.records.correlation import correlation_length
 from hyst_control.records.session_zero import usual_zero, without_zero
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import hyst_control.effects  # noqa: F401  (makes the effects' stages known)
 from hyst_control.chain import STAGES, Chain, Sampling
+from hyst_control.chain.command_features import FEATURES
 from hyst_control.chain.linear import TransferFunction
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.prandtl_ishlinskii import PlayOperator, PrandtlIshlinskii
@@ -119,6 +120,15 @@ EXAMPLES = {
         "in_phase": (0.05 * np.eye(n) - 0.02).tolist(),
         "quadrature": np.full((n, n), 0.01).tolist(),
     },
+    "learned_residual": lambda n: {
+        "center": spread(n, 50.0, 40.0),
+        "span": 100.0,
+        "rate": spread(n, 2e4, 1e4),
+        "lag": 4e-4,
+        "duration": 0.01,
+        "weights": spread(n, np.sin(np.arange(FEATURES)).tolist(), np.cos(np.arange(FEATURES)).tolist()),
+        "constant": spread(n, 0.3, 0.0),
+    },
     "added_mass": lambda n: {"mass_ratio": spread(n, 0.3, -0.2)},
     "backlash": lambda n: {"half_width": spread(n, 2.0, 0.0)},
     "vibration": lambda n: {"amplitude": spread(n, 0.5, 0.0), "frequency": 170.0, "phase": 1.0},
@@ -152,11 +162,12 @@ MODIFIERS = (
     "coupled_resonance",
     "added_mass",
     "softening_modes",
+    "learned_residual",
 )
 BEFORE = dict.fromkeys(MODIFIERS, PLANT)
 """What stands before a stage that changes others."""
 
-RESTLESS = ("creep", "vibration", "gain_drift", "offset_drift", "mains_hum", "sensor_noise", "flicker_noise")
+RESTLESS = ("creep", "learned_residual", "vibration", "gain_drift", "offset_drift", "mains_hum", "sensor_noise", "flicker_noise")
 """Stages whose output changes with time or at random while the input rests, or for hours before it rests too."""
 
 VARIANTS = {

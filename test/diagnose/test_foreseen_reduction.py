@@ -13,7 +13,7 @@ from hyst_control.blind_test.case_records import record_of, run_case
 from hyst_control.blind_test.nominal_models import nominal
 from hyst_control.blind_test.plant_setups import SETUPS
 from hyst_control.cli import main
-from hyst_control.diagnose.foreseen_reduction import foresee
+from hyst_control.diagnose.foreseen_reduction import foresee, own_error_energy
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.errors import InputError
 from hyst_control.model_file import save_model, simulate
@@ -34,6 +34,12 @@ def test_the_shrink_foreseen_is_the_one_then_measured(plant, tmp_path, capsys):
     before, after = (np.sqrt(np.mean((fresh["measurement"] - simulate(m, fresh["command"])) ** 2) - floor) for m in (model, better))
     assert foreseen.rms_before == pytest.approx(before, rel=0.03) and foreseen.rms_after == pytest.approx(after, rel=0.1)
     assert foreseen.shrink == pytest.approx(1 - (after / before) ** 2, abs=0.02)
+    part = diagnosis.parts[0]
+    stated = replace(part.problem.model, noise={"sigma": 3.0 * NOISE * SETUPS[plant].stroke})
+    louder = replace(part, problem=replace(part.problem, model=stated))  # a model that says that it leaves thrice the noise
+    own = [own_error_energy(one, fresh["command"][:, list(part.axes)]) for one in (part, louder)]
+    assert own[0] < 0.2 * np.sum(part.problem.sigma**2)
+    assert own[1] == pytest.approx(np.sum(9.0 * floor - part.problem.sigma**2), rel=1e-6)
     if plant == "pea_published":  # on the record itself it is another one: another command excites other things
         assert abs(document["effects"][0]["shrink"] - foreseen.shrink) > 0.2
         write_bag(tmp_path / "bag", record)

@@ -91,7 +91,7 @@ class CommandFeatures:
         """Convert the scales to JSON types."""
         return asdict(self)
 
-    def rows(self, command: Array, sample_time: float) -> Array:
+    def rows(self, command: Array, sample_time: float, causal: bool = False) -> Array:
         """Compute the features of a command.
 
         Parameters
@@ -100,23 +100,93 @@ class CommandFeatures:
             Command, V.
         sample_time : float
             Its sample time, s.
+        causal : bool
+            Whether the rate is one of past samples alone, as a stage has it that runs along with the command; else it is centered.
 
         Returns
         -------
         ndarray, shape (N, F)
             Features, without unit.
         """
-        u = (command - self.center) / self.span
-        width = max(round(0.5 * self.lag / sample_time), 1)
+        running = FeatureFilter(self, sample_time)
+        running.settle(float(command[0]))
+        if causal:
+            return running.process(command)
+        u, width = (command - self.center) / self.span, running.width
         ahead, behind = _late(u[::-1], width)[::-1], _late(u, width)
-        v = (ahead - behind) / (2.0 * width * sample_time) * self.span / self.rate
-        distance = _since_reversal(u, LEAST_REVERSAL)
+        return running.process(command, (ahead - behind) / running.crossing)
+
+
+class FeatureFilter:
+    """Streaming features of the command of one axis: blocks may be cut anywhere.
+
+    Parameters
+    ----------
+    features : CommandFeatures
+        Scales.
+    sample_time : float
+        s.
+    """
+
+    def __init__(self, features: CommandFeatures, sample_time: float) -> None:
+        self.features = features
+        self.width = max(round(0.5 * features.lag / sample_time), 1)
+        self.crossing = 2.0 * self.width * sample_time / features.span * features.rate
+        """Change of the scaled command over twice `width` samples at the largest rate."""
+        self.lags = [max(round(lag * features.lag / sample_time), 1) for lag in LAGS]
+        self.keeps = [float(np.exp(-sample_time / (share * features.duration))) for share in CREEPS]
+        self.settle(features.center)
+
+    def settle(self, value: float) -> Array:
+        """Begin at a command, V, that has rested.
+
+        Parameters
+        ----------
+        value : float
+            V.
+
+        Returns
+        -------
+        ndarray, shape (F,)
+            Features.
+        """
+        u = (value - self.features.center) / self.features.span
+        self.past = np.full(max(*self.lags, 2 * self.width), u)
+        self.reversal = np.array([u, u, 1.0])
+        self.plays, self.lows = np.full(len(PLAYS), u), np.full(len(CREEPS), u)
+        return np.asarray(self._columns(np.array([u]), np.zeros(1), np.tile(u, (len(LAGS), 1)))[0])
+
+    def process(self, command: Array, rate: Array | None = None) -> Array:
+        """Compute the features of the next samples.
+
+        Parameters
+        ----------
+        command : ndarray, shape (N,)
+            V.
+        rate : ndarray, shape (N,), optional
+            Rate as a share of the largest, from elsewhere than the past samples.
+
+        Returns
+        -------
+        ndarray, shape (N, F)
+            Features.
+        """
+        u = (command - self.features.center) / self.features.span
+        known, count = np.concatenate([self.past, u]), len(self.past)
+        late = [known[count - lag : len(known) - lag] for lag in self.lags]
+        if rate is None:
+            rate = (u - known[count - 2 * self.width : len(known) - 2 * self.width]) / self.crossing
+        self.past = known[len(u) :].copy()
+        return self._columns(u, rate, np.array(late))
+
+    def _columns(self, u: Array, v: Array, late: Array) -> Array:
+        distance = _since_reversal(u, LEAST_REVERSAL, self.reversal)
         size = np.abs(distance)
         found = [u, u**2, u**3, v, np.abs(v), u * v, u * np.abs(v), u**2 * v, distance * np.abs(v)]
         found += [distance, size, distance * size, u * distance, u * size, np.tanh(20.0 * distance)]
-        found += [play(u, half) for half in PLAYS]
-        found += [_late(u, max(round(lag * self.lag / sample_time), 1)) - u for lag in LAGS]
-        found += [_lowpass(u, np.exp(-sample_time / (share * self.duration))) - u for share in CREEPS]
+        found += [_play(u, half, self.plays[i : i + 1]) for i, half in enumerate(PLAYS)]
+        found += list(late - u)
+        found += [_lowpass(u, keep, self.lows[i : i + 1]) - u for i, keep in enumerate(self.keeps)]
         return np.stack(found, axis=1)
 
 
@@ -125,7 +195,6 @@ def _late(u: Array, count: int) -> Array:
     return np.concatenate([np.full(count, u[0]), u[: len(u) - count]])
 
 
-@njit(cache=True, error_model="numpy")
 def play(values: Array, half: float) -> Array:
     """Play operator, which begins at its input.
 
@@ -141,27 +210,38 @@ def play(values: Array, half: float) -> Array:
     ndarray, shape (N,)
         Output.
     """
-    state, output = values[0], np.empty_like(values)
-    for k in range(values.size):
-        state = min(max(state, values[k] - half), values[k] + half)
-        output[k] = state
+    output: Array = _play(values, half, values[:1].copy())
     return output
 
 
 @njit(cache=True, error_model="numpy")
-def _lowpass(values: Array, keep: float) -> Array:
-    state, output = values[0], np.empty_like(values)
-    for k in range(values.size):
-        state = keep * state + (1.0 - keep) * values[k]
-        output[k] = state
-    return output
-
-
-@njit(cache=True, error_model="numpy")
-def _since_reversal(values: Array, least: float) -> Array:
-    """Signed distance from the last turning point; one counts once the signal has come back by `least`."""
+def _play(values: Array, half: float, state: Array) -> Array:
+    """state (1,): the output before, updated."""
     output = np.empty_like(values)
-    turn, extreme, rising = values[0], values[0], True
+    for k in range(values.size):
+        state[0] = min(max(state[0], values[k] - half), values[k] + half)
+        output[k] = state[0]
+    return output
+
+
+@njit(cache=True, error_model="numpy")
+def _lowpass(values: Array, keep: float, state: Array) -> Array:
+    """state (1,): the output before, updated."""
+    output = np.empty_like(values)
+    for k in range(values.size):
+        state[0] = keep * state[0] + (1.0 - keep) * values[k]
+        output[k] = state[0]
+    return output
+
+
+@njit(cache=True, error_model="numpy")
+def _since_reversal(values: Array, least: float, state: Array) -> Array:
+    """Signed distance from the last turning point; one counts once the signal has come back by `least`.
+
+    state (3,): last turning point, extreme since, whether the signal rises (1) or falls (0); updated.
+    """
+    output = np.empty_like(values)
+    turn, extreme, rising = state[0], state[1], state[2] > 0.5
     for k in range(values.size):
         value = values[k]
         if (value > extreme) == rising:
@@ -170,4 +250,9 @@ def _since_reversal(values: Array, least: float) -> Array:
         if abs(value - extreme) > least and (value < extreme) == rising:
             turn, extreme, rising = extreme, value, not rising
         output[k] = value - turn
+    state[0], state[1], state[2] = turn, extreme, 1.0 if rising else 0.0
     return output
+
+
+FEATURES = CommandFeatures(0.0, 1.0, 1.0, 1.0, 1.0).rows(np.zeros(1), 1.0).shape[1]
+"""Number of features."""
