@@ -275,14 +275,16 @@ def _carried(
     durations = np.array([len(piece.command) for piece in pieces]) * problem.sample_time
     repeatability = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if differences else np.zeros(len(spans))
     usual = np.fmin(np.max(zeros, axis=0), settings.usual_share * spans[:, None])
+    # Both records of a difference have noise, and the mean of n clean ones a part of it; what is carried has none.
+    alone = repeatability / np.sqrt(1.0 + 1.0 / min(len(found) for found in matches))
     stages = (*problem.model.chain.stages, CarriedError(tuple(series)), SessionZero.absent(settings.zero_share * spans, durations))
-    model = replace(problem.model.with_stages(stages), tolerance={}, uncertainty={}, noise={"sigma": repeatability.tolist()})
+    model = replace(problem.model.with_stages(stages), tolerance={}, uncertainty={}, noise={"sigma": alone.tolist()})
     beside = replace(
         problem,
         model=model,
         pieces=tuple(pieces),
         slowest=_slowest(problem),
-        own_error=repeatability if differences else None,
+        own_error=alone if differences else None,
         own_correlation=max((correlation_length(rows) for rows in differences), default=1.0),
     )
     own = np.concatenate([without_zero(rows)[0] for rows in series])

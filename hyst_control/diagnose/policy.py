@@ -518,7 +518,12 @@ def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
 
 
 def _distorted(evidence: Evidence, chosen: int, thresholds: Thresholds) -> tuple[DistortionEvidence, ...]:
-    """Tests by which a named effect is not itself: its size would have to change a lot, and that would explain a good deal."""
+    """Tests by which a named effect is not itself: its size would have to change a lot, and that would explain a good deal.
+
+    What is left must exceed what the model leaves on clean records, which has a shape of its own.
+    """
+    if _residual(evidence, chosen).energy <= (1.0 + thresholds.least_excess) * evidence.stated:
+        return ()
     found = [
         one
         for one in _residual(evidence, chosen).distortions

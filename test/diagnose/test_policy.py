@@ -87,11 +87,13 @@ OUTLIERS_BASE = none(energy=3.0, residual=replace(SPIKES, energy=1.0))
 UNRELATED = none(residual=replace(QUIET, energy=BEFORE, predictable=0.0))
 
 
-def changing(change: float, statistic: float = 100.0, share: float = 0.03, variable: str = "level") -> HypothesisEvidence:
+def changing(
+    change: float, statistic: float = 100.0, share: float = 0.03, variable: str = "level", left: float = 2.0
+) -> HypothesisEvidence:
     """An effect whose size would have to change."""
     found = effect("a")
     tests = (DistortionEvidence("a", variable, change, statistic, share),)
-    return replace(found, residual=replace(QUIET, distortions=tests))
+    return replace(found, residual=replace(QUIET, energy=left, distortions=tests))
 
 
 def session(usual: float) -> HypothesisEvidence:
@@ -153,6 +155,7 @@ TABLE = (
     Row("an effect that changes with time", evidence(changing(0.8, variable="time")), V.UNKNOWN, (R.DISTORTION_TIME,), ("a",)),
     Row("an effect that changes with the rate", evidence(changing(0.8, variable="rate")), V.UNKNOWN, (R.DISTORTION_RATE,), ("a",)),
     Row("an effect of one direction", evidence(changing(2.0, variable="branch")), V.UNKNOWN, (R.DISTORTION_BRANCH,), ("a",)),
+    Row("a change within the model's own error", evidence(changing(0.8, left=1.05)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
     Row("an effect that changes a little", evidence(changing(0.3)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
     Row("a change that may be chance", evidence(changing(0.8, NULL + 2.0)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
     Row("a change that explains little", evidence(changing(0.8, share=0.005)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
