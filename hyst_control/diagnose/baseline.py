@@ -38,6 +38,8 @@ from hyst_control.records.session_zero import SHAPES, usual_zero, without_zero
 
 LEAST_DIRECTION = 0.1
 """Least rms of a direction of the learned error, in the rms of what it leaves, that is free in a diagnosis."""
+NOISE_REACH = 20
+"""Bins of the spectrum to either side over which the power of a carried error is averaged to tell its noise."""
 LOW_SHARE = 0.02
 """Share of a command's power that lies below what counts as its lowest frequency."""
 
@@ -266,7 +268,7 @@ def _carried(
         for match in found:
             rows = np.clip(np.arange(len(piece.command)) + match.shift, 0, len(match.clean.command) - 1)
             errors.append(match.clean.measurement[rows] - simulated)
-        series.append(np.mean(errors, axis=0))
+        series.append(without_noise(np.mean(errors, axis=0)))
         differences += [without_zero((error - errors[0])[begin:end])[0] for error in errors[1:]]
         zeros.append(usual_zero(np.array([without_zero((error - series[-1])[begin:end])[1] for error in errors])))
         if len(errors) == 1:
@@ -274,19 +276,47 @@ def _carried(
     durations = np.array([len(piece.command) for piece in pieces]) * problem.sample_time
     repeatability = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if differences else np.zeros(len(spans))
     usual = np.fmin(np.max(zeros, axis=0), settings.usual_share * spans[:, None])
+    # Both records of a difference have noise, and the mean of n clean ones a part of it; what is carried has none.
+    alone = repeatability / np.sqrt(1.0 + 1.0 / min(len(found) for found in matches))
     stages = (*problem.model.chain.stages, CarriedError(tuple(series)), SessionZero.absent(settings.zero_share * spans, durations))
-    model = replace(problem.model.with_stages(stages), tolerance={}, uncertainty={}, noise={"sigma": repeatability.tolist()})
+    model = replace(problem.model.with_stages(stages), tolerance={}, uncertainty={}, noise={"sigma": alone.tolist()})
     beside = replace(
         problem,
         model=model,
         pieces=tuple(pieces),
         slowest=_slowest(problem),
-        own_error=repeatability if differences else None,
+        own_error=alone if differences else None,
         own_correlation=max((correlation_length(rows) for rows in differences), default=1.0),
     )
     own = np.concatenate([without_zero(rows)[0] for rows in series])
     error = np.sqrt(np.mean(own**2, axis=0))
     return Baseline(beside, True, repeatability, usual, settings.same_floor * repeatability, clean, error)
+
+
+def without_noise(error: Array) -> Array:
+    """Take the white noise off a carried error, frequency by frequency as far as it is noise (Wiener filter).
+
+    The noise of the clean records is not that of the new one. Carried along, it would be noise that a low-pass at the sensor takes off.
+
+    Parameters
+    ----------
+    error : ndarray, shape (N, A)
+        Measured minus simulated, measurement unit.
+
+    Returns
+    -------
+    ndarray, shape (N, A)
+        Measurement unit.
+    """
+    rest, _ = without_zero(error)
+    mirrored = np.concatenate([rest, rest[::-1]])
+    spectrum = np.fft.rfft(mirrored, axis=0)
+    power = np.abs(spectrum) ** 2
+    window = np.ones(2 * NOISE_REACH + 1) / (2 * NOISE_REACH + 1)
+    smooth = np.stack([np.convolve(np.pad(column, NOISE_REACH, mode="reflect"), window, "valid") for column in power.T], axis=1)
+    floor = np.quantile(smooth[len(smooth) // 2 :], 0.2, axis=0)
+    kept = np.clip(1.0 - floor / np.maximum(smooth, 1e-300), 0.0, 1.0)
+    return np.asarray(error - rest + np.fft.irfft(kept * spectrum, len(mirrored), axis=0)[: len(rest)], dtype=np.float64)
 
 
 def matching(command: Array, clean: Sequence[Piece], settings: BaselineSettings) -> list[Match]:

@@ -46,7 +46,13 @@ class Thresholds:
     added_share_with_own_error: float = _setting(
         "1", "the same where the fits know of the model's own error: finer parts cannot be told from it"
     )
+    distortion_change: float = _setting("1", "change of an effect's size with a variable from which it is another effect")
+    distortion_share: float = _setting("share of the energy that the effect explains", "least that this change must explain")
     least_excess: float = _setting("share of the noise's energy", "energy beyond the noise's under which nothing is called unknown")
+    run_to_run: float = _setting(
+        "stated energies", "energy that does not follow the command up to which it is the plant's variation from run to run"
+    )
+    least_explained: float = _setting("share of the gap's energy", "least that effects must take off to be an explanation")
     own_error_share: float = _setting("1", "share of the error that a model states of itself which an effect must take off")
     own_error_energy: float = _setting("noise energies", "stated energy from which a model is taken to state an error of its own")
     strain_deviations: float = _setting(
@@ -186,6 +192,9 @@ class SearchSettings:
     spent: float = _setting("share of the noise's energy", "energy beyond the noise's under which no further effect is looked for")
     spent_floor: float = _setting("practical sizes squared", "the same, of what is too small to be named")
     kept_beams: int = _setting("beams", "combinations kept of every size")
+    own_error_parameter: float = _setting(
+        "nats", "cost of every parameter of an effect beyond the first, where the model states an error of its own"
+    )
     inflation: float = _setting("tolerances", "how far nominal coefficients may be off in the explanation by coefficients alone")
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.baseline import Baseline, no_model, with_baseline, with_discrepancy
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
+from hyst_control.diagnose.distortion import distortions
 from hyst_control.diagnose.evidence import Evidence, Finding
 from hyst_control.diagnose.evidence_collection import (
     collect,
@@ -369,6 +370,7 @@ def _axis(
                 checks,
                 configuration,
                 companions(linearised, collected.hypotheses[index], baseline.usual_zero, found.temper) if baseline else (),
+                distortions(linearised, collected.hypotheses[index], found.temper),
             )
             for index in contenders(collected.evidence, thresholds)
         }

@@ -92,6 +92,8 @@ class ResidualEvidence:
         Share of it that follows the command; 1 where it was not looked for.
     companions : tuple of CompanionEvidence
         As this hypothesis has them; none without clean records.
+    distortions : tuple of DistortionEvidence
+        Of its effects.
 
     """
 
@@ -102,6 +104,33 @@ class ResidualEvidence:
     flicker: FlickerEvidence | None = None
     predictable: float = 1.0
     companions: tuple[CompanionEvidence, ...] = ()
+    distortions: tuple[DistortionEvidence, ...] = ()
+
+
+@dataclass(frozen=True)
+class DistortionEvidence:
+    """Distortion of an effect of an explanation: whether its size would have to change with a variable.
+
+    Parameters
+    ----------
+    effect : str
+        Its name.
+    variable : str
+        What it would change with.
+    change : float
+        Difference of the effect's size between both ends of the variable, as a share of it.
+    statistic : float
+        What the distortion explains of the residual, nats.
+    share : float
+        The same as a share of the energy that the effect explains.
+
+    """
+
+    effect: str
+    variable: str
+    change: float
+    statistic: float
+    share: float
 
 
 @dataclass(frozen=True)

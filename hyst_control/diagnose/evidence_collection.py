@@ -11,6 +11,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NoiseSettings
 from hyst_control.diagnose.evidence import (
     CompanionEvidence,
+    DistortionEvidence,
     Evidence,
     Finding,
     FlickerEvidence,
@@ -112,6 +113,7 @@ def residual_evidence(
     checks: frozenset[RecordCheck],
     configuration: Configuration = CONFIGURATION,
     beside: tuple[CompanionEvidence, ...] = (),
+    distorted: tuple[DistortionEvidence, ...] = (),
 ) -> ResidualEvidence:
     """Measure what a hypothesis leaves.
 
@@ -129,6 +131,8 @@ def residual_evidence(
         All values.
     beside : tuple of CompanionEvidence
         Companions, as the hypothesis has them.
+    distorted : tuple of DistortionEvidence
+        Distortion tests of its effects.
 
     Returns
     -------
@@ -149,6 +153,7 @@ def residual_evidence(
         _flicker(problem, scored, configuration) if RecordCheck.FALLING_SPECTRUM in checks else None,
         1.0 if problem.slowest is None else _predictable(problem, rows, configuration.baseline.blocks),
         beside,
+        distorted,
     )
 
 

@@ -20,6 +20,13 @@ from hyst_control.reporting.quantities import quantity
 
 SCHEMA = "hyst_control/gap-report"
 VERSION = 1
+DISTORTED_BY = {
+    "time": "time",
+    "level": "the level of the command",
+    "rate": "the rate of the command",
+    "branch": "the direction of the command",
+}
+"""Variables of the distortion tests, in words."""
 
 
 def gap_report(
@@ -73,6 +80,16 @@ def gap_report(
             "unexplained_share": _number(joint.remainder),
             "replay": [{"name": block.name, "faithful": block.faithful, "rms": block.rms, "text": block.text} for block in blocks],
             "notes": list(diagnosis.notes),
+            "distortions": [
+                {
+                    "name": one.effect,
+                    "axis": [diagnosis.model.axes[i] for i in part.axes],
+                    "variable": one.variable,
+                    "change": one.change,
+                }
+                for part in diagnosis.parts
+                for one in part.decision.distortions
+            ],
         }
     )
     if any(part.baseline for part in diagnosis.parts):
@@ -194,7 +211,13 @@ def sentence(report: dict[str, Any]) -> str:
         return f"The gap of {size} is caused by the model's parameters: re-identify {worst or 'the nominal model'}."
     if verdict == Verdict.UNKNOWN.value:
         near = f"; the nearest, {' and '.join(names)}, leaves {100 * report['unexplained_share']:.0f} % of it" if names else ""
-        if names and Reason.TOO_MANY_EFFECTS.value in reasons and Reason.ENERGY_LEFT.value not in reasons:
+        if report.get("distortions") and Reason.ENERGY_LEFT.value not in reasons:
+            worst = report["distortions"][0]
+            near = (
+                f"; {worst['name'].replace('_', ' ')} is the nearest, but its size would have to change by "
+                f"{100 * abs(worst['change']):.0f} % with {DISTORTED_BY[worst['variable']]}"
+            )
+        elif names and Reason.TOO_MANY_EFFECTS.value in reasons and Reason.ENERGY_LEFT.value not in reasons:
             near = f"; it would take {' and '.join(names)} at once, and an effect outside the catalogue is more likely"
         return f"No known effect explains the gap of {size}{near}."
     shrinks = [effect["shrink_reidentified"] for effect in report["effects"] if effect["shrink_reidentified"] is not None]

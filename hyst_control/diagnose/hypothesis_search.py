@@ -194,9 +194,10 @@ def search(
 
     def scored(candidate: Candidate, solution: Solution) -> Scored:
         count = len(candidate.members)
-        return Scored(
-            candidate, solution, temper * (none.solution.misfit - solution.misfit) - _occam(solution, temper) - count * alternatives
-        )
+        # Every parameter beyond the first may also follow the model's own error, which is no white noise.
+        further = settings.own_error_parameter * (len(solution.x) - count) if leaves >= thresholds.own_error_energy else 0.0
+        gain = temper * (none.solution.misfit - solution.misfit)
+        return Scored(candidate, solution, gain - _occam(solution, temper) - count * alternatives - further)
 
     def ranked(found: Sequence[tuple[Candidate, Solution]]) -> tuple[Scored, ...]:
         return tuple(sorted((scored(*item) for item in found), key=lambda item: -item.score))
@@ -412,7 +413,8 @@ def _fitted(linearised: Linearised, candidate: Candidate, starts: Sequence[Array
                 ranked.append((left, len(ranked), there))
             except InputError:
                 continue
-        starts = [start for *_, start in sorted(ranked, key=lambda item: item[:2])[: settings.followed]]
+        nearest = _nearest(linearised, unknowns, starts) if len(starts[0]) == 1 else []
+        starts = [start for *_, start in sorted(ranked, key=lambda item: item[:2])[: settings.followed]] + nearest
     tried = []
     for start in starts:
         try:
@@ -420,6 +422,19 @@ def _fitted(linearised: Linearised, candidate: Candidate, starts: Sequence[Array
         except InputError:
             continue
     return min(tried, key=lambda solution: solution.misfit, default=None)
+
+
+def _nearest(linearised: Linearised, unknowns: Unknowns, starts: Sequence[Array]) -> list[Array]:
+    """The start that comes closest to the record as it is: of one parameter, a linear step may promise too much from afar."""
+    nominal = np.zeros(linearised.count)
+
+    def left(start: Array) -> float:
+        try:
+            return _misfit(linearised, linearised.measured - linearised.simulate(nominal, unknowns, start))
+        except InputError:
+            return np.inf
+
+    return [min(starts, key=left)]
 
 
 def _freed(

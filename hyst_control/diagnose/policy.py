@@ -3,7 +3,7 @@
 `decide` judges one problem, `join` the axes of a plant. A hypothesis is a claim where it beats the simulated null and takes off more
 than the practical size; claims become probabilities by their scores. The verdict is the first of these whose rule holds:
 
-    unknown      the best explanation leaves too much, or needs too many effects
+    unknown      the best explanation leaves too much, needs too many effects, or one whose size changes with something else
     ambiguous    the data cannot separate several explanations
     effect       one explanation by effects, or a check of the record found something
     parameters   the coefficients explain it, further off than their tolerance
@@ -22,6 +22,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import Thresholds
 from hyst_control.diagnose.evidence import (
     CompanionEvidence,
+    DistortionEvidence,
     Evidence,
     Finding,
     FlickerEvidence,
@@ -58,6 +59,18 @@ class Reason(str, Enum):
 
     TOO_MANY_EFFECTS = "too_many_effects"
     """Unknown: the best explanation needs more effects at once than are likely."""
+
+    DISTORTION_TIME = "distortion_time"
+    """Unknown: the size of a named effect would have to change with time."""
+
+    DISTORTION_LEVEL = "distortion_level"
+    """Unknown: it would have to change with the level of the command."""
+
+    DISTORTION_RATE = "distortion_rate"
+    """Unknown: it would have to change with the rate of the command."""
+
+    DISTORTION_BRANCH = "distortion_branch"
+    """Unknown: it would have to change with the direction of the command."""
 
     SEVERAL_EXPLANATIONS = "several_explanations"
     """Ambiguous: more than one explanation is probable."""
@@ -110,6 +123,8 @@ class Decision:
         What excess noise consists of, where it is outliers.
     companions : tuple of CompanionEvidence
         Zero and drift of the session, where they are named.
+    distortions : tuple of DistortionEvidence
+        Distortion tests for which an explanation is none, the clearest first.
 
     """
 
@@ -122,6 +137,7 @@ class Decision:
     findings: tuple[Finding, ...] = ()
     outliers: tuple[Outliers, ...] = ()
     companions: tuple[CompanionEvidence, ...] = ()
+    distortions: tuple[DistortionEvidence, ...] = ()
 
     def of(self, name: str) -> float:
         """Probability that an effect is at work.
@@ -196,11 +212,13 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
     companions = tuple(one for one in _residual(evidence, chosen).companions if _unusual(one, evidence, thresholds))
 
     left_too_much, too_many = left > thresholds.unknown_share, _too_many(evidence, chosen, thresholds)
-    listed = (chosen,) if left_too_much or too_many else _listed(evidence, claims, probability, thresholds)
+    distorted = _distorted(evidence, chosen, thresholds)
+    listed = (chosen,) if left_too_much or too_many or distorted else _listed(evidence, claims, probability, thresholds)
     effects = any(evidence.hypotheses[index].names for index in listed)
     reasons: set[Reason] = set()
-    if too_many or remainder > thresholds.unknown_share:
+    if too_many or distorted or remainder > thresholds.unknown_share:
         verdict = Verdict.UNKNOWN
+        reasons |= {Reason(f"distortion_{one.variable}") for one in distorted}
         if remainder > thresholds.unknown_share:
             reasons |= {Reason.ENERGY_LEFT} | ({Reason.OUTLIERS} if remainder > left else set())
         if too_many:
@@ -221,7 +239,7 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
     else:
         beyond = any(_beats_null(one, evidence, thresholds) for one in evidence.hypotheses)
         verdict, reasons = Verdict.NO_GAP, {Reason.BELOW_PRACTICAL_SIZE if beyond else Reason.BELOW_NULL}
-    return Decision(verdict, _ordered(reasons), chosen, listed, probability, remainder, findings, outliers, companions)
+    return Decision(verdict, _ordered(reasons), chosen, listed, probability, remainder, findings, outliers, companions, distorted)
 
 
 def contenders(evidence: Evidence, thresholds: Thresholds) -> tuple[int, ...]:
@@ -340,6 +358,7 @@ def _claims(evidence: Evidence, thresholds: Thresholds, with_effects: bool = Tru
         if (one.names and with_effects or one.coefficients_alone)
         and _beats_null(one, evidence, thresholds)
         and _worth_naming(one, evidence, thresholds)
+        and _explains(one, evidence, thresholds)
     ]
     found.sort(key=lambda index: -evidence.hypotheses[index].score)
     return tuple(
@@ -375,6 +394,17 @@ def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thres
         return False
     relief = evidence.temper * (evidence.hypotheses[0].strain - one.strain)
     return (unweighted and one.coefficients_alone) or relief > evidence.null + thresholds.margin
+
+
+def _explains(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
+    """Whether effects take off a share of what the model leaves beyond what it says; of coefficients that are strained any."""
+    none = evidence.hypotheses[0]
+    gap = none.energy - evidence.stated
+    if not one.names or gap <= thresholds.least_excess * evidence.stated:
+        return True
+    if strained(none.strain, evidence.coefficients, thresholds):
+        return True
+    return none.energy - one.energy > thresholds.least_explained * gap
 
 
 def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
@@ -463,8 +493,12 @@ def _remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float
     before, after = evidence.hypotheses[0].energy, _residual(evidence, chosen).energy
     if not after - evidence.stated > max(evidence.floor**2, thresholds.least_excess * evidence.stated):
         return 0.0
-    share = float(np.clip((after - evidence.stated) / max(before - evidence.stated, 1e-12), 0.0, 1.0))
-    return share * _residual(evidence, chosen).predictable  # what does not follow the command, no effect would explain
+    # What does not follow the command varies from run to run, and no effect would explain it. Where clean records show how much that
+    # is, many times as much is something new all the same.
+    left, follows = after - evidence.stated, _residual(evidence, chosen).predictable
+    usual = thresholds.run_to_run * evidence.stated if evidence.stated > 1.0 else np.inf
+    new = follows * left + max((1.0 - follows) * left - usual, 0.0)
+    return float(np.clip(new / max(before - evidence.stated, 1e-12), 0.0, 1.0))
 
 
 def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
@@ -481,6 +515,23 @@ def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
         for one in evidence.hypotheses
         if one.names and len(one.names) <= thresholds.most_effects and set(one.names) < names
     )
+
+
+def _distorted(evidence: Evidence, chosen: int, thresholds: Thresholds) -> tuple[DistortionEvidence, ...]:
+    """Tests by which a named effect is not itself: its size would have to change a lot, and that would explain a good deal.
+
+    What is left must exceed what the model leaves on clean records, which has a shape of its own.
+    """
+    if _residual(evidence, chosen).energy <= (1.0 + thresholds.least_excess) * evidence.stated:
+        return ()
+    found = [
+        one
+        for one in _residual(evidence, chosen).distortions
+        if one.statistic > evidence.null + thresholds.margin
+        and abs(one.change) > thresholds.distortion_change
+        and one.share > thresholds.distortion_share
+    ]
+    return tuple(sorted(found, key=lambda one: -one.statistic))
 
 
 def _share_of_outliers(evidence: Evidence, outliers: Outliers) -> float:

@@ -18,7 +18,11 @@ EFFECT = Effect(
     "gain",
     "sensor",
     "The gain of amplifier, piezo or sensor is 1 + gain times the model's.",
-    lambda around: (Parameter("gain", "", 0.0, (0.01,), -0.2, 0.2, 0.03),),
+    lambda around: (
+        Parameter("gain", "", 0.0, (0.01,), -0.2, 0.2, 0.03)
+        if around.slowest is None
+        else Parameter("gain", "", 0.0, (0.01,), -0.5, 1.0, 0.1),
+    ),
     lambda values, around: Gain(factor(values["gain"])),
     also_at=("drive",),
     phrase="a gain error of {gain}",

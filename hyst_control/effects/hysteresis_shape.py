@@ -142,14 +142,19 @@ def shape(values: Values, around: Surroundings) -> HysteresisShape:
     return HysteresisShape(even, lower, max(upper, lower + 1e-6), odd=odd, tilt=tilt, behind=behind)
 
 
+def _reach(around: Surroundings) -> float:
+    """Largest bend, in shares of the stroke."""
+    return 0.1 if around.slowest is None else 0.25
+
+
 EFFECT = Effect(
     "hysteresis_shape",
     "hysteresis",
     "The single-valued curve under the loops is bent, evenly or oddly, or tilted.",
     lambda around: (
-        Parameter("even", "", 0.0, (0.005,), -0.1, 0.1, 0.02, told=False),
-        Parameter("odd", "", 0.0, (0.0,), -0.1, 0.1, 0.02, told=False),
-        Parameter("tilt", "", 0.0, (0.0,), -0.2, 0.2, 0.03, told=False),
+        Parameter("even", "", 0.0, (0.005,), -_reach(around), _reach(around), 0.02, told=False),
+        Parameter("odd", "", 0.0, (0.0,), -_reach(around), _reach(around), 0.02, told=False),
+        Parameter("tilt", "", 0.0, (0.0,), -2.0 * _reach(around), 2.0 * _reach(around), 0.03, told=False),
         Parameter("behind", "", 0.0, (0.0, 1.0), 0.0, 1.0, 1.0, told=False),
     ),
     shape,

@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 
 from hyst_control.chain.linear import LinearStage, LinearSystem
 from hyst_control.chain.parameter import ScalarPerAxis, declared, scalar
-from hyst_control.chain.stage import Modifier, Stage, per_axis_scalars, register
+from hyst_control.chain.stage import Modifier, Stage, frozen, per_axis_scalars, register
 from hyst_control.effects.coupled_resonance import CoupledResonance
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.modifiers import Changed
@@ -72,6 +72,9 @@ def _oscillator(w: float, damping: float) -> np.ndarray:
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Frequencies up to the sampling's half, and as far down as the record shows a few periods.
 
+    deflection: share of the mode's static deflection that is there; without it a mode shows near its frequency alone. Any other static
+    part would be a gain.
+
     Parameters
     ----------
     around
@@ -85,7 +88,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
         Parameter("damping", "", 0.02, (0.03,), 0.002, 0.2, 1.0, True),
         Parameter("gain", "", 0.0, (0.01,), -1.0, 1.0, 0.1),
         Parameter("quadrature", "", 0.0, (0.0,), -1.0, 1.0, 0.03, told=False),
-        Parameter("static", "", 0.0, (0.0,), -0.3, 0.3, 0.03, told=False),
+        Parameter("deflection", "", 1.0, (0.7,), 0.0, 1.0, 0.5, told=False),
     )
 
 
@@ -132,9 +135,8 @@ def stage(values: Values, around: Surroundings) -> Stage:
         Record that the sizes are judged by.
     """
     if f"{PARTS[0]}_0_0" not in values:
-        return Resonance(
-            values["frequency"], values["damping"], values["gain"], values.get("quadrature", 0.0), values.get("static", 0.0)
-        )
+        static = frozen(np.multiply(values["gain"], np.subtract(values.get("deflection", 1.0), 1.0)))
+        return Resonance(values["frequency"], values["damping"], values["gain"], values.get("quadrature", 0.0), static)
     size = around.stroke / max(around.command[1] - around.command[0], 1e-300)
     matrices = [[[size * values[name] for name in row] for row in names(part, around.axes)] for part in PARTS]
     return CoupledResonance(values["frequency"], values["damping"], *matrices)

@@ -10,7 +10,7 @@ import numpy as np
 from hyst_control.chain.c_code import MAXIMUM, MINIMUM, each_axis
 from hyst_control.chain.memoryless import StaticFilter
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
-from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalars, register
+from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.errors import InputError
 
@@ -42,7 +42,7 @@ static real higher_bend(real bend, real u, real lower, real upper, real fourth, 
 @register
 @dataclass(frozen=True)
 class SensorNonlinearity(Stage):
-    """y = u + second P2(x) + … + fifth P5(x) + zero, Legendre polynomials of x = 2 (u - lower) / (upper - lower) - 1; measurement unit."""
+    """y = u + zero + first P1(x) + … + fifth P5(x), Legendre polynomials of x = 2 (u - lower) / (upper - lower) - 1; measurement unit."""
 
     name: ClassVar[str] = "sensor_nonlinearity"
     second: ScalarPerAxis = scalar("measurement unit", "factor of P2")
@@ -52,6 +52,7 @@ class SensorNonlinearity(Stage):
     zero: ScalarPerAxis = scalar("measurement unit", "constant", default=0.0, scatter=Scattering.ABSOLUTE)
     fourth: ScalarPerAxis = scalar("measurement unit", "factor of P4", default=0.0, scatter=Scattering.ABSOLUTE)
     fifth: ScalarPerAxis = scalar("measurement unit", "factor of P5", default=0.0, scatter=Scattering.ABSOLUTE)
+    first: ScalarPerAxis = scalar("measurement unit", "factor of P1", default=0.0, scatter=Scattering.ABSOLUTE)
 
     def check(self) -> None:
         if np.any(np.array(self.lower) >= np.array(self.upper)):
@@ -59,8 +60,8 @@ class SensorNonlinearity(Stage):
 
     def filter(self, sampling: Sampling) -> Filter:
         second, third, lower, upper, zero = per_axis_scalars(self, sampling.axes, "second", "third", "lower", "upper", "zero")
-        fourth, fifth = per_axis_scalars(self, sampling.axes, "fourth", "fifth")
-        higher = bool(fourth.any() or fifth.any())
+        fourth, fifth, first = per_axis_scalars(self, sampling.axes, "fourth", "fifth", "first")
+        higher = bool(fourth.any() or fifth.any() or first.any())
 
         def bent(u: Array) -> Array:
             x = 2.0 * (u - lower) / (upper - lower) - 1.0
@@ -68,7 +69,7 @@ class SensorNonlinearity(Stage):
             if higher:
                 square = np.clip(x * x, 0.0, 2.25)  # beyond its range the curve goes on straight enough not to run away
                 bend = bend + fourth * ((35.0 * square - 30.0) * square + 3.0) / 8.0
-                bend = bend + fifth * ((63.0 * square - 70.0) * square + 15.0) * x / 8.0
+                bend = bend + fifth * ((63.0 * square - 70.0) * square + 15.0) * x / 8.0 + first * x
             return u + bend
 
         unit = "measurement unit"
@@ -86,10 +87,13 @@ class SensorNonlinearity(Stage):
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """second, third: up to 5 % of the stroke, fourth, fifth: up to 2 %; ratio: of the constant to the first two's root sum square.
+    """second, third: up to 5 % of the stroke, fourth, fifth: up to 2 %; beside clean records five times as much.
+
+    ratio: of the constant to the first two's root sum square.
 
     The terms belong to a range that nobody tells. Over the record's the same bend has other terms: a slope, which the model's gain
-    takes up, and a constant, which would look like an offset. It goes with the bend, so that an offset alone is none.
+    takes up, and a constant, which would look like an offset. It goes with the bend, so that an offset alone is none. Beside clean
+    records, where no coefficient takes the slope up, slope is its ratio to the same root sum square.
 
     Parameters
     ----------
@@ -97,13 +101,13 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
         Record that the sizes are judged by.
     """
     size = around.stroke
+    wide = 1.0 if around.slowest is None else 5.0
+    most, fewer = 0.05 * wide * size, 0.02 * wide * size
     return (
-        *(Parameter(name, "unit", 0.0, (0.002 * size,), -0.05 * size, 0.05 * size, 0.01 * size) for name in ("second", "third")),
+        *(Parameter(name, "unit", 0.0, (0.002 * size,), -most, most, 0.01 * size) for name in ("second", "third")),
         Parameter("ratio", "", 0.0, (0.0,), -8.0, 8.0, 2.0, told=False),
-        *(
-            Parameter(name, "unit", 0.0, (0.0,), -0.02 * size, 0.02 * size, 0.002 * size, told=False)
-            for name in ("fourth", "fifth")
-        ),
+        *(Parameter(name, "unit", 0.0, (0.0,), -fewer, fewer, 0.1 * fewer, told=False) for name in ("fourth", "fifth")),
+        *([Parameter("slope", "", 0.0, (0.0,), -8.0, 8.0, 2.0, told=False)] if around.slowest is not None else []),
     )
 
 
@@ -119,7 +123,8 @@ def stage(values: Values, around: Surroundings) -> SensorNonlinearity:
     """
     lower, upper = around.measurement
     upper = max(upper, lower + 1e-9)
-    zero = np.multiply(values.get("ratio", 0.0), np.hypot(values["second"], values["third"]))
+    bend = np.hypot(values["second"], values["third"])
+    zero, first = (frozen(np.multiply(values.get(name, 0.0), bend)) for name in ("ratio", "slope"))
     return SensorNonlinearity(
         values["second"],
         values["third"],
@@ -128,6 +133,7 @@ def stage(values: Values, around: Surroundings) -> SensorNonlinearity:
         zero,
         values.get("fourth", 0.0),
         values.get("fifth", 0.0),
+        first,
     )
 
 

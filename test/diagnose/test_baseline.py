@@ -13,7 +13,7 @@ from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear import TransferFunction
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.prandtl_ishlinskii import PrandtlIshlinskii
-from hyst_control.diagnose.baseline import matching
+from hyst_control.diagnose.baseline import matching, without_noise
 from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.predictability import predictable_share
 from hyst_control.diagnose.problem import Piece
@@ -213,6 +213,16 @@ def test_a_remainder_that_follows_the_command_is_predictable_and_noise_is_not():
     assert predictable_share([command], [random.standard_normal(command.shape)], 10) < 0.05
     assert predictable_share([command], [walk], 10) < 0.3
     assert 0.4 < predictable_share([command], [follows / follows.std() + random.standard_normal(command.shape)], 10) < 0.6
+
+
+def test_a_carried_error_loses_its_noise_and_keeps_what_follows_the_command():
+    """The best linear filter of a known spectrum: what the error loses of its lines is a part of the noise in their bins."""
+    time, noise = np.arange(10000) * 1e-3, np.random.default_rng(4).standard_normal((10000, 1))
+    lines = sum(np.sin(2 * np.pi * f * time + f) for f in (3.0, 7.0, 31.0))[:, None]
+    found = without_noise(lines + 0.2 * noise)
+    assert np.sqrt(np.mean((found - lines) ** 2)) < 0.4 * 0.2
+    assert np.sqrt(np.mean(without_noise(noise) ** 2)) < 0.5
+    assert np.mean(without_noise(noise + 3.0)) == pytest.approx(np.mean(noise) + 3.0, abs=1e-9)
 
 
 def test_a_gain_of_no_signal_stands_for_no_model():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,11 +14,14 @@ from hyst_control.blind_test.case_records import record_of, run_case
 from hyst_control.blind_test.nominal_models import nominal
 from hyst_control.blind_test.plant_setups import SETUPS
 from hyst_control.cli import main
+from hyst_control.diagnose.baseline import Baseline
 from hyst_control.diagnose.foreseen_reduction import foresee, own_error_energy
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.errors import InputError
+from hyst_control.identify.learned_discrepancy import learn
 from hyst_control.model_file import save_model, simulate
 from hyst_control.records.importing import write_bag
+from hyst_control.records.session_zero import without_zero
 
 NOISE = 5e-4
 DRAWN = {"pea_published": {"name": "dac_hold", "samples": 4.0}, "fsm_published": {"name": "cross_coupling", "coupling": 0.03}}
@@ -71,3 +75,21 @@ def test_a_command_of_another_form_is_refused():
     for command in (np.zeros((100, 1)), np.zeros(100), np.full((100, 2), np.nan)):
         with pytest.raises(InputError, match="must be finite rows of 2 axes"):
             foresee(diagnosis, command)
+
+
+def test_the_own_error_on_a_command_to_come_is_predicted_from_what_others_taught():
+    """An error that is known in closed form, learned on two commands, against its mean square on a third one."""
+    step, time = 1e-3, 1e-3 * np.arange(6000)
+    commands = [
+        (size * np.sin(2 * np.pi * f * time) * np.cos(2 * np.pi * 0.2 * time))[:, None]
+        for size, f in ((40.0, 1.0), (25.0, 2.0), (33.0, 1.5))
+    ]
+    errors = [0.2 * (u / 40.0) ** 2 + 0.1 * (u / 40.0) ** 3 for u in commands]
+    noisy = [e + 0.005 * np.random.default_rng(i).standard_normal(e.shape) for i, e in enumerate(errors)]
+    learned = learn([u[:, 0] for u in commands[:2]], [e[:, 0] for e in noisy[:2]], step)
+    assert learned is not None
+    no_problem = SimpleNamespace()
+    known = Baseline(no_problem, False, np.zeros(1), np.zeros((1, 3)), np.zeros(1), None, np.array([0.05]), learned)
+    true = float(np.mean(without_zero(errors[2])[0] ** 2))
+    assert known.error_energy(commands[2], step) == pytest.approx(true, rel=0.3)
+    assert replace(known, learned=None).error_energy(commands[2], step) == pytest.approx(0.05**2)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.evidence import (
     CompanionEvidence,
+    DistortionEvidence,
     Evidence,
     FlickerEvidence,
     HypothesisEvidence,
@@ -35,6 +36,10 @@ LIMITS = replace(
     least_excess=0.1,
     own_error_share=0.5,
     own_error_energy=1.5,
+    run_to_run=4.0,
+    distortion_change=0.5,
+    distortion_share=0.01,
+    least_explained=0.1,
 )
 """The values that the rows below were made for, so that tuning changes no row."""
 
@@ -80,6 +85,15 @@ OUTLIERS_BASE = none(energy=3.0, residual=replace(SPIKES, energy=1.0))
 
 
 UNRELATED = none(residual=replace(QUIET, energy=BEFORE, predictable=0.0))
+
+
+def changing(
+    change: float, statistic: float = 100.0, share: float = 0.03, variable: str = "level", left: float = 2.0
+) -> HypothesisEvidence:
+    """An effect whose size would have to change."""
+    found = effect("a")
+    tests = (DistortionEvidence("a", variable, change, statistic, share),)
+    return replace(found, residual=replace(QUIET, energy=left, distortions=tests))
 
 
 def session(usual: float) -> HypothesisEvidence:
@@ -134,6 +148,17 @@ TABLE = (
     Row("a usual zero", evidence(base=session(3.0)), V.NO_GAP, (R.BELOW_NULL,)),
     Row("a zero, and nothing says what is usual", evidence(base=session(np.nan)), V.NO_GAP, (R.BELOW_NULL,)),
     Row("a remainder that does not follow the command", evidence(base=UNRELATED), V.NO_GAP, (R.BELOW_NULL,), remainder=0.0),
+    Row("as much as that varies from run to run", evidence(base=UNRELATED, stated=30.0), V.NO_GAP, (R.BELOW_NULL,), remainder=0.0),
+    Row("a disturbance beyond what clean records show", evidence(base=UNRELATED, stated=2.0), V.UNKNOWN, (R.ENERGY_LEFT,), ("",)),
+    Row("an effect that explains a tenth of the gap at most", evidence(effect("a", left=92.0)), V.UNKNOWN, (R.ENERGY_LEFT,), ("",)),
+    Row("an effect that changes with the level", evidence(changing(-0.8)), V.UNKNOWN, (R.DISTORTION_LEVEL,), ("a",)),
+    Row("an effect that changes with time", evidence(changing(0.8, variable="time")), V.UNKNOWN, (R.DISTORTION_TIME,), ("a",)),
+    Row("an effect that changes with the rate", evidence(changing(0.8, variable="rate")), V.UNKNOWN, (R.DISTORTION_RATE,), ("a",)),
+    Row("an effect of one direction", evidence(changing(2.0, variable="branch")), V.UNKNOWN, (R.DISTORTION_BRANCH,), ("a",)),
+    Row("a change within the model's own error", evidence(changing(0.8, left=1.05)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
+    Row("an effect that changes a little", evidence(changing(0.3)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
+    Row("a change that may be chance", evidence(changing(0.8, NULL + 2.0)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
+    Row("a change that explains little", evidence(changing(0.8, share=0.005)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
     Row("nothing was tried", evidence(base=SMALL), V.NO_GAP, (R.BELOW_NULL,), remainder=0.0),
     Row(
         "an effect at the null's threshold",

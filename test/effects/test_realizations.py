@@ -205,8 +205,8 @@ def test_a_mode_in_quadrature_without_static_deflection():
 
 def test_a_sensors_bend_has_five_legendre_terms():
     u = np.linspace(-1.0, 3.0, 101)
-    stage = SensorNonlinearity(0.02, -0.01, -1.0, 3.0, 0.005, 0.004, -0.003)
-    expected = np.polynomial.legendre.legval((u - 1.0) / 2.0, [0.005, 0.0, 0.02, -0.01, 0.004, -0.003])
+    stage = SensorNonlinearity(0.02, -0.01, -1.0, 3.0, 0.005, 0.004, -0.003, 0.007)
+    expected = np.polynomial.legendre.legval((u - 1.0) / 2.0, [0.005, 0.007, 0.02, -0.01, 0.004, -0.003])
     np.testing.assert_allclose(run([stage], u, "foh") - u, expected, atol=1e-12)
 
 
