@@ -365,7 +365,8 @@ class FeatureFilter:
         self.ring, self.position = np.full(int(self.ticks.max()) + 1, u), np.zeros(1, dtype=np.int64)
         self.turning = np.array([u, u, 1.0])
         self.plays, self.slow = np.full(len(PLAYS), u), np.full(len(CREEPS), u)
-        return at_rest(np.array([u]))[0]
+        features: Array = at_rest(np.array([u]))[0]
+        return features
 
     def process(self, command: Array, rate: Array | None = None) -> Array:
         """Compute the features of the next samples.

@@ -26,6 +26,7 @@ from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.configuration import BaselineSettings
+from hyst_control.diagnose.noise_floor import noise_between_periods
 from hyst_control.diagnose.problem import Piece, Problem, check_units
 from hyst_control.diagnose.session import CarriedError, ErrorBasis, LearnedError, SessionZero
 from hyst_control.errors import InputError
@@ -268,7 +269,9 @@ def _carried(
         for match in found:
             rows = np.clip(np.arange(len(piece.command)) + match.shift, 0, len(match.clean.command) - 1)
             errors.append(match.clean.measurement[rows] - simulated)
-        series.append(without_noise(np.mean(errors, axis=0)))
+        mean = np.mean(errors, axis=0)
+        repeating = [noise_between_periods([column], [piece.command]) for column in mean.T]
+        series.append(without_noise(mean, np.array(repeating)))
         differences += [without_zero((error - errors[0])[begin:end])[0] for error in errors[1:]]
         zeros.append(usual_zero(np.array([without_zero((error - series[-1])[begin:end])[1] for error in errors])))
         if len(errors) == 1:
@@ -293,7 +296,7 @@ def _carried(
     return Baseline(beside, True, repeatability, usual, settings.same_floor * repeatability, clean, error)
 
 
-def without_noise(error: Array) -> Array:
+def without_noise(error: Array, most: Array | float = np.inf) -> Array:
     """Take the white noise off a carried error, frequency by frequency as far as it is noise (Wiener filter).
 
     The noise of the clean records is not that of the new one. Carried along, it would be noise that a low-pass at the sensor takes off.
@@ -302,6 +305,8 @@ def without_noise(error: Array) -> Array:
     ----------
     error : ndarray, shape (N, A)
         Measured minus simulated, measurement unit.
+    most : ndarray, shape (A,), or float
+        Noise that it has at most, rms, where periods of the command tell; infinite otherwise. A model's error may be as rough as noise.
 
     Returns
     -------
@@ -314,7 +319,7 @@ def without_noise(error: Array) -> Array:
     power = np.abs(spectrum) ** 2
     window = np.ones(2 * NOISE_REACH + 1) / (2 * NOISE_REACH + 1)
     smooth = np.stack([np.convolve(np.pad(column, NOISE_REACH, mode="reflect"), window, "valid") for column in power.T], axis=1)
-    floor = np.quantile(smooth[len(smooth) // 2 :], 0.2, axis=0)
+    floor = np.minimum(np.quantile(smooth[len(smooth) // 2 :], 0.2, axis=0), len(mirrored) * most**2)
     kept = np.clip(1.0 - floor / np.maximum(smooth, 1e-300), 0.0, 1.0)
     return np.asarray(error - rest + np.fft.irfft(kept * spectrum, len(mirrored), axis=0)[: len(rest)], dtype=np.float64)
 

@@ -43,7 +43,10 @@ def coupled_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     )
 
 
-MODAL, STATIC = ("in_phase", "quadrature"), "static"
+IN_PHASE = "in_phase"
+QUADRATURE = "quadrature"
+MODAL = (IN_PHASE, QUADRATURE)
+STATIC = "static"
 
 
 def at_rest(values: Values) -> dict[str, float]:
@@ -62,7 +65,7 @@ def at_rest(values: Values) -> dict[str, float]:
     for name, value in values.items():
         part, _, source = name.rpartition("_")
         part, _, sensor = part.rpartition("_")
-        if part == STATIC or part.startswith(f"{MODAL[0]}_"):
+        if part == STATIC or part.startswith(f"{IN_PHASE}_"):
             matrix[int(sensor), int(source)] += value
     return {"coupling": float(np.linalg.norm(matrix, 2))}
 

@@ -26,7 +26,7 @@ benchmark = pytest.mark.skipif(absent(), reason="the records of bouc_wen are not
 
 @pytest.fixture(scope="module")
 def outcome(tmp_path_factory):
-    """The grey box and a small table, with half of the points of interpolation."""
+    """The gray box and a small table, with half of the points of interpolation."""
     path = tmp_path_factory.mktemp("bouc_wen") / "table.json"
     grey = bouc_wen.Candidate(CANDIDATES[0].subject, "bouc_wen", {"exponent": 1.0})
     generic = bouc_wen.Candidate(CANDIDATES[1].subject, "duhem_oscillator", {"table_size": 3})
@@ -37,7 +37,7 @@ def outcome(tmp_path_factory):
 @pytest.mark.parametrize("case", ["multisine", "sine sweep"])
 def test_both_oscillators_keep_their_targets(outcome, case):
     table, _ = outcome
-    assert table.value(case, CANDIDATES[0].subject, "rms_error") <= TARGETS["grey box"]
+    assert table.value(case, CANDIDATES[0].subject, "rms_error") <= TARGETS["gray box"]
     assert table.value(case, CANDIDATES[1].subject, "rms_error") <= TARGETS["generic"]
 
 
