@@ -65,7 +65,8 @@ def test_a_job_costs_at_most_itself(tmp_path, cluster):
     assert "killed" in failed[3] and failed[5] == "5 cannot be read"
     assert all(result == number * number for number, result, _ in found if number not in failed)
     tried = (tmp_path / "5").read_text()
-    assert tried == "xx" or (cluster and tried.startswith("xx")), "what fails is tried once more"
+    # Once more, and again without counting where its worker was killed beside it, or the one that was to compute it.
+    assert tried in ("xx", "xxx") or (cluster and tried.startswith("xx")), "what fails is tried once more"
     done_once = [number for number in range(20) if number not in (3, 5, 6)]
     if not cluster:  # a cluster computes what a killed worker still held once more
         assert all(len((tmp_path / str(number)).read_text()) <= 3 for number in done_once)

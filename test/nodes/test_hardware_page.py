@@ -9,6 +9,7 @@ import shlex
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -37,17 +38,38 @@ PROGRAMS = {
 }
 
 
+RECORDINGS = 3
+"""Recordings that are made at most: beside other tests a record on the wall clock may lack so many ticks that no model comes of it."""
+
+
 def test_a_node_by_the_page_alone_is_recorded_and_identified(domain, tmp_path):
     assert len(files()["my_stage.py"].strip().splitlines()) <= 30
+    for number in range(RECORDINGS):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        status, told = recorded_and_identified(folder)
+        if status == 0:
+            break
+    assert status == 0, told
+    model = load_model(folder / "stage.yaml")
+    time = np.arange(200) * 0.02  # 1 Hz lies in the excited band, and low enough for a machine that is late with its ticks
+    answer = simulate(model, 40.0 + 8.0 * np.sin(2 * np.pi * time)[:, None], sample_time=0.02)[100:, 0]
+    gain = abs(np.exp(-2j * np.pi * time[100:]) @ (answer - answer.mean())) / 400.0
+    assert gain == pytest.approx(0.12 / abs(1 + 2j * np.pi * 0.020), rel=0.05), told
+    assert json.loads((folder / "fit.json").read_text())["family"] == "linear"
+
+
+def recorded_and_identified(folder: Path) -> tuple[int, str]:
+    """Run the page's commands in a folder: exit status and words of the identification."""
     for name, text in files().items():
-        (tmp_path / name).write_text(text, encoding="utf-8")
+        (folder / name).write_text(text, encoding="utf-8")
     environment = {**os.environ, "PYTHONPATH": str(PAGE.parents[1])}
 
     def start(words: list[str]) -> subprocess.Popen[str]:
         program, *arguments = words
         return subprocess.Popen(
             [*PROGRAMS[program], *arguments],
-            cwd=tmp_path,
+            cwd=folder,
             env=environment,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -66,10 +88,4 @@ def test_a_node_by_the_page_alone_is_recorded_and_identified(domain, tmp_path):
     assert running.returncode == 0 and "Traceback" not in told and "failed" not in told, told
     fit = start(identify)
     told = fit.communicate(timeout=120)[0]
-    assert fit.returncode == 0, told
-    model = load_model(tmp_path / "stage.yaml")
-    time = np.arange(200) * 0.02  # 1 Hz lies in the excited band, and low enough for a machine that is late with its ticks
-    answer = simulate(model, 40.0 + 8.0 * np.sin(2 * np.pi * time)[:, None], sample_time=0.02)[100:, 0]
-    gain = abs(np.exp(-2j * np.pi * time[100:]) @ (answer - answer.mean())) / 400.0
-    assert gain == pytest.approx(0.12 / abs(1 + 2j * np.pi * 0.020), rel=0.05), told
-    assert json.loads((tmp_path / "fit.json").read_text())["family"] == "linear"
+    return fit.returncode, told
