@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def versions(package: Package) -> Iterator[str]:
-    """Where setup.py, the changelog or the citation say another version or license."""
+    """Versions and licenses of setup.py, changelog and citation that differ from those of package.xml."""
     given = setup_arguments()
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     changelog = re.search(r"^## (\d\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
@@ -74,7 +74,7 @@ def setup_arguments() -> dict[str, Any]:
 
 
 def dependencies(package: Package) -> Iterator[str]:
-    """What the package imports and does not name, and what it names and does not import."""
+    """Dependencies that are imported but not named in package.xml, and named but not imported."""
     named = {depend.name for depend in package.exec_depends}
     optional = {re.split(r"\W", each)[0] for extra in setup_arguments()["extras_require"].values() for each in extra}
     by_pip = optional | set(re.findall(r"^([\w-]+)==", (ROOT / WITHOUT_KEY).read_text(encoding="utf-8"), re.MULTILINE))

@@ -1,6 +1,6 @@
 """The loop around a stage on hardware: reference, feedforward, feedback, stage, and a recorder if there is a bag to write.
 
-ros2 launch hyst_control hardware.launch.py stage:=pi_stage params:=/home/me/bench.yaml bag:=/tmp/run
+ros2 launch hyst_control hardware.launch.py stage:=pi_stage params:=bench.yaml bag:=run
 """
 
 import os

@@ -1,6 +1,6 @@
 """The loop around a simulated plant: reference, feedforward, feedback, plant, and a recorder if there is a bag to write.
 
-ros2 launch hyst_control simulation.launch.py namespace:=left model:=/home/me/stage.yaml bag:=/tmp/run
+ros2 launch hyst_control simulation.launch.py namespace:=left model:=stage.yaml bag:=run
 """
 
 import os

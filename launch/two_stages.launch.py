@@ -1,6 +1,6 @@
 """Two stages side by side, each with the loop of hardware.launch.py in a namespace of its own.
 
-ros2 launch hyst_control two_stages.launch.py left_stage:=pi_stage left_params:=/home/me/left.yaml right_model:=/home/me/right.yaml
+ros2 launch hyst_control two_stages.launch.py left_stage:=pi_stage left_params:=left.yaml right_model:=right.yaml
 """
 
 import os

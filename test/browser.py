@@ -52,7 +52,7 @@ LOOK = """() => {
 
 @dataclass(frozen=True)
 class Seen:
-    """What a browser sees of a page.
+    """Findings of a browser that has loaded a page.
 
     figures: drawn ones. overlaps: pairs of texts or blocks that lie over each other. empty_axes: figures without a curve, axes without a
     trace. too_wide: whether the page has to be scrolled sideways. toolbars: of figures, shown without being pointed at. ground: color of

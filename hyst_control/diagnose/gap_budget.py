@@ -169,7 +169,7 @@ def _spans(part: AxisDiagnosis, residual: Array, settings: BudgetSettings) -> di
 
 
 def _kinds(part: AxisDiagnosis, residual: Array, blocks: int) -> dict[str, Array]:
-    """What linear regressions take off one after the other, fitted on every other block and counted on the rest.
+    """Energy that linear regressions take off one after the other, fitted on every other block and counted on the rest.
 
     It describes the gap before anything is named, so what follows no such curve is not what the explanation leaves unexplained.
     """

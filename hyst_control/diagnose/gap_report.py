@@ -311,7 +311,7 @@ def in_words(report: dict[str, Any]) -> str:
 
 
 def _predictable(found: dict[str, Any]) -> list[str]:
-    """What of an unexplained remainder follows the command."""
+    """Lines on the part of an unexplained remainder that follows the command."""
     lines = [f"  of what is left beyond the noise, {100 * found['share']:.0f} % follows the command"]
     for title in ("band", "level", "branch"):
         rows = [row for row in found[title] if row["share"] > 0.02]

@@ -20,7 +20,7 @@ from hyst_control.errors import InputError
 from hyst_control.records.excitation import build
 
 OTHER_SENSOR = "a second, independent displacement sensor"
-"""What to record where no effect names anything better."""
+"""Experiment to record where no effect proposes a better one."""
 
 Excitation = dict[str, Any]
 """Configuration of the reference generator."""

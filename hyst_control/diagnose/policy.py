@@ -397,7 +397,7 @@ def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thres
 
 
 def _explains(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
-    """Whether effects take off a share of what the model leaves beyond what it says; of coefficients that are strained any."""
+    """True where effects take off enough of the error beyond the one that the model states; any amount if coefficients are strained."""
     none = evidence.hypotheses[0]
     gap = none.energy - evidence.stated
     if not one.names or gap <= thresholds.least_excess * evidence.stated:
@@ -426,7 +426,7 @@ def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thre
 
 
 def _idle(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
-    """Whether a combination is not better than each of its parts by what a claim needs, and by a share of all that it takes off.
+    """True where a combination exceeds one of its parts by less than a claim needs, or by less than a share of all that it takes off.
 
     Beside a great effect what its stage and the physics differ by is many times the noise. But the share does not count where the
     coefficients had to leave their tolerance for a part, and need not for the combination.
@@ -556,7 +556,7 @@ def _flicker(evidence: Evidence, first: int, thresholds: Thresholds) -> FlickerE
 
 
 def _outweighs(noise: FlickerEvidence, evidence: Evidence, first: int) -> bool:
-    """Whether 1/f noise explains more than the best explanation does."""
+    """True where 1/f noise explains more than the best explanation does."""
     one = evidence.hypotheses[first]
     return not one.names or noise.gain > evidence.temper * (evidence.hypotheses[0].misfit - one.misfit)
 

@@ -180,7 +180,7 @@ def _designs(commands: Sequence[Array], sample_time: float) -> list[Array]:
 
 
 def _held_out(design: Array, target: Array, blocks: int) -> Array:
-    """What a regression leaves (M, A) of a target, each block predicted from all others."""
+    """Rest (M, A) of a target after a regression, each block predicted from all others."""
     fold = np.arange(len(target)) * blocks // max(len(target), 1)
     left = np.zeros(target.shape)
     grams = [design[fold == block].T @ design[fold == block] for block in range(blocks)]

@@ -107,7 +107,7 @@ def with_learned_residual(model: Model, remainder: Remainder) -> Model:
 
 
 def _as_given(diagnosis: Diagnosis, part: AxisDiagnosis) -> Array:
-    """What the model of one axis leaves (M, 1) with the effects that the best explanation has, its coefficients as given."""
+    """Residual (M, 1) of one axis with the effects of the best explanation and the coefficients as given."""
     model = diagnosis.model if len(diagnosis.model.axes) == 1 else axis_model(diagnosis.model, part.axes[0])
     candidate, x = part.chosen.candidate, part.chosen.solution.x
     if candidate is None:

@@ -174,7 +174,7 @@ def _page(
 
 
 def _verdict(table: Table, gap: Mapping[str, Any]) -> str:
-    """What the demo has shown, in one sentence."""
+    """Result of the demo in one sentence."""
     errors = {
         subject: [row.value for row in table.rows if (row.subject, row.quantity) == (subject, "nrmse")]
         for subject in ("no feedforward", "HAMPI", "HAMPI + PI")

@@ -1,4 +1,4 @@
-"""What is left where no known effect explains a gap: how much of it follows the command, where, and the stage that adds it."""
+"""Remainder of a gap that no known effect explains: its share that follows the command, where, and the stage that adds it."""
 
 from __future__ import annotations
 

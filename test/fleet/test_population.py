@@ -1,4 +1,4 @@
-"""What is usual in a fleet: found back from drawn fleets whose scatter is known, and used by a diagnosis."""
+"""Center and scatter of a fleet: recovered from drawn fleets whose scatter is known, and used by a diagnosis."""
 
 from __future__ import annotations
 

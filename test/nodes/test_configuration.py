@@ -64,9 +64,9 @@ def test_nodes_take_the_shipped_settings_of_the_middleware_unless_the_user_has_s
     for variable in environment.PROFILES:
         monkeypatch.delenv(variable, raising=False)
     if given:
-        monkeypatch.setenv(given, "/home/me/own.xml")
+        monkeypatch.setenv(given, "own.xml")
     environment.prepare()
     chosen = [os.environ[variable] for variable in environment.PROFILES if variable in os.environ]
-    assert chosen == ["/home/me/own.xml" if given else str(config_path("fastdds/loop.xml"))]
+    assert chosen == ["own.xml" if given else str(config_path("fastdds/loop.xml"))]
     profiles = tree.parse(config_path("fastdds/loop.xml")).getroot()
     assert profiles.tag.endswith("profiles") and [each.get("is_default_profile") for each in profiles] == ["true"]
