@@ -16,6 +16,7 @@ examples:
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -49,6 +50,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--names", metavar="REGEX", help="finds unit and time in a bag's path: groups (?P<unit>...) and (?P<time>...)"
     )
     parser.add_argument("--family", help="identify: model family (default: the best on held-out data)")
+    parser.add_argument(
+        "--pages", action="store_true", help="diagnose: write a page of every record with a gap; the fleet's page leads there"
+    )
+    parser.add_argument(
+        "--limit",
+        action="append",
+        default=[],
+        metavar="QUANTITY=VALUE",
+        help="limit of a quantity, as gap_rms=0.3: when a unit that drifts will be there (may be repeated)",
+    )
     parser.add_argument("--workers", type=int, metavar="N", help="worker processes (default: one a core)")
     parser.add_argument("--cluster", metavar="ADDRESS", help="Dask scheduler, its scheduler file, or local to start one")
     parser.add_argument("--namespace", help="namespace of the topics")
@@ -76,6 +87,28 @@ def run(arguments: argparse.Namespace) -> Study | PopulationModel:
         options["family"] = arguments.family
     elif arguments.family:
         raise InputError(f"--family: goes with identify, not with {arguments.kind}")
+    if arguments.pages and arguments.kind != "diagnose":
+        raise InputError(f"--pages: goes with diagnose, not with {arguments.kind}")
+    if arguments.pages:
+        options["pages"] = True
     entries = read_manifest(arguments.manifest, arguments.names, arguments.model, arguments.baseline)
     workers = Workers(arguments.workers, arguments.cluster)
-    return run_study(arguments.kind, entries, arguments.output, options, workers, progress.step)
+    limits = _limits(arguments.limit)
+    return run_study(arguments.kind, entries, arguments.output, options, workers, progress.step, limits)
+
+
+def _limits(texts: Sequence[str]) -> dict[str, float]:
+    from math import isfinite
+
+    from hyst_control.errors import InputError
+
+    found: dict[str, float] = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            found[name] = float("nan")
+        if not name or not isfinite(found[name]):
+            raise InputError(f"--limit {text}: must be QUANTITY=VALUE, as gap_rms=0.3")
+    return found

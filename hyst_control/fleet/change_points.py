@@ -1,13 +1,13 @@
-"""Onsets in a fleet: which unit's quantity changed, in which night, with the number of false claims under control.
+"""Changes in a fleet: which unit's quantity shifted, in which night, or drifts, with the number of false claims under control.
 
-A quantity x of a unit over T nights is its level, a random walk, white noise and, from one night on, perhaps a shift:
+A quantity x of a unit over T nights is its level, a random walk, white noise and, perhaps, a shift from one night on or a steady trend:
 
-    x = mu + walk + noise + delta [t >= t0],   cov(walk + noise) = sigma^2 I + q^2 min(s, t)
+    x = mu + walk + noise + delta [t >= t0]   or   x = mu + walk + noise + delta (t - t1) / (tT - t1)
 
-The two variances are the fleet's: their sum 2 sigma^2 + q^2 from the differences of successive nights, by the median. With a flat
-prior of mu and delta ~ N(0, tau^2) the evidence for every night t0 has a closed form; q / sigma, the share of units that change and
-tau are those that make the fleet's records most likely (empirical Bayes). Units are named, most probable first, as long as the mean
-probability of an error among them stays below the bound: the Bayesian false discovery rate (Müller, Parmigiani and Rice 2006).
+The variances of noise and walk are the fleet's: their sum 2 sigma^2 + q^2 from the differences of successive nights, by the median.
+q / sigma, the share of units that change and the size of changes are those that make the fleet's records most likely (empirical Bayes).
+A unit that changed is said to drift where a trend explains it better than any shift. Units are named, most probable first, as long as
+the mean probability of an error among them stays below the bound: the Bayesian false discovery rate (`course_fit.named_within`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+
+from hyst_control.fleet.course_fit import CourseFit, named_within, night_variance
 
 Array = NDArray[np.float64]
 
@@ -29,8 +30,6 @@ WALKS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 3.0)
 """Standard deviations q of a walk's step, in those sigma of the noise, likewise."""
 LEAST_NIGHTS = 4
 """Nights of a unit from which on it is looked at."""
-MAD = 1.4826
-"""Standard deviation of a normal variable over its median absolute deviation."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +62,65 @@ class Onset:
     size_error: float
 
 
-def find_onsets(quantity: str, units: Sequence[str], moments: Array, values: Array, false_share: float = 0.02) -> list[Onset]:
-    """Find the units whose quantity changed.
+@dataclass(frozen=True)
+class Trend:
+    """A steady drift of one unit.
+
+    Parameters
+    ----------
+    unit
+        The unit.
+    quantity
+        The quantity that drifts.
+    probability
+        That it changes at all.
+    slope, slope_error
+        Change per unit of time and its standard error, in the quantity's unit.
+    level
+        Where the trend stands at the last night.
+    last
+        Time of the last night.
+    walk
+        Standard deviation that the random walk adds in a unit of time.
+    crossing, earliest, latest
+        When the trend reaches the quantity's limit, and the times that hold it with 90 % probability; None without a limit, or where
+        it moves away from it. An end alone is None where the limit may never be reached.
+    """
+
+    unit: str
+    quantity: str
+    probability: float
+    slope: float
+    slope_error: float
+    level: float
+    last: float
+    walk: float
+    crossing: float | None = None
+    earliest: float | None = None
+    latest: float | None = None
+
+
+@dataclass(frozen=True)
+class _UnitFit:
+    """Shifts at every night, and a trend, in a unit's record."""
+
+    moments: Array
+    shifts: CourseFit
+    trend: CourseFit
+
+    def evidence(self, tau: float) -> float:
+        """Logarithm of the odds of a change of size tau: a trend is as likely beforehand as a shift at one of all nights."""
+        return float(np.logaddexp(self.shifts.evidence(tau)[0], self.trend.evidence(tau)[0]) - np.log(2.0))
+
+    def drifts(self, tau: float) -> bool:
+        """Whether the trend explains the record better than the shifts."""
+        return self.trend.evidence(tau)[0] > self.shifts.evidence(tau)[0]
+
+
+def find_changes(
+    quantity: str, units: Sequence[str], moments: Array, values: Array, false_share: float = 0.02
+) -> tuple[list[Onset], list[Trend]]:
+    """Find the units whose quantity shifted or drifts.
 
     Parameters
     ----------
@@ -82,79 +138,59 @@ def find_onsets(quantity: str, units: Sequence[str], moments: Array, values: Arr
     Returns
     -------
     list of Onset
-        The units that changed, most probable first.
+        The units that shifted, most probable first.
+    list of Trend
+        The units that drift, most probable first.
     """
     looked_at = [index for index in range(len(units)) if np.isfinite(values[index]).sum() >= LEAST_NIGHTS]
-    spread = _spread(np.diff(values[looked_at], axis=1)) if looked_at else 0.0
+    spread = night_variance(values[looked_at]) if looked_at else 0.0
     if spread <= 0.0:
-        return []
-    best = (-np.inf, SHARES[0], 0.0, {})  # type: tuple[float, float, float, dict[int, _Fit]]
+        return [], []
+    best: tuple[float, float, float, float, dict[int, _UnitFit]] = (-np.inf, SHARES[0], 0.0, 0.0, {})
     for ratio in WALKS:
         white = spread / (2.0 + ratio**2)
-        fits = {index: _Fit(moments, values[index], white, ratio**2 * white) for index in looked_at}
+        fits = {index: _unit_fit(moments, values[index], white, ratio**2 * white) for index in looked_at}
         night = float(np.sqrt(white * (1.0 + ratio**2)))
+        unchanged = sum(fit.shifts.likelihood for fit in fits.values())
         for shift in SHIFTS:
-            odds = np.array([fit.evidence(shift * night)[0] for fit in fits.values()])
-            unchanged = sum(fit.likelihood for fit in fits.values())
+            odds = np.array([fit.evidence(shift * night) for fit in fits.values()])
             for share in SHARES:
                 whole = unchanged + float(np.logaddexp(np.log1p(-share), np.log(share) + odds).sum())
                 if whole > best[0]:
-                    best = (whole, share, shift * night, fits)
-    _, share, tau, fits = best
-    found = []
+                    best = (whole, share, shift * night, ratio * float(np.sqrt(white)), fits)
+    _, share, tau, step, fits = best
+    claims = []
     for index, fit in fits.items():
-        evidence, posterior = fit.evidence(tau)
-        odds = np.log(share) + evidence - np.log1p(-share)
+        odds = np.log(share) + fit.evidence(tau) - np.log1p(-share)
         probability = float(1.0 / (1.0 + np.exp(-np.clip(odds, -700.0, 700.0))))
-        likeliest = int(posterior.argmax())
-        cumulative = np.cumsum(posterior)
-        first, last = (int(np.searchsorted(cumulative, edge)) for edge in (0.05, 0.95))
-        size, error = fit.shift(likeliest, tau)
-        begins = fit.begins
-        last = min(last, len(begins) - 1)
-        found.append(Onset(units[index], quantity, probability, begins[likeliest], begins[first], begins[last], size, error))
-    found.sort(key=lambda onset: -onset.probability)
-    errors = np.cumsum([1.0 - onset.probability for onset in found]) / np.arange(1, len(found) + 1)
-    return found[: int(np.searchsorted(errors, false_share, side="right"))]
+        made = _trend if fit.drifts(tau) else _onset
+        claims.append(made(units[index], quantity, probability, fit, tau, step))
+    claims.sort(key=lambda claim: -claim.probability)
+    named = claims[: named_within(np.array([claim.probability for claim in claims]), false_share)]
+    return [claim for claim in named if isinstance(claim, Onset)], [claim for claim in named if isinstance(claim, Trend)]
 
 
-class _Fit:
-    """Generalized least squares of a unit's nights with a shift at each of them in turn."""
-
-    def __init__(self, moments: Array, values: Array, white: float, walk: float) -> None:
-        there = np.isfinite(values)
-        x, t = values[there], moments[there]
-        place = np.arange(len(x), dtype=float)
-        factor = cho_factor(white * np.eye(len(x)) + walk * np.minimum.outer(place + 1.0, place + 1.0))
-        steps = np.tril(np.ones((len(x), len(x))))[:, 1:]  # column t: 0 before night t + 1, then 1
-        ones = np.ones(len(x))
-        weight = cho_solve(factor, ones)
-        level = (weight @ x) / weight.sum()
-        rest = cho_solve(factor, x - level)
-        information = np.einsum("ij,ij->j", steps, cho_solve(factor, steps)) - (weight @ steps) ** 2 / weight.sum()
-        self.begins = [float(moment) for moment in t[1:]]
-        self._variance = 1.0 / information
-        self._shift = (rest @ steps) / information
-        self.likelihood = -float(np.log(np.diag(factor[0])).sum() + 0.5 * np.log(weight.sum()) + 0.5 * (x - level) @ rest)
-
-    def evidence(self, tau: float) -> tuple[float, Array]:
-        """Logarithm of the odds of a shift of size tau, and the probability of each night, given that there is one."""
-        total = self._variance + tau**2
-        each = 0.5 * (np.log(self._variance / total) + self._shift**2 * (1.0 / self._variance - 1.0 / total))
-        highest = float(each.max())
-        relative = np.exp(each - highest)
-        return highest + float(np.log(relative.mean())), relative / relative.sum()
-
-    def shift(self, index: int, tau: float) -> tuple[float, float]:
-        """Shift at a night and its standard error, under the prior tau."""
-        shrunk = tau**2 / (tau**2 + self._variance[index])
-        return float(shrunk * self._shift[index]), float(np.sqrt(shrunk * self._variance[index]))
+def _unit_fit(moments: Array, values: Array, white: float, walk: float) -> _UnitFit:
+    there = np.isfinite(values)
+    t, x = moments[there], values[there]
+    steps = np.tril(np.ones((len(x), len(x))))[:, 1:]  # column t: 0 before night t + 1, then 1
+    ramp = ((t - t[0]) / (t[-1] - t[0]))[:, None]
+    return _UnitFit(t, CourseFit(x, steps, white, walk), CourseFit(x, ramp, white, walk))
 
 
-def _spread(differences: Array) -> float:
-    """Variance of differences of successive nights; robust to a few that change."""
-    known = differences[np.isfinite(differences)]
-    if not len(known):
-        return 0.0
-    spread = MAD * np.median(np.abs(known - np.median(known)))
-    return float(spread**2) if spread > 0.0 else float(np.var(known))
+def _onset(unit: str, quantity: str, probability: float, fit: _UnitFit, tau: float, _: float) -> Onset:
+    posterior = fit.shifts.evidence(tau)[1]
+    likeliest = int(posterior.argmax())
+    cumulative = np.cumsum(posterior)
+    begins = [float(moment) for moment in fit.moments[1:]]
+    first, last = (min(int(np.searchsorted(cumulative, edge)), len(begins) - 1) for edge in (0.05, 0.95))
+    size, error = fit.shifts.size(likeliest, tau)
+    return Onset(unit, quantity, probability, begins[likeliest], begins[first], begins[last], size, error)
+
+
+def _trend(unit: str, quantity: str, probability: float, fit: _UnitFit, tau: float, step: float) -> Trend:
+    duration = float(fit.moments[-1] - fit.moments[0])
+    size, error = fit.trend.size(0, tau)
+    level = fit.trend.level(0, size) + size
+    per_time = step * float(np.sqrt((len(fit.moments) - 1) / duration))
+    return Trend(unit, quantity, probability, size / duration, error / duration, level, float(fit.moments[-1]), per_time)

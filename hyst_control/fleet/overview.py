@@ -1,32 +1,26 @@
-"""A fleet seen as a whole: onsets, outlying units and how verdicts run over units and nights, as JSON and as a page."""
+"""A fleet seen as a whole: changes, drifts, common causes, outlying units, and how verdicts run over units and nights; as JSON."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-from hyst_control.files import write_json
-from hyst_control.fleet.change_points import Onset, find_onsets
+from hyst_control.fleet.change_points import Onset, Trend, find_changes
+from hyst_control.fleet.common_causes import CommonCause, find_common_causes, shared_columns
+from hyst_control.fleet.covariates import CovariateEffect, take_out
+from hyst_control.fleet.forecast import forecast
 from hyst_control.fleet.outliers import Outlier, find_outliers
 from hyst_control.fleet.results import DONE
-from hyst_control.reporting.html_page import Page
 
 Array = NDArray[np.float64]
 
 SCHEMA = "hyst_control/fleet-overview"
 NAMED = ("effect", "parameters", "ambiguous")
 """Verdicts with which a report's first effect counts."""
-DRAWN = 8
-"""Onsets that are drawn."""
-LISTED = 200
-"""Rows of a table of the page; the JSON document has all."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +39,16 @@ class Overview:
         Values (U, T) by quantity, NaN where there is none.
     verdicts
         Verdicts (U, T) of a study of diagnoses, "" where there is none.
+    pages
+        Paths (U, T) of the records' own pages, "" where there is none.
     onsets
-        Units whose quantities changed.
+        Units whose quantities shifted.
+    trends
+        Units whose quantities drift.
+    causes
+        What units that changed have in common.
+    covariates
+        Influences that were taken out of the quantities.
     outliers
         Units apart from the others.
     """
@@ -56,7 +58,11 @@ class Overview:
     moments: Array
     series: Mapping[str, Array]
     verdicts: NDArray[np.object_]
+    pages: NDArray[np.object_]
     onsets: Sequence[Onset]
+    trends: Sequence[Trend]
+    causes: Sequence[CommonCause]
+    covariates: Sequence[CovariateEffect]
     outliers: Sequence[Outlier]
 
     def document(self) -> dict[str, Any]:
@@ -68,11 +74,16 @@ class Overview:
             "units": len(self.units),
             "nights": len(self.moments),
             "onsets": [asdict(onset) for onset in self.onsets],
+            "trends": [asdict(trend) for trend in self.trends],
+            "common_causes": [asdict(cause) for cause in self.causes],
+            "covariates": [asdict(effect) for effect in self.covariates],
             "outliers": [asdict(outlier) for outlier in self.outliers],
         }
 
 
-def overview(kind: str, rows: Sequence[Mapping[str, Any]]) -> Overview:
+def overview(
+    kind: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[str] = (), limits: Mapping[str, float] | None = None
+) -> Overview:
     """Look at all records of a study together.
 
     Parameters
@@ -81,6 +92,11 @@ def overview(kind: str, rows: Sequence[Mapping[str, Any]]) -> Overview:
         "identify", "validate" or "diagnose".
     rows
         Rows of the results.
+    columns
+        Further columns of the manifest: numbers that differ within a unit are covariates, values that belong to a unit may be what
+        units that changed have in common.
+    limits
+        Limits by quantity; a drift's crossing is foreseen.
 
     Returns
     -------
@@ -90,81 +106,75 @@ def overview(kind: str, rows: Sequence[Mapping[str, Any]]) -> Overview:
     done = [row for row in rows if row["status"] == DONE and np.isfinite(row["moment"])]
     units = sorted({row["unit"] for row in done})
     moments = np.array(sorted({row["moment"] for row in done}))
-    place = {unit: index for index, unit in enumerate(units)}
     shape = (len(units), len(moments))
-    verdicts = np.full(shape, "", dtype=object)
-    named = Counter(name for row in done for name in _quantities(kind, row))
-    series = {name: np.full(shape, np.nan) for name in sorted(named)}
-    for row in done:
-        at = place[row["unit"]], int(np.searchsorted(moments, row["moment"]))
-        if kind == "diagnose":
-            verdicts[at] = row["verdict"]
-            for name in series:
-                series[name][at] = 0.0  # what no report names is not there
-        for name, value in _quantities(kind, row).items():
-            series[name][at] = value
-    onsets = [onset for name, values in series.items() for onset in find_onsets(name, units, moments, values)]
+    place = {unit: index for index, unit in enumerate(units)}
+    cells = [(place[row["unit"]], int(np.searchsorted(moments, row["moment"]))) for row in done]
+    verdicts, pages = np.full(shape, "", dtype=object), np.full(shape, "", dtype=object)
+    for at, row in zip(cells, done, strict=True):
+        verdicts[at] = row.get("verdict") or ""
+        pages[at] = row.get("page_file") or ""
+    series = _series(kind, done, cells, shape)
+    covariates = _covariates(done, cells, shape, columns)
+    onsets: list[Onset] = []
+    trends: list[Trend] = []
+    influences: list[CovariateEffect] = []
+    for name, values in series.items():
+        series[name], believed = take_out(name, values, covariates)
+        influences += believed
+        shifted, drifting = find_changes(name, units, moments, series[name])
+        onsets += shifted
+        trends += [forecast(trend, limits or {}) for trend in drifting]
+    changed: dict[str, dict[str, float]] = {}
+    for onset in onsets:
+        changed.setdefault(onset.quantity, {})[onset.unit] = onset.moment
+    causes = find_common_causes(changed, shared_columns(done, columns), len(units), len(moments))
     whole = {name: values for name, values in series.items() if np.isfinite(values).any(axis=1).all()}
     means = np.column_stack([np.nanmean(values, axis=1) for values in whole.values()]) if whole else np.zeros((len(units), 0))
-    outliers = find_outliers(units, list(whole), means)
-    return Overview(kind, units, moments, series, verdicts, sorted(onsets, key=lambda onset: -onset.probability), outliers)
+    return Overview(
+        kind,
+        units,
+        moments,
+        series,
+        verdicts,
+        pages,
+        sorted(onsets, key=lambda onset: -onset.probability),
+        sorted(trends, key=lambda trend: -trend.probability),
+        causes,
+        influences,
+        find_outliers(units, list(whole), means),
+    )
 
 
-def write_overview(found: Overview, rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
-    """Write `fleet.json` and `fleet.html`.
+def _series(
+    kind: str, rows: Sequence[Mapping[str, Any]], cells: Sequence[tuple[int, int]], shape: tuple[int, int]
+) -> dict[str, Array]:
+    """Values (U, T) by quantity."""
+    found = [_quantities(kind, row) for row in rows]
+    series = {name: np.full(shape, np.nan) for name in sorted({name for numbers in found for name in numbers})}
+    for at, numbers in zip(cells, found, strict=True):
+        for name in series if kind == "diagnose" else ():
+            series[name][at] = 0.0  # what no report names is not there
+        for name, value in numbers.items():
+            series[name][at] = value
+    return series
 
-    Parameters
-    ----------
-    found
-        The overview.
-    rows
-        Rows of the results.
-    folder
-        Folder of the study.
-    """
-    write_json(folder / "fleet.json", found.document())
-    failed = [row for row in rows if row["status"] != DONE]
-    summary = (
-        f"{len(rows)} records of {len(found.units)} units in {len(found.moments)} nights: {len(found.onsets)} changes, "
-        f"{len(found.outliers)} units apart from the others, {len(failed)} records that failed."
-    )
-    page = Page(f"Fleet: {found.kind}", summary)
-    if found.kind == "diagnose" and len(found.units):
-        page.section("Verdicts", "Every record, by unit and night.")
-        page.figure(_verdict_map(found), max(320, min(900, 120 + 6 * len(found.units))))
-    page.section(
-        "Changes",
-        "Units whose quantity changed, with the first night of the change; of the units named, 2 % at most are wrong on average.",
-    )
-    page.table(
-        ("unit", "quantity", "probability", "first night", "90 % of it within", "change"),
-        [
-            (
-                onset.unit,
-                onset.quantity,
-                f"{onset.probability:.4f}",
-                f"{onset.moment:g}",
-                f"{onset.earliest:g} to {onset.latest:g}",
-                f"{onset.size:.4g} ± {onset.size_error:.2g}",
-            )
-            for onset in found.onsets[:LISTED]
-        ],
-    )
-    for onset in found.onsets[:DRAWN]:
-        page.figure(_course(found, onset), 260)
-    page.section("Units apart from the others", "By the Mahalanobis distance of their means; the false discovery rate is 5 %.")
-    page.table(
-        ("unit", "distance", "adjusted p", "farthest quantity", "deviation"),
-        [
-            (each.unit, f"{each.distance:.1f}", f"{each.probability:.2g}", each.farthest, f"{each.deviation:+.1f} σ")
-            for each in found.outliers[:LISTED]
-        ],
-    )
-    page.section("Records that failed")
-    page.table(
-        ("unit", "time", "bag", "reason"), [(row["unit"], row["time"], row["bag"], row["reason"]) for row in failed[:LISTED]]
-    )
-    page.write(folder / "fleet.html")
+
+def _covariates(
+    rows: Sequence[Mapping[str, Any]], cells: Sequence[tuple[int, int]], shape: tuple[int, int], columns: Sequence[str]
+) -> dict[str, Array]:
+    """Columns of the manifest that are numbers, (U, T); those that belong to a unit say nothing of its nights."""
+    found: dict[str, Array] = {}
+    for name in columns:
+        values = np.full(shape, np.nan)
+        try:
+            for at, row in zip(cells, rows, strict=True):
+                values[at] = float(row.get(name) or "nan")
+        except ValueError:
+            continue
+        differences = np.diff(values, axis=1)
+        if np.any(differences[np.isfinite(differences)] != 0.0):
+            found[name] = values
+    return found
 
 
 def _quantities(kind: str, row: Mapping[str, Any]) -> dict[str, float]:
@@ -182,36 +192,3 @@ def _quantities(kind: str, row: Mapping[str, Any]) -> dict[str, float]:
             if row["verdict"] == "ambiguous":
                 break
     return found
-
-
-def _verdict_map(found: Overview) -> go.Figure:
-    names = sorted({str(verdict) for verdict in found.verdicts.ravel() if verdict})
-    codes = np.array([[names.index(v) if v else np.nan for v in row] for row in found.verdicts], dtype=float)
-    bar = {"tickvals": list(range(len(names))), "ticktext": names}
-    figure = go.Figure(
-        go.Heatmap(
-            z=codes, x=found.moments, y=list(found.units), colorbar=bar, zmin=-0.5, zmax=len(names) - 0.5, colorscale="Viridis"
-        )
-    )
-    figure.update_xaxes(title_text="night")
-    figure.update_yaxes(title_text="unit")
-    return figure
-
-
-def _course(found: Overview, onset: Onset) -> go.Figure:
-    values = found.series[onset.quantity]
-    low, middle, high = np.nanpercentile(values, (5.0, 50.0, 95.0), axis=0)
-    figure = go.Figure()
-    figure.add_trace(go.Scatter(x=found.moments, y=high, line={"width": 0}, showlegend=False, hoverinfo="skip"))
-    figure.add_trace(
-        go.Scatter(
-            x=found.moments, y=low, fill="tonexty", line={"width": 0}, name="90 % of all units", fillcolor="rgba(42,111,151,0.2)"
-        )
-    )
-    figure.add_trace(go.Scatter(x=found.moments, y=middle, name="median of all units", line={"color": "#2a6f97"}))
-    own = values[list(found.units).index(onset.unit)]
-    figure.add_trace(go.Scatter(x=found.moments, y=own, name=onset.unit, mode="lines+markers", line={"color": "#c2542d"}))
-    figure.add_vline(x=onset.moment, line_dash="dot")
-    figure.update_xaxes(title_text="night")
-    figure.update_yaxes(title_text=onset.quantity)
-    return figure

@@ -139,10 +139,19 @@ def _diagnose(job: RecordJob) -> dict[str, Any]:
     from hyst_control.diagnose.workflow import diagnose_bags
 
     path = _own_file(job, "reports", ".json")
-    diagnose_bags([job.entry.bag], job.entry.model or None, json=str(path), baseline=job.entry.baseline, **job.options)
+    options = dict(job.options)
+    page = path.with_suffix(".html") if options.pop("pages", False) else None
+    model = job.entry.model or None
+    diagnose_bags(
+        [job.entry.bag], model, json=str(path), report=None if page is None else str(page), baseline=job.entry.baseline, **options
+    )
     report = json.loads(path.read_text(encoding="utf-8"))
+    if page is not None and report["verdict"] == "no_gap":
+        page.unlink()
+        page = None
     return {
         "report_file": str(path),
+        "page_file": page and str(page),
         "verdict": report["verdict"],
         "reasons": [str(reason) for reason in report.get("reasons", [])],
         "gap_rms": report["gap"]["rms"],

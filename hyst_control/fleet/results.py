@@ -77,6 +77,7 @@ def schema(kind: str, columns: Sequence[str]) -> Any:
         "validate": [("errors", several(axis=text, nrmse=number, nrmse_centered=number, nme=number, rmse=number))],
         "diagnose": [
             ("report_file", text),
+            ("page_file", text),
             ("verdict", text),
             ("reasons", pa.list_(text)),
             ("gap_rms", number),

@@ -18,7 +18,8 @@ from typing import Any
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
 from hyst_control.fleet.manifest import Entry
-from hyst_control.fleet.overview import overview, write_overview
+from hyst_control.fleet.overview import overview
+from hyst_control.fleet.overview_page import write_overview
 from hyst_control.fleet.record_jobs import KINDS, RecordJob, compute, mark
 from hyst_control.fleet.results import DONE, FAILED, Results
 from hyst_control.parallel import Outcome, Workers, outcomes
@@ -92,6 +93,7 @@ def run_study(
     options: Mapping[str, Any],
     workers: Workers,
     note: Callable[[str], None] = lambda line: None,
+    limits: Mapping[str, float] | None = None,
 ) -> Study:
     """Compute what is missing of a study.
 
@@ -109,6 +111,8 @@ def run_study(
         Where it is computed.
     note
         Called with a line of progress now and then.
+    limits
+        Limits by quantity, for the forecast of drifts.
 
     Returns
     -------
@@ -163,7 +167,7 @@ def run_study(
         results.flush()  # also when interrupted: what is computed stays
     results.join([entry.bag for entry in entries])
     rows = list(results.rows())
-    write_overview(overview(kind, rows), rows, folder)
+    write_overview(overview(kind, rows, columns, limits), rows, folder)
     verdicts = Counter(row["verdict"] for row in rows if row["status"] == DONE) if kind == "diagnose" else Counter()
     study = Study(kind, folder, len(entries), len(jobs), kept, failed, time.monotonic() - begin, verdicts)
     write_json(folder / SUMMARY, {**study.document(), "finished": True})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control.fleet.change_points import find_onsets
+from hyst_control.fleet.change_points import find_changes
 from hyst_control.fleet.outliers import find_outliers
 
 UNITS, NIGHTS = 200, 50
@@ -26,7 +26,7 @@ def fleet(seed, affected=20, shift=3.0, walk=0.05, missing=0.1):
 
 def found_in(values):
     units = [f"u{index}" for index in range(len(values))]
-    return find_onsets("gain", units, np.arange(values.shape[1], dtype=float), values)
+    return find_changes("gain", units, np.arange(values.shape[1], dtype=float), values)[0]
 
 
 def test_units_and_nights_are_found():

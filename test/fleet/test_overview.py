@@ -7,7 +7,8 @@ import time
 
 import numpy as np
 
-from hyst_control.fleet.overview import overview, write_overview
+from hyst_control.fleet.overview import overview
+from hyst_control.fleet.overview_page import write_overview
 
 UNITS, NIGHTS = 200, 50
 

@@ -12,6 +12,11 @@
     drawing.style.height = "100%";
     if (!drawing.isConnected) place.append(drawing);
     await Plotly.react(drawing, data, layout, { displaylogo: false, responsive: true, displayModeBar: "hover" });
+    drawing.removeAllListeners("plotly_click");
+    drawing.on("plotly_click", ({ points }) => {  // a point that carries a relative path leads there
+      const path = points[0].customdata;
+      if (typeof path === "string" && /^[\w%.-][\w%./-]*$/.test(path)) location.assign(path);
+    });
   }));
   try {
     const packed = Uint8Array.from(atob(document.getElementById("library").textContent), letter => letter.charCodeAt(0));

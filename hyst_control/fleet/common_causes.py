@@ -1,0 +1,124 @@
+"""What units that changed have in common: a driver, a firmware, a night.
+
+Two tests, with the false discovery rate of each kept within a bound (Benjamini and Hochberg 1995): of the units that share a value of
+one of the manifest's columns, more changed than a draw from the whole fleet would have (hypergeometric distribution); in one night, more
+changes began than nights drawn at random would have (binomial distribution, all nights tried).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from scipy.stats import binom, false_discovery_control, hypergeom
+
+LEAST_UNITS = 3
+"""Units that must have changed together."""
+
+
+@dataclass(frozen=True)
+class CommonCause:
+    """Something that units which changed have in common.
+
+    Parameters
+    ----------
+    quantity
+        What changed.
+    column, value
+        Column of the manifest and its value; "first night" and the night where the changes began together.
+    changed
+        Units with it that changed.
+    of
+        Units with it; for a night, all that changed.
+    probability
+        Adjusted p-value: the false discovery rate at which it would just be named.
+    """
+
+    quantity: str
+    column: str
+    value: str
+    changed: Sequence[str]
+    of: int
+    probability: float
+
+
+def find_common_causes(
+    changed: Mapping[str, Mapping[str, float]],
+    columns: Mapping[str, Mapping[str, str]],
+    units: int,
+    nights: int,
+    false_share: float = 0.01,
+) -> list[CommonCause]:
+    """Find what units that changed have in common.
+
+    Parameters
+    ----------
+    changed
+        By quantity: first night of the change, by unit.
+    columns
+        By column of the manifest: its value, by unit, of columns that do not differ within a unit.
+    units
+        Number of units.
+    nights
+        Number of nights.
+    false_share
+        Bound of the expected share of causes that are named wrongly.
+
+    Returns
+    -------
+    list of CommonCause
+        The causes, least probable by chance first.
+    """
+    shared: list[CommonCause] = []
+    together: list[CommonCause] = []
+    for quantity, begins in changed.items():
+        for column, values in columns.items():
+            for value in sorted(set(values.values())):
+                having = {unit for unit, its in values.items() if its == value}
+                hit = sorted(having & set(begins))
+                if len(hit) >= LEAST_UNITS and len(having) < units:
+                    chance = float(hypergeom.sf(len(hit) - 1, units, len(begins), len(having)))
+                    shared.append(CommonCause(quantity, column, value, hit, len(having), chance))
+        for night in sorted(set(begins.values())):
+            hit = sorted(unit for unit, begin in begins.items() if begin == night)
+            if len(hit) >= LEAST_UNITS and nights > 1:
+                chance = min(1.0, nights * float(binom.sf(len(hit) - 1, len(begins), 1.0 / nights)))
+                together.append(CommonCause(quantity, "first night", f"{night:g}", hit, len(begins), chance))
+    return sorted(_kept(shared, false_share) + _kept(together, false_share), key=lambda cause: cause.probability)
+
+
+def shared_columns(rows: Sequence[Mapping[str, object]], names: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Columns of the manifest whose value belongs to the unit, and groups units.
+
+    Parameters
+    ----------
+    rows
+        Rows of the results.
+    names
+        Columns of the manifest.
+
+    Returns
+    -------
+    dict
+        By column: its value, by unit.
+    """
+    found: dict[str, dict[str, str]] = {}
+    for name in names:
+        values: dict[str, set[str]] = {}
+        for row in rows:
+            values.setdefault(str(row["unit"]), set()).add(str(row.get(name) or ""))
+        own = {unit: next(iter(its)) for unit, its in values.items() if len(its) == 1 and "" not in its}
+        if len(own) == len(values) and 1 < len(set(own.values())) < len(own):
+            found[name] = own
+    return found
+
+
+def _kept(causes: Sequence[CommonCause], false_share: float) -> list[CommonCause]:
+    if not causes:
+        return []
+    adjusted = false_discovery_control([cause.probability for cause in causes])
+    return [
+        CommonCause(cause.quantity, cause.column, cause.value, cause.changed, cause.of, float(probability))
+        for cause, probability in zip(causes, adjusted, strict=True)
+        if probability <= false_share
+    ]

@@ -1,0 +1,143 @@
+"""A quantity of one unit over nights, and what a shape added to it explains: generalized least squares under noise and a random walk.
+
+    x = mu + walk + noise + delta c(t),   cov(walk + noise) = sigma^2 I + q^2 min(s, t)
+
+With a flat prior of mu and delta ~ N(0, tau^2), the evidence for each shape c has a closed form.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+Array = NDArray[np.float64]
+
+MAD = 1.4826
+"""Standard deviation of a normal variable over its median absolute deviation."""
+
+
+class CourseFit:
+    """Generalized least squares of a unit's nights with each of several shapes in turn.
+
+    Parameters
+    ----------
+    values
+        The quantity (T,), finite.
+    shapes
+        Shapes (T, S) that may be added to it.
+    white
+        Variance of the noise.
+    walk
+        Variance of a step of the random walk.
+    """
+
+    def __init__(self, values: Array, shapes: Array, white: float, walk: float) -> None:
+        place = np.arange(len(values), dtype=float)
+        factor = cho_factor(white * np.eye(len(values)) + walk * np.minimum.outer(place + 1.0, place + 1.0))
+        ones = np.ones(len(values))
+        weight = cho_solve(factor, ones)
+        level = float(weight @ values / weight.sum())
+        rest = cho_solve(factor, values - level)
+        information = np.einsum("ij,ij->j", shapes, cho_solve(factor, shapes)) - (weight @ shapes) ** 2 / weight.sum()
+        self._variance = 1.0 / information
+        self._size = (rest @ shapes) / information
+        self._level = level
+        self._means = (weight @ shapes) / weight.sum()
+        self.likelihood = -float(np.log(np.diag(factor[0])).sum() + 0.5 * np.log(weight.sum()) + 0.5 * (values - level) @ rest)
+
+    def evidence(self, tau: float) -> tuple[float, Array]:
+        """Logarithm of the odds of a shape of size tau, and the probability of each shape, given that there is one.
+
+        Parameters
+        ----------
+        tau
+            Standard deviation of the size.
+
+        Returns
+        -------
+        float
+            The logarithm.
+        Array
+            Probabilities (S,).
+        """
+        total = self._variance + tau**2
+        each = 0.5 * (np.log(self._variance / total) + self._size**2 * (1.0 / self._variance - 1.0 / total))
+        highest = float(each.max())
+        relative = np.exp(each - highest)
+        return highest + float(np.log(relative.mean())), relative / relative.sum()
+
+    def size(self, index: int, tau: float) -> tuple[float, float]:
+        """Size of a shape and its standard error.
+
+        Parameters
+        ----------
+        index
+            Column of the shape.
+        tau
+            Standard deviation of its prior.
+
+        Returns
+        -------
+        tuple of float
+            Size and standard error.
+        """
+        shrunk = tau**2 / (tau**2 + self._variance[index])
+        return float(shrunk * self._size[index]), float(np.sqrt(shrunk * self._variance[index]))
+
+    def level(self, index: int, size: float) -> float:
+        """Level of the record under a shape of a given size.
+
+        Parameters
+        ----------
+        index
+            Column of the shape.
+        size
+            Its size.
+
+        Returns
+        -------
+        float
+            Value where the shape is zero.
+        """
+        return float(self._level - size * self._means[index])
+
+
+def night_variance(values: Array) -> float:
+    """Variance of the differences of successive nights over a fleet; robust to a few units that change.
+
+    Parameters
+    ----------
+    values
+        The quantity (U, T), NaN where there is no record.
+
+    Returns
+    -------
+    float
+        The variance: twice that of the noise and once that of a walk's step; 0.0 where nothing is known.
+    """
+    differences = np.diff(values, axis=1)
+    known = differences[np.isfinite(differences)]
+    if not len(known):
+        return 0.0
+    spread = MAD * np.median(np.abs(known - np.median(known)))
+    return float(spread**2) if spread > 0.0 else float(np.var(known))
+
+
+def named_within(probabilities: Array, false_share: float) -> int:
+    """Number of claims, most probable first, whose expected share of errors stays within a bound (Müller, Parmigiani and Rice 2006).
+
+    Parameters
+    ----------
+    probabilities
+        Of the claims, decreasing.
+    false_share
+        The bound.
+
+    Returns
+    -------
+    int
+        The number.
+    """
+    errors = np.cumsum(1.0 - probabilities) / np.arange(1, len(probabilities) + 1)
+    return int(np.searchsorted(errors, false_share, side="right"))

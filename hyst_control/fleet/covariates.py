@@ -1,0 +1,93 @@
+"""What a covariate such as temperature does to a quantity of every unit, taken out before changes are looked for.
+
+Successive nights of a unit are compared: levels, shifts and slow drifts leave their differences nearly untouched. The fleet's slope is
+fitted to all differences with Huber's weights, its standard error allows for nights that all units share (clusters by night).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.fleet.course_fit import MAD
+
+Array = NDArray[np.float64]
+
+HUBER = 1.345
+"""Residual, in standard deviations, from which a difference counts less: 95 % efficient for a normal law (Huber 1981)."""
+ROUNDS = 20
+LEAST_DIFFERENCES = 20
+"""Differences that a slope is fitted to."""
+DEVIATIONS = 4.0
+"""Standard errors from which a slope is believed."""
+
+
+@dataclass(frozen=True)
+class CovariateEffect:
+    """What a covariate does to a quantity.
+
+    Parameters
+    ----------
+    quantity
+        The quantity.
+    covariate
+        Column of the manifest.
+    slope, slope_error
+        Change of the quantity per unit of the covariate, and its standard error.
+    """
+
+    quantity: str
+    covariate: str
+    slope: float
+    slope_error: float
+
+
+def take_out(quantity: str, values: Array, covariates: Mapping[str, Array]) -> tuple[Array, list[CovariateEffect]]:
+    """Take the influence of covariates out of a quantity, one after the other.
+
+    Parameters
+    ----------
+    quantity
+        Name of the quantity.
+    values
+        The quantity (U, T), NaN where there is no record.
+    covariates
+        Covariates (U, T), NaN where there is none.
+
+    Returns
+    -------
+    Array
+        The quantity (U, T) at each covariate's mean.
+    list of CovariateEffect
+        The influences that were believed.
+    """
+    left, found = values, []
+    for name, covariate in covariates.items():
+        effect = _slope(quantity, name, left, covariate)
+        if effect is not None and abs(effect.slope) > DEVIATIONS * effect.slope_error:
+            found.append(effect)
+            left = left - effect.slope * np.where(np.isfinite(covariate), covariate - np.nanmean(covariate), 0.0)
+    return left, found
+
+
+def _slope(quantity: str, name: str, values: Array, covariate: Array) -> CovariateEffect | None:
+    rise, change = np.diff(covariate, axis=1), np.diff(values, axis=1)
+    known = np.isfinite(rise) & np.isfinite(change)
+    x, y = rise[known], change[known]
+    night = np.nonzero(known)[1]
+    spread = MAD * np.median(np.abs(y - np.median(y))) if len(y) else 0.0
+    if len(x) < LEAST_DIFFERENCES or spread <= 0.0 or np.ptp(x) <= 0.0:
+        return None
+    slope = 0.0
+    weights = np.ones(len(x))
+    for _ in range(ROUNDS):
+        slope = float((weights * x) @ y / ((weights * x) @ x))
+        rest = y - slope * x
+        spread = max(MAD * float(np.median(np.abs(rest))), 1e-300)
+        weights = np.minimum(1.0, HUBER * spread / np.maximum(np.abs(rest), 1e-300))
+    scores = np.bincount(night, weights * x * (y - slope * x))
+    error = float(np.sqrt(scores @ scores) / ((weights * x) @ x))
+    return CovariateEffect(quantity, name, slope, error)
