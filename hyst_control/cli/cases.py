@@ -4,6 +4,7 @@ examples:
   hyst cases make --seed 7 --count 20 --output cases
   hyst cases make --seed 7 --count 12 --output mirror --plants fsm --kinds single pair --excitations rich --switched 0.5
   hyst cases make --measured --seed 7 --count 20 --output injected --plants stack
+  hyst cases make --fleet 20 30 --seed 7 --output fleet   # units and nights; then: hyst fleet diagnose fleet/manifest.csv --output study
   hyst cases figures --output docs                  # effects.md, with a figure for every effect
 """
 
@@ -35,6 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--measured", action="store_true", help="put known effects into measured records of the stack and the mirror (make)"
+    )
+    parser.add_argument(
+        "--fleet", nargs=2, type=int, metavar=("UNITS", "NIGHTS"), help="record a simulated fleet with its manifest (make)"
     )
     parser.add_argument(
         "--plants",
@@ -77,6 +81,17 @@ def run(arguments: argparse.Namespace) -> Artifacts:
 
     if arguments.seed is None:
         raise InputError("--seed: is missing: give it, as in hyst cases make --seed 7 --output cases")
+    if arguments.fleet:
+        from pathlib import Path
+
+        from hyst_control import progress
+        from hyst_control.blind_test.simulated_fleet import make_fleet
+
+        units, nights = arguments.fleet
+        labels = make_fleet(Path(arguments.output), arguments.seed, units, nights, note=progress.step)
+        made = Artifacts("cases make", [labels.parent / "manifest.csv", labels])
+        made.add("", "records", "", units * nights)
+        return made
     if arguments.measured:
         labels = injected.make(arguments.output, arguments.seed, arguments.count, arguments.plants)
     else:

@@ -1,6 +1,7 @@
 """Identify, validate or diagnose the records of many units, on all cores or on a Dask cluster, into one Parquet table.
 
-`population` makes one model file of a study of identifications: the fleet's coefficients with their usual scatter.
+`population` makes one model file of a study of identifications: the fleet's coefficients with their usual scatter. `score` compares the
+changes that a study of a simulated fleet found with the fleet's labels.
 
 A manifest is a CSV or Parquet file with the columns bag, unit, time, model, baseline and any others; bags, or patterns of their names,
 make one. A study is taken up again where it was ended: what is done is not done again, unless its bag, its model, the options or the
@@ -10,6 +11,7 @@ examples:
   hyst fleet diagnose manifest.csv --output study
   hyst fleet diagnose "nights/*/*.bag" --names "nights/(?P<time>[^/]+)/(?P<unit>[^.]+).bag" --model model.yaml --output study
   hyst fleet identify manifest.csv --family hampi --output models --cluster tcp://10.0.0.1:8786
+  hyst fleet diagnose manifest.csv --output study --pages --limit gap_rms=0.3
   hyst fleet population models --output population.yaml      for: hyst diagnose NEW --model population.yaml
 """
 
@@ -22,6 +24,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hyst_control.fleet.population_model import PopulationModel
     from hyst_control.fleet.study import Study
+    from hyst_control.reporting.tables import Table
 
 NAME = "fleet"
 HELP = "identify, validate or diagnose the records of many units"
@@ -31,16 +34,19 @@ READS = ("model",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("kind", choices=("identify", "validate", "diagnose", "population"), help="what is computed of every record")
+    parser.add_argument(
+        "kind", choices=("identify", "validate", "diagnose", "population", "score"), help="what is computed of every record"
+    )
     parser.add_argument(
         "manifest",
         nargs="+",
         metavar="MANIFEST|BAG",
-        help="CSV or Parquet file, or bags, or patterns of their names; population: folder of a study",
+        help="CSV or Parquet file, or bags, or patterns of their names; population, score: folder of a study",
     )
     parser.add_argument(
-        "--output", required=True, metavar="STUDY", help="folder of the study to write, or to take up again; population: model file"
+        "--output", metavar="STUDY", help="folder of the study to write, or to take up again; population: model file"
     )
+    parser.add_argument("--labels", metavar="LABELS.json", help="score: labels of the simulated fleet")
     parser.add_argument("--of", metavar="UNIT", help="population: model of this unit, drawn toward the fleet's")
     parser.add_argument("--model", metavar="MODEL.yaml", help="model of the records whose manifest names none")
     parser.add_argument(
@@ -66,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
 
 
-def run(arguments: argparse.Namespace) -> Study | PopulationModel:
+def run(arguments: argparse.Namespace) -> Study | PopulationModel | Table:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from hyst_control import progress
     from hyst_control.errors import InputError
@@ -74,6 +80,16 @@ def run(arguments: argparse.Namespace) -> Study | PopulationModel:
     from hyst_control.fleet.study import run_study
     from hyst_control.parallel import Workers
 
+    if arguments.kind == "score":
+        from hyst_control.fleet.onset_scores import score_study
+
+        if arguments.labels is None or len(arguments.manifest) > 1:
+            raise InputError("fleet score: takes one study and its labels, as in hyst fleet score STUDY --labels labels.json")
+        return score_study(arguments.manifest[0], arguments.labels)
+    if arguments.labels:
+        raise InputError(f"--labels: goes with score, not with {arguments.kind}")
+    if arguments.output is None:
+        raise InputError("--output: is missing: name the folder of the study, or the model file of population")
     if arguments.kind == "population":
         from hyst_control.fleet.population_model import population_of_study
 

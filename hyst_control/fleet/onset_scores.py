@@ -1,0 +1,75 @@
+"""Scores of a study of a simulated fleet: which changes were found, against the fleet's labels."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hyst_control.errors import InputError
+from hyst_control.reporting.tables import Table
+
+NEAR = 1.0
+"""Nights by which an onset may be off."""
+
+
+def score_study(study: str | Path, labels: str | Path) -> Table:
+    """Compare a study's changes with the labels of its fleet.
+
+    A unit counts as found where any of its quantities shifted or drifts; its night is that of its most probable shift.
+
+    Parameters
+    ----------
+    study
+        Folder of the study.
+    labels
+        Labels of `hyst cases make --fleet`.
+
+    Returns
+    -------
+    Table
+        Precision, recall, nights within one, and whether the driver that fails was named.
+
+    Raises
+    ------
+    InputError
+        A file is missing or is of another kind.
+    """
+    found = _document(Path(study) / "fleet.json", ("onsets", "trends", "common_causes"))
+    truth = _document(Path(labels), ("units", "nights", "driver"))
+    begins = {unit["name"]: float(unit["begins"]) for unit in truth["units"] if unit["effect"]}
+    named: dict[str, float | None] = {}
+    for claim in sorted([*found["onsets"], *found["trends"]], key=lambda claim: -claim["probability"]):
+        if named.get(claim["unit"]) is None:
+            named[claim["unit"]] = claim.get("moment")
+    right = [unit for unit in named if unit in begins]
+    nights = [moment for unit in right if (moment := named[unit]) is not None and abs(moment - begins[unit]) <= NEAR]
+    table = Table("fleet score")
+    count = len(truth["units"])
+    for quantity, part, whole in (
+        ("precision", len(right), len(named)),
+        ("recall", len(right), len(begins)),
+        (f"night within {NEAR:g}", len(nights), len(right)),
+    ):
+        if whole:
+            table.add(
+                "onsets", f"{count} units, {truth['nights']} nights", "units with an effect", quantity, "1", part / whole, n=whole
+            )
+    if truth["driver"] is not None:
+        causes = {(cause["column"], cause["value"]) for cause in found["common_causes"]}
+        hit = ("driver", truth["driver"]["driver"]) in causes
+        table.add("common causes", truth["driver"]["driver"], truth["driver"]["effect"], "driver named", "1", float(hit))
+        others = sum(column == "driver" for column, _ in causes) - hit
+        table.add("common causes", "all", "all", "other drivers named", "1", float(others))
+    return table
+
+
+def _document(path: Path, keys: tuple[str, ...]) -> Mapping[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({error}): give the study of a fleet and its labels") from None
+    if not isinstance(found, dict) or any(key not in found for key in keys):
+        raise InputError(f"{path}: has no {', '.join(keys)}: give the study of a fleet and its labels")
+    return found
