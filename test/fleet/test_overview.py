@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import time
 
+import browser as browsers
 import numpy as np
+import pytest
 
 from hyst_control.fleet.overview import overview
 from hyst_control.fleet.overview_page import write_overview
@@ -13,15 +15,15 @@ from hyst_control.fleet.overview_page import write_overview
 UNITS, NIGHTS = 200, 50
 
 
-def rows(seed=3):
-    """10,000 diagnoses; a delay that begins on eight units, and a gap that scatters."""
+def rows(seed=3, units=UNITS, nights=NIGHTS):
+    """Diagnoses; a delay that begins on eight units, and a gap that scatters."""
     rng = np.random.default_rng(seed)
-    begins = {f"u{unit:03d}": int(rng.integers(5, 45)) for unit in rng.choice(UNITS, 8, replace=False)}
+    begins = {f"u{unit:03d}": int(rng.integers(5, nights - 5)) for unit in rng.choice(units, 8, replace=False)}
     found = []
-    for unit in (f"u{index:03d}" for index in range(UNITS)):
+    for unit in (f"u{index:03d}" for index in range(units)):
         level = 0.1 + 0.01 * rng.standard_normal()
-        for night in range(NIGHTS):
-            delayed = night >= begins.get(unit, NIGHTS)
+        for night in range(nights):
+            delayed = night >= begins.get(unit, nights)
             tau = {"name": "tau", "value": 1e-4 * (1 + 0.05 * rng.standard_normal()), "low": 0.0, "high": 0.0, "unit": "s"}
             found.append(
                 {
@@ -70,3 +72,36 @@ def test_models_over_nights():
     ]
     [onset] = overview("identify", records).onsets
     assert (onset.unit, onset.moment) == ("u3", 10.0) and abs(onset.size - 0.2) < 0.03
+
+
+def test_a_click_opens_the_page_of_a_record(tmp_path):
+    """In a real browser: a cell of the map, and a unit's name in the table, lead to the record's own page."""
+    if reason := browsers.missing():
+        pytest.skip(reason)
+    records, begins = rows(units=20, nights=15)
+    unit, night = next(iter(begins.items()))
+    (tmp_path / "reports").mkdir()
+    own = tmp_path / "reports" / f"{unit} 1.html"
+    own.write_text("<title>own page</title>")
+    for record in records:
+        if record["unit"] == unit and record["moment"] == night:
+            record["page_file"] = str(own)
+    write_overview(overview("diagnose", records), records, tmp_path)
+    place = """([unit, night]) => {
+        const chart = document.querySelector("figure.chart .js-plotly-plot");
+        const box = chart.querySelector(".nsewdrag").getBoundingClientRect(), axes = chart._fullLayout;
+        return [box.x + axes.xaxis.d2p(night), box.y + axes.yaxis.d2p(unit)];
+    }"""
+    with browsers.chromium() as running:
+        page = running.new_page(viewport={"width": 1200, "height": 1400})
+        page.set_default_timeout(browsers.PATIENCE)
+        page.goto((tmp_path / "fleet.html").as_uri())
+        page.wait_for_selector("body[data-drawn]")
+        page.mouse.click(*page.evaluate(place, [unit, night]))
+        page.wait_for_url("**/reports/*")
+        assert page.title() == "own page"
+        page.go_back()
+        page.wait_for_selector("body[data-drawn]")
+        page.get_by_role("link", name=unit).first.click()
+        page.wait_for_url("**/reports/*")
+        assert page.title() == "own page"
