@@ -2,6 +2,7 @@
 
 Layout (fixed): dim[0] = label "sample", size N, stride N C; dim[1] = label naming every column with its unit, such as
 ``t[s],x[um]``, size C, stride C; data_offset 0; data row-major. Column 0 is the sample time in s (tick index x period).
+Many axes with numbered names are one entry of the label: ``t[s],a0..a4999[um]``.
 
 A message object costs several microseconds to fill and to take; all but the sizes and the data is constant for a topic,
 so the header is prepared once and the data is copied behind it. The byte layout is XCDR1 as every DDS vendor writes a
@@ -23,11 +24,19 @@ MESSAGE_TYPE = "std_msgs/msg/Float64MultiArray"
 ROW_LABEL = "sample"
 TIME_COLUMN = "t[s]"
 
+MANY_AXES = 16
+"""Number of axes in a row with consecutively numbered names from which the label names only the first and the last."""
+MOST_AXES = 100_000
+
+_NUMBERED = re.compile(r"(.*?)(0|[1-9][0-9]{0,8})")
+_RANGE = re.compile(r"(.*?)(0|[1-9][0-9]{0,8})\.\.(.*?)(0|[1-9][0-9]{0,8})")
 _COLUMN = re.compile(r"([^\[\],]+)\[([^\[\],]*)\]")
 
 
 def label_for(axes: Sequence[str], unit: str) -> str:
     """Column label of a signal: ``label_for(["x", "y"], "um")`` is ``t[s],x[um],y[um]``.
+
+    From `MANY_AXES` on, axes in a row whose names are numbered consecutively become one entry, such as ``a0..a4999[um]``.
 
     Parameters
     ----------
@@ -41,7 +50,10 @@ def label_for(axes: Sequence[str], unit: str) -> str:
     str
         Label with the time column first.
     """
-    return ",".join([TIME_COLUMN, *(f"{axis}[{unit}]" for axis in axes)])
+    names: list[str] = []
+    for run in _runs(axes):
+        names += [f"{run[0]}..{run[-1]}"] if len(run) >= MANY_AXES else run
+    return ",".join([TIME_COLUMN, *(f"{name}[{unit}]" for name in names)])
 
 
 def parse_label(label: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -50,7 +62,7 @@ def parse_label(label: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     Parameters
     ----------
     label
-        Label such as ``t[s],x[um]``.
+        Label such as ``t[s],x[um]`` or ``t[s],a0..a4999[um]``.
 
     Returns
     -------
@@ -60,17 +72,72 @@ def parse_label(label: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     Raises
     ------
     InputError
-        The label has another form, or names a column twice.
+        The label has another form, names a column twice, or more than `MOST_AXES`.
     """
     columns = label.split(",")
     matches = [_COLUMN.fullmatch(column.strip()) for column in columns]
     if columns[0].strip() != TIME_COLUMN or len(columns) < 2 or None in matches:
-        raise InputError(f"label: must be columns such as 't[s],x[um]', got {label!r}")
-    found = [match.groups() for match in matches[1:] if match]
-    axes, units = tuple(axis for axis, _ in found), tuple(unit for _, unit in found)
+        raise InputError(f"label: must be columns such as 't[s],x[um]', got {_shortened(label)}")
+    axes: list[str] = []
+    units: list[str] = []
+    for match in matches[1:]:
+        assert match is not None
+        names = _names(match[1], MOST_AXES - len(axes))
+        if names is None:
+            raise InputError(f"label: names more than {MOST_AXES} columns, got {_shortened(label)}")
+        axes += names
+        units += [match[2]] * len(names)
     if len(set(axes)) != len(axes):
-        raise InputError(f"label {label!r}: names a column twice")
-    return axes, units
+        raise InputError(f"label {_shortened(label)}: names a column twice")
+    return tuple(axes), tuple(units)
+
+
+def column_count(label: str) -> int:
+    """Number of columns that a label names, time included; one an entry where it has another form than `parse_label` reads.
+
+    Parameters
+    ----------
+    label
+        The label.
+
+    Returns
+    -------
+    int
+        The number.
+    """
+    if ".." in label:
+        try:
+            return len(parse_label(label)[0]) + 1
+        except InputError:
+            pass
+    return label.count(",") + 1
+
+
+def _runs(axes: Sequence[str]) -> list[list[str]]:
+    """Axes in parts with consecutively numbered names."""
+    runs: list[list[str]] = []
+    following = None
+    for axis in axes:
+        if runs and axis == following:
+            runs[-1].append(axis)
+        else:
+            runs.append([axis])
+        numbered = _NUMBERED.fullmatch(axis)
+        following = None if numbered is None else f"{numbered[1]}{int(numbered[2]) + 1}"
+    return runs
+
+
+def _names(entry: str, most: int) -> list[str] | None:
+    """Names that an entry of a label stands for; None where they are more than may be."""
+    span = _RANGE.fullmatch(entry)
+    if span is None or span[1] != span[3] or int(span[4]) < int(span[2]):
+        return [entry] if most > 0 else None
+    first, last = int(span[2]), int(span[4])
+    return [f"{span[1]}{number}" for number in range(first, last + 1)] if last - first < most else None
+
+
+def _shortened(label: str) -> str:
+    return repr(label if len(label) <= 200 else label[:200] + "...")
 
 
 class Encoder:
@@ -80,7 +147,7 @@ class Encoder:
         """label: the column label, one column per value of a row, the time among them. Raises `InputError`."""
         parse_label(label)
         self.label = label
-        self.columns = label.count(",") + 1
+        self.columns = column_count(label)
         self._rows = -1
         self._header = b""
 
@@ -90,7 +157,7 @@ class Encoder:
         if rows != self._rows:
             self._header, self._rows = header(self.label, rows, self.columns), rows
         if block.shape[1] != self.columns:
-            raise InputError(f"block of {block.shape[1]} columns: label {self.label!r} names {self.columns}")
+            raise InputError(f"block of {block.shape[1]} columns: label {_shortened(self.label)} names {self.columns}")
         return self._header + block.tobytes()
 
 
@@ -193,8 +260,8 @@ def decode(buffer: bytes | bytearray | memoryview) -> tuple[str, NDArray[np.floa
         )
     if not label:
         raise InputError("layout: label must be columns such as 't[s],x[um]', got none")
-    if label.count(",") + 1 != columns:
-        raise InputError(f"label {label!r}: names {label.count(',') + 1} columns, the layout has {columns}")
+    if (named := column_count(label)) != columns:
+        raise InputError(f"label {_shortened(label)}: names {named} columns, the layout has {columns}")
     return label, data.reshape(rows, columns)
 
 

@@ -153,3 +153,36 @@ def test_every_disagreement_of_a_layout_is_named(message, words):
     with pytest.raises(InputError, match=words):
         decode(message)
     assert decode(LONG)[1].tolist() == [[0.0, 1.0]]
+
+
+def test_many_numbered_axes_are_one_entry_of_the_label():
+    axes = [f"a{number}" for number in range(5000)]
+    label = label_for(axes, "um")
+    assert label == "t[s],a0..a4999[um]"
+    assert parse_label(label) == (tuple(axes), ("um",) * 5000)
+    block = np.random.default_rng(0).standard_normal((3, 5001))
+    message = STORE.deserialize_cdr(Encoder(label).encode(block), TYPE)
+    assert [(d.label, d.size, d.stride) for d in message.layout.dim] == [("sample", 3, 15003), (label, 5001, 5001)]
+    found, back = decode(Encoder(label).encode(block))
+    assert found == label and np.array_equal(back, block)
+
+
+@pytest.mark.parametrize(
+    ("axes", "label"),
+    [
+        (["x", "y"], "t[s],x[V],y[V]"),
+        ([f"a{n}" for n in range(15)], "t[s]," + ",".join(f"a{n}[V]" for n in range(15))),
+        (["x", *(f"a{n}" for n in range(9, 30)), "y"], "t[s],x[V],a9..a29[V],y[V]"),
+        ([f"a{n:03d}" for n in range(20)], "t[s]," + ",".join(f"a{n:03d}[V]" for n in range(20))),
+    ],
+)
+def test_few_or_other_names_are_written_one_by_one(axes, label):
+    assert label_for(axes, "V") == label and parse_label(label)[0] == tuple(axes)
+
+
+@pytest.mark.parametrize(
+    "label", ["t[s],a0..a999999999[um]", "t[s],a0..a4999[um],a7[um]", "t[s]," + "a0..a60000[um]," * 3 + "x[um]"]
+)
+def test_labels_of_too_many_columns_are_refused_at_once(label):
+    with pytest.raises(InputError, match="more than 100000|twice"):
+        parse_label(label)
