@@ -56,6 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--names", metavar="REGEX", help="finds unit and time in a bag's path: groups (?P<unit>...) and (?P<time>...)"
     )
     parser.add_argument("--family", help="identify: model family (default: the best on held-out data)")
+    parser.add_argument("--split-axes", action="store_true", help="take every axis of a record for a unit of its own")
     parser.add_argument(
         "--pages", action="store_true", help="diagnose: write a page of every record with a gap; the fleet's page leads there"
     )
@@ -110,7 +111,7 @@ def run(arguments: argparse.Namespace) -> Study | PopulationModel | Table:
     entries = read_manifest(arguments.manifest, arguments.names, arguments.model, arguments.baseline)
     workers = Workers(arguments.workers, arguments.cluster)
     limits = _limits(arguments.limit)
-    return run_study(arguments.kind, entries, arguments.output, options, workers, progress.step, limits)
+    return run_study(arguments.kind, entries, arguments.output, options, workers, progress.step, limits, arguments.split_axes)
 
 
 def _limits(texts: Sequence[str]) -> dict[str, float]:

@@ -22,6 +22,7 @@ from hyst_control.fleet.overview import overview
 from hyst_control.fleet.overview_page import write_overview
 from hyst_control.fleet.record_jobs import KINDS, RecordJob, compute, mark
 from hyst_control.fleet.results import DONE, FAILED, Results
+from hyst_control.fleet.split_axes import split_axes
 from hyst_control.parallel import Outcome, Workers, outcomes
 
 SCHEMA = "hyst_control/fleet"
@@ -94,6 +95,7 @@ def run_study(
     workers: Workers,
     note: Callable[[str], None] = lambda line: None,
     limits: Mapping[str, float] | None = None,
+    split: bool = False,
 ) -> Study:
     """Compute what is missing of a study.
 
@@ -113,6 +115,8 @@ def run_study(
         Called with a line of progress now and then.
     limits
         Limits by quantity, for the forecast of drifts.
+    split
+        Whether every axis of a record is a unit of its own.
 
     Returns
     -------
@@ -135,10 +139,14 @@ def run_study(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror}: choose another folder") from None
+    unfinished = {"schema": SCHEMA, "version": 1, "kind": kind, "finished": False}
+    write_json(folder / SUMMARY, {**unfinished, "records": len(entries)})
+    if split:
+        entries = split_axes(entries, folder, options.get("namespace"), options.get("unit", "unknown"))
     version = _version()
     columns = list(dict.fromkeys(name for entry in entries for name in entry.columns))
     results = Results(folder, kind, columns)
-    write_json(folder / SUMMARY, {"schema": SCHEMA, "version": 1, "kind": kind, "records": len(entries), "finished": False})
+    write_json(folder / SUMMARY, {**unfinished, "records": len(entries)})
     begin = time.monotonic()
     known = results.marks()
     failed: dict[str, str] = {}
