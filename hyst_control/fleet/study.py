@@ -6,6 +6,7 @@ again. A record that fails is listed with its reason, and tried again the next t
 
 from __future__ import annotations
 
+import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -71,6 +72,11 @@ class Study:
             "seconds": self.seconds,
             "verdicts": dict(self.verdicts),
         }
+
+    @property
+    def exit_status(self) -> int:
+        """Status 2 where every record failed: what was given is no fleet's records."""
+        return 2 if self.records == len(self.failed) else 0
 
     def text(self) -> str:
         """Summary in lines."""
@@ -141,7 +147,7 @@ def run_study(
     jobs: list[RecordJob] = []
     marks: dict[str, str] = {}
     for entry in entries:
-        job = RecordJob(kind, entry, options, str(folder.resolve()))
+        job = RecordJob(kind, entry, options, os.path.realpath(folder))
         try:
             marks[entry.bag] = mark(job, version)
         except OSError as error:

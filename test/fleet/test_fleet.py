@@ -93,6 +93,16 @@ def test_a_bag_that_cannot_be_read_costs_itself(fleet):
     assert again["computed"] == 2 and len(again["failed"]) == 1, "what failed is tried again"
 
 
+def test_a_study_in_which_every_record_failed_says_so(tmp_path, capsys):
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    words = ["fleet", "identify", str(tmp_path / "empty.mcap"), str(tmp_path / "missing"), "--workers", "1"]
+    assert main([*words, "--output", str(tmp_path / "study")]) == 2
+    said = capsys.readouterr().out
+    assert "2 failed" in said and "missing: " in said
+    assert [row["status"] for row in rows(tmp_path / "study")] == ["failed", "failed"]
+    assert (tmp_path / "study" / "fleet.html").exists()
+
+
 def test_models_and_diagnoses(fleet):
     bag = str(fleet / "bags" / "u2_0")
     common = [bag, "--names", r"(?P<unit>u\d)_(?P<time>\d)", "--workers", "1"]
