@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import os
 from numpy.typing import NDArray
 
 from hyst_control.diagnose.attribution import attribute

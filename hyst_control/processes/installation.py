@@ -268,7 +268,9 @@ def disk(folder: str | Path) -> Check:
     try:
         free = shutil.disk_usage(folder).free
         if free < 2 * WRITTEN:
-            return Check("disk", Verdict.FAULT, f"{free / 2**20:.0f} MiB free in {os.path.realpath(folder)}", "make room for records")
+            return Check(
+                "disk", Verdict.FAULT, f"{free / 2**20:.0f} MiB free in {os.path.realpath(folder)}", "make room for records"
+            )
         with tempfile.TemporaryFile(dir=folder) as file:
             begin = time.monotonic()
             for _ in range(WRITTEN // len(block)):

@@ -18,9 +18,7 @@ def test_every_argument_that_names_a_file_is_declared():
     [commands] = [action for action in parser()._actions if isinstance(action, argparse._SubParsersAction)]
     for name, command in commands.choices.items():
         known = {*command._defaults["reads"], *command._defaults["writes"], *NAMES_ONLY.get(name, ())}
-        named = {
-            action.dest for action in command._actions if str(action.metavar).startswith(FILES)
-        }
+        named = {action.dest for action in command._actions if str(action.metavar).startswith(FILES)}
         assert named <= known, name
 
 

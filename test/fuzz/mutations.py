@@ -30,7 +30,6 @@ from pathlib import Path
 from types import CodeType, FrameType, FunctionType
 from typing import Any
 
-import hypothesis
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,7 +44,7 @@ BAGS = (REFUSALS, "test/records/test_hostile_bags.py", "test/records/test_bag_wr
 TABLES = (REFUSALS, "test/records/test_hostile_tables.py", "test/records/test_importing.py")
 ENTRY = ("test/nodes/test_entry.py",)
 VALIDITY = ("test/records/test_record_validity.py", "test/diagnose/test_invalid_records.py")
-LOOP = ("test/control/test_safe_loop.py", "test/control/test_pi.py")
+LOOP = ("test/control/test_sensor_watch.py", "test/control/test_safe_loop.py", "test/control/test_pi.py")
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,9 @@ MODULES: dict[str, Module] = {
     "hyst_control/nodes/recorded_topic.py": Module(ENTRY, "drop"),
     "hyst_control/nodes/rival_watch.py": Module(ENTRY, "drop"),
     "hyst_control/nodes/takeover.py": Module(ENTRY, "drop"),
-    "hyst_control/records/signal_rows.py": Module(("test/records/test_signal_rows.py", "test/records/test_foreign_rows.py"), "drop"),
+    "hyst_control/records/signal_rows.py": Module(
+        ("test/records/test_signal_rows.py", "test/records/test_foreign_rows.py"), "drop"
+    ),
     "hyst_control/records/signal_message.py": Module(("test/records/test_signal_message.py",)),
     "hyst_control/nodes/identification.py": Module(("test/nodes/test_identification.py",)),
     "hyst_control/control/safe_loop.py": Module(LOOP, "every"),
@@ -109,7 +110,11 @@ def mutants(source: str, checks: str) -> Iterator[Mutant]:
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.ExceptHandler) and node.type is not None:
             yield _mutant(node.type, "except", node.body[0].lineno)
-        elif isinstance(node, ast.If) and (checks == "every" or _refuses(node.body, checks)):
+        elif (
+            isinstance(node, ast.If)
+            and "__main__" not in ast.unparse(node.test)
+            and (checks == "every" or _refuses(node.body, checks))
+        ):
             yield _mutant(node.test, "if", node.body[0].lineno)
         elif isinstance(node, ast.IfExp) and checks == "drop" and "Refusal" in ast.unparse(node.body):
             yield _mutant(node.test, "if", node.lineno)
@@ -203,6 +208,13 @@ class Mutation:
         self.failed = False
         self.results: dict[str, tuple[int, list[str]]] = {}
         """Of each module: number of mutants, and those that survive."""
+
+    def pytest_sessionstart(self) -> None:
+        """Have Hypothesis end at the first failure: nobody reads the smallest one."""
+        from hypothesis import Phase, settings
+
+        settings.register_profile("mutants", phases=(Phase.explicit, Phase.generate))
+        settings.load_profile("mutants")
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Note a failure."""
@@ -360,8 +372,6 @@ def main() -> int:
         sys.dont_write_bytecode = True
         os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
         sys.path[:] = [str(folder), *(each for each in sys.path if each != str(Path(__file__).parent))]
-        hypothesis.settings.register_profile("mutants", phases=[each for each in hypothesis.Phase if each.name in ("explicit", "generate")])
-        hypothesis.settings.load_profile("mutants")  # a failure is enough, the smallest one is not needed
         plugin = Mutation(folder, chosen)
         tests = sorted({test for module in chosen.values() for test in module.tests})
         options = ["-q", "-p", "no:cacheprovider", "-p", "no:faulthandler", "-p", "no:xdist", f"--basetemp={folder / 'made'}"]
