@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from hyst_control.errors import InputError
-from hyst_control.files import write_json
+from hyst_control.files import read_json, write_json
 from hyst_control.fleet.manifest import Entry
 from hyst_control.fleet.overview import overview, write_overview
 from hyst_control.fleet.record_jobs import KINDS, RecordJob, compute, mark
@@ -140,9 +140,9 @@ def run_study(
     version = _version()
     columns = list(dict.fromkeys(name for entry in entries for name in entry.columns))
     results = Results(folder, kind, columns)
+    known = results.marks()
     write_json(folder / SUMMARY, {"schema": SCHEMA, "version": 1, "kind": kind, "records": len(entries), "finished": False})
     begin = time.monotonic()
-    known = results.marks()
     failed: dict[str, str] = {}
     jobs: list[RecordJob] = []
     marks: dict[str, str] = {}
@@ -200,17 +200,12 @@ def _row(job: RecordJob, found: str, version: str, result: Mapping[str, Any] | N
 
 
 def _check_kind(folder: Path, kind: str) -> None:
-    import json
-
     path = folder / SUMMARY
     if not path.exists():
         if folder.is_dir() and any(folder.iterdir()):
             raise InputError(f"{folder}: is not empty and holds no study: choose another folder")
         return
-    try:
-        known = json.loads(path.read_text(encoding="utf-8")).get("kind")
-    except (OSError, ValueError, AttributeError):
-        raise InputError(f"{path}: cannot be read: choose another folder, or remove it") from None
+    known = read_json(path).get("kind")
     if known != kind:
         raise InputError(f"{folder}: holds a study of another kind ({known}): choose another folder")
 

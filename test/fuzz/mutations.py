@@ -65,7 +65,7 @@ class Module:
 
 MODULES: dict[str, Module] = {
     "hyst_control/records/foreign_rows.py": Module(("test/records/test_foreign_rows.py", *ENTRY), "drop"),
-    "hyst_control/nodes/message_io.py": Module(ENTRY, "drop"),
+    "hyst_control/nodes/message_io.py": Module(("test/nodes/test_message_io.py",), "drop"),
     "hyst_control/nodes/signal_ports.py": Module(ENTRY, "drop"),
     "hyst_control/nodes/watched_signal.py": Module(ENTRY, "drop"),
     "hyst_control/nodes/recorded_topic.py": Module(ENTRY, "drop"),
