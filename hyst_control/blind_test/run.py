@@ -204,7 +204,8 @@ def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = prin
         known = read_json(labels)
         if (known.get("seed"), known.get("count")) != (seed, count):
             raise InputError(
-                f"{labels}: holds seed {known.get('seed')} and {known.get('count')} cases, not seed {seed} and {count}: choose another folder"
+                f"{labels}: holds seed {known.get('seed')} and {known.get('count')} cases, not seed {seed} and {count}: "
+                "choose another folder"
             )
         if options and json.loads(json.dumps(options)) != known.get("options"):
             raise InputError(f"{labels}: was drawn with other options: choose another folder")
