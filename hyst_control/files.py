@@ -105,6 +105,21 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
             os.unlink(part)
 
 
+def read_json(path: str | Path) -> dict[str, Any]:
+    """Document of a JSON file that was written earlier. Raises `InputError` where it cannot be read, or is no mapping of names."""
+    try:
+        document = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: cannot be read as JSON ({_first_line(error)}): remove it, or choose another one") from None
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: must hold a JSON object, holds {type(document).__name__}: remove it, or choose another one")
+    return document
+
+
+def _first_line(error: Exception) -> str:
+    return (getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()[0]
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write `text` to the file at `path` completely or not at all. Raises `InputError` when it cannot be written."""
     data = text.encode("utf-8", "backslashreplace")  # a file's name may hold bytes that are no text

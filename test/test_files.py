@@ -12,7 +12,7 @@ import pytest
 
 from hyst_control.cli import main
 from hyst_control.errors import InputError
-from hyst_control.files import check_outputs, check_writable, replacing, write_json, write_text
+from hyst_control.files import check_outputs, check_writable, read_json, replacing, write_json, write_text
 from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
 
@@ -170,3 +170,39 @@ def test_a_terminal_that_knows_ascii_alone_gets_a_line(tmp_path):
         assert done.returncode == 0 and b"Traceback" not in done.stderr and b"written: " in done.stdout
         again = subprocess.run(given, env=environment, capture_output=True, check=False)
         assert again.returncode == 2 and again.stderr.count(b"\n") == 1 and b"exists already" in again.stderr
+
+
+@pytest.mark.parametrize(
+    "text", [b"", b"{", b"[1]", b"3", b"\xff\xfe", b'{"kind":' + b"[" * 100_000], ids=lambda text: repr(text[:8])
+)
+def test_a_json_file_that_is_none_is_refused_in_one_line(text, tmp_path):
+    (tmp_path / "a.json").write_bytes(text)
+    with pytest.raises(InputError) as refused:
+        read_json(tmp_path / "a.json")
+    assert str(refused.value).startswith(f"{tmp_path / 'a.json'}: ") and "\n" not in str(refused.value)
+
+
+def test_a_json_file_that_is_missing_or_a_folder_is_refused(tmp_path):
+    for path in (tmp_path, tmp_path / "missing"):
+        with pytest.raises(InputError, match="cannot be read"):
+            read_json(path)
+    write_json(tmp_path / "a.json", {"kept": [1.5]})
+    assert read_json(tmp_path / "a.json") == {"kept": [1.5]}
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("labels.json", ("blind-test", "--seed", "7", "--count", "1", "--output", ".")),
+        ("labels.json", ("blind-test", "--injected", "--seed", "7", "--count", "1", "--output", ".")),
+        ("summary.json", ("fleet", "identify", "bag", "--output", ".")),
+        ("result.json", ("reproduce", "page", "--results", "result.json", "--page", "page.md")),
+    ],
+)
+@pytest.mark.parametrize("text", ["[" * 100_000, "{}", "[]", '{"schema": "hyst_control/table", "source": "reproduce mhl"}'])
+def test_a_run_is_not_taken_up_from_a_damaged_file(name, words, text, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).write_text(text)
+    assert main(list(words)) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert [each.name for each in tmp_path.iterdir()] == [name] and (tmp_path / name).read_text() == text

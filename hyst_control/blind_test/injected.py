@@ -33,7 +33,7 @@ from scipy.signal import bilinear, lfilter, lfilter_zi
 
 from hyst_control.blind_test.published_labels import rounded
 from hyst_control.errors import InputError
-from hyst_control.files import write_json
+from hyst_control.files import read_json, write_json
 from hyst_control.parallel import mapped
 from hyst_control.records.record import Record, Signal
 from hyst_control.records.session_zero import without_zero
@@ -418,7 +418,7 @@ def make(out: str, seed: int, count: int, plants: Sequence[str] | None = None, n
     folder, labels = Path(out), Path(out) / "labels.json"
     given: dict[str, Any] = {"seed": seed, "count": count, "plants": list(plants or PLANTS)}
     if labels.exists():
-        known = json.loads(labels.read_text(encoding="utf-8"))
+        known = read_json(labels)
         if {name: known.get(name) for name in given} != given:
             raise InputError(f"{labels}: holds cases of another seed, count or plants: choose another folder")
         note(f"labels: SHA-256 {_digest(labels)}")
@@ -524,11 +524,11 @@ def run(
     labels = make(out, seed, count, plants, note)
     reports = Path(out) / "reports"
     reports.mkdir(exist_ok=True)
-    documents = json.loads(labels.read_text(encoding="utf-8"))["cases"]
+    documents = read_json(labels)["cases"]
     waiting = [one["name"] for one in documents if not (reports / f"{one['name']}.json").exists()]
     for done, name in enumerate(mapped(_diagnose_one, [(str(out), name) for name in waiting]), 1):
         note(f"{done} of {len(waiting)} diagnosed ({name})")
-    rows = [(one, json.loads((reports / f"{one['name']}.json").read_text(encoding="utf-8"))) for one in documents]
+    rows = [(one, read_json(reports / f"{one['name']}.json")) for one in documents]
     table = score(rows)
     if page is not None:
         write_page(Path(page), rows, table, seed, count, _digest(labels))

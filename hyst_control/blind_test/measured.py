@@ -26,7 +26,7 @@ from hyst_control.chain.stage import Array, Stage, frozen
 from hyst_control.diagnose.gap_report import sentence
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.errors import InputError
-from hyst_control.files import write_json, write_text
+from hyst_control.files import read_json, write_json, write_text
 from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.learned_discrepancy import discrepancy_of
@@ -172,8 +172,8 @@ def report_on(case: Withheld, folder: Path) -> dict[str, Any]:
     path = folder / (re.sub(r"[^a-z0-9]+", "_", f"{case.plant} {case.element}".lower()).strip("_") + ".json")
     digest = case.digest()
     if path.exists():
-        kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if kept["case"] == digest:
+        kept = read_json(path)
+        if kept.get("case") == digest:
             return kept
     begin = time.monotonic()
     report = {**diagnosed([case.record], case.model, warm_up=case.warm_up)[0], "case": digest}

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from hyst_control.blind_test.published_labels import rounded
 from hyst_control.errors import InputError
-from hyst_control.files import write_json
+from hyst_control.files import read_json, write_json
 from hyst_control.parallel import mapped
 from hyst_control.reporting.tables import Table
 
@@ -201,10 +201,11 @@ def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = prin
 
     labels = folder / "labels.json"
     if labels.exists():
-        known = json.loads(labels.read_text(encoding="utf-8"))
-        if (known["seed"], known["count"]) != (seed, count):
+        known = read_json(labels)
+        if (known.get("seed"), known.get("count")) != (seed, count):
             raise InputError(
-                f"{labels}: holds seed {known['seed']} and {known['count']} cases, not seed {seed} and {count}: choose another folder"
+                f"{labels}: holds seed {known.get('seed')} and {known.get('count')} cases, not seed {seed} and {count}: "
+                "choose another folder"
             )
         if options and json.loads(json.dumps(options)) != known.get("options"):
             raise InputError(f"{labels}: was drawn with other options: choose another folder")
@@ -324,10 +325,10 @@ def load(folder: Path, reports: str = "reports") -> Iterator[tuple[dict[str, Any
     tuple[dict[str, Any], dict[str, Any]]
         Document of a case with its label, and its report.
     """
-    for case in json.loads((folder / "labels.json").read_text(encoding="utf-8"))["cases"]:
+    for case in read_json(folder / "labels.json")["cases"]:
         file = folder / reports / f"{case['name']}.json"
         if file.exists():
-            yield case, json.loads(file.read_text(encoding="utf-8"))
+            yield case, read_json(file)
 
 
 def _fresh(case: Case) -> Case:

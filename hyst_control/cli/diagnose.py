@@ -16,7 +16,7 @@ import argparse
 NAME = "diagnose"
 HELP = "explain the gap between a model and recorded bags"
 JSON = "gap report"
-READS = ("bags", "model", "on")
+READS = ("bags", "model", "baseline", "on")
 WRITES = ("report", "augmented")
 
 

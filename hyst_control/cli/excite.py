@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 NAME = "excite"
 HELP = "build an excitation and write it as a table, array, bag or description"
 JSON = "list of written files, or of kinds with --list,"
-READS = ("signal",)
+READS = ("signal", "plant")
 WRITES = ("output",)
 
 

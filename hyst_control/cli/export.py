@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 NAME = "export"
 HELP = "write a model, a feedforward or a controller as C, or a bag for other tools"
 JSON = "list of written files"
-READS = ("source", "plant")
+READS = ("source", "plant", "inverse_model")
 WRITES = ("output",)
 
 

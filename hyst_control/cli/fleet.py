@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 NAME = "fleet"
 HELP = "identify, validate or diagnose the records of many units"
 JSON = "summary of the study"
-READS = ("model",)
+READS = ("manifest", "model", "baseline")
+WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

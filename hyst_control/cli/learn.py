@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 NAME = "learn"
 HELP = "learn the feedforward of a repeated reference from trial to trial"
 JSON = "result table"
+READS = ("model", "bags", "response", "reference", "plant")
+WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,7 +72,7 @@ def run(arguments: argparse.Namespace) -> Table:
     from hyst_control.control.iterative_learning import IterativeLearning
     from hyst_control.control.learning_trials import learn_from_records, trial_table
     from hyst_control.errors import InputError
-    from hyst_control.files import check_writable
+    from hyst_control.files import check_writable, replacing
     from hyst_control.model_file import load_model
     from hyst_control.records.bag_reader import read_bag
 
@@ -86,6 +88,9 @@ def run(arguments: argparse.Namespace) -> Table:
             raise InputError("give --period with bags, and neither --reference nor --plant")
         records = [read_bag(bag) for bag in arguments.bags]
         sample_time = records[0].sample_time(("measurement",))
+        longest = max(len(record.signal("measurement").time) for record in records) * sample_time
+        if not 0.5 * sample_time < arguments.period <= longest:
+            raise InputError(f"--period: must be within a sample and the longest bag, {longest:g} s, got {arguments.period:g} s")
         period = round(arguments.period / sample_time)
         if abs(period * sample_time - arguments.period) > 1e-3 * sample_time:
             raise InputError(f"--period: {arguments.period:g} s: must be a multiple of the sample time, {sample_time:g} s")
@@ -97,7 +102,8 @@ def run(arguments: argparse.Namespace) -> Table:
             raise InputError("give bags with --period, or one period of a --reference")
         table, learner = _simulated(arguments, model, options)
     if arguments.output is not None and learner is not None:
-        np.save(arguments.output, learner.feedforward)
+        with replacing(arguments.output) as file:
+            np.save(file, learner.feedforward)
     return table
 
 

@@ -42,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Artifacts:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
+    import os
     from pathlib import Path
 
     from hyst_control.errors import InputError
@@ -50,7 +51,7 @@ def run(arguments: argparse.Namespace) -> Artifacts:
     from hyst_control.reporting.artifacts import Artifacts
     from hyst_control.reporting.signal_figures import over_each_other, over_time, spectra, write_drawing
 
-    output = arguments.output or f"{Path(arguments.bag).resolve().stem}.png"
+    output = arguments.output or f"{Path(os.path.realpath(arguments.bag)).stem}.png"
     check_writable(output)
     xy = arguments.xy if arguments.xy is None else arguments.xy or ["command", "measurement"]
     if xy is not None and len(xy) != 2:

@@ -29,7 +29,7 @@ from hyst_control.diagnose.hypothesis_search import Found, Scored, search
 from hyst_control.diagnose.null_distribution import threshold
 from hyst_control.diagnose.parameter_uncertainty import scatter_of, within_own_error
 from hyst_control.diagnose.policy import Decision, contenders, decide, detected, practical_floor
-from hyst_control.diagnose.problem import Piece, Problem, check_units, split
+from hyst_control.diagnose.problem import Piece, Problem, check_command, check_units, split
 from hyst_control.diagnose.record_checks import effect_found_by, lattice_of, lines, record_evidence
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import PLACES, RecordCheck
@@ -231,6 +231,7 @@ def problem_of(
     pieces, notes, sample_times, holds = [], [], set(), set()
     for record in records:
         check_units(model, record.signal("measurement").unit, record.source)
+        check_command(record)
         stretches = record.aligned(("command", "measurement"), allow_gaps=True)
         used = [stretch for stretch in stretches if len(stretch.time) >= least_rows]
         if not used:

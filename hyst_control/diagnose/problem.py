@@ -16,6 +16,7 @@ from hyst_control.effects.effect import Surroundings
 from hyst_control.effects.placement import mechanics_index
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
+from hyst_control.records.record import Record
 
 SAME_POLE = 1e-6
 """Relative distance up to which two poles are one: axes without coupling have each a copy of the modes."""
@@ -239,4 +240,27 @@ def check_units(model: Model, unit: str, source: str) -> None:
     if unit not in ("unknown", model.units["measurement"]):
         raise InputError(
             f"{source}: measurement is in {unit}, the model's in {model.units['measurement']}: give the model of this plant"
+        )
+
+
+def check_command(record: Record) -> None:
+    """Check that the command of a record is one of its measurement.
+
+    Parameters
+    ----------
+    record : Record
+        The record.
+
+    Raises
+    ------
+    InputError
+        Where it is not in V, or has other axes.
+    """
+    command, measurement = record.signal("command"), record.signal("measurement")
+    if command.unit not in ("unknown", "V"):
+        raise InputError(f"{record.source}: command: unit must be V, got {command.unit!r}: import it with its unit")
+    if command.axes != measurement.axes:
+        raise InputError(
+            f"{record.source}: command has axes {', '.join(command.axes)}, measurement has {', '.join(measurement.axes)}: "
+            "record both with the same axes in the same order"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -92,8 +93,8 @@ def diagnose_bags(
         if name not in EFFECTS:
             raise InputError(f"--without {name}: no such effect, one of {', '.join(EFFECTS)} is due")
     for path in (json, report, augmented):
-        if path is not None and not Path(path).resolve().parent.is_dir():
-            raise InputError(f"{path}: {Path(path).resolve().parent} is no folder: choose one that exists")
+        if path is not None and not Path(os.path.realpath(path)).parent.is_dir():
+            raise InputError(f"{path}: {Path(os.path.realpath(path)).parent} is no folder: choose one that exists")
     if learned_residual and augmented is None:
         raise InputError("--learned-residual: is a stage of the augmented model: give --augmented with the file to write")
     nominal = None if model is None else load_model(model)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import glob
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -194,7 +195,7 @@ def _of_names(bags: Sequence[str], names: str | None) -> Iterator[Entry]:
     count: dict[str, int] = {}
     for bag in bags:
         if pattern is None:
-            unit = Path(bag).resolve().parent.name
+            unit = Path(os.path.realpath(bag)).parent.name
             count[unit] = count.get(unit, -1) + 1
             yield Entry(bag, unit, str(count[unit]))
             continue

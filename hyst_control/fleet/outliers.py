@@ -70,6 +70,8 @@ def find_outliers(
     list of Outlier
         The units, farthest first; none where there are too few.
     """
+    if not values.size:
+        return []
     spread = values.std(axis=0)
     used = np.flatnonzero(spread > 1e-12 * np.maximum(np.abs(values).max(axis=0), 1e-300))
     count, width = len(values), len(used)

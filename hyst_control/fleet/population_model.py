@@ -122,7 +122,7 @@ def population_of_study(folder: str | Path, output: str | Path, unit: str | None
     if not (folder / "records.parquet").exists():
         raise InputError(f"{folder}: holds no finished study: run hyst fleet identify first")
     rows = [row for row in Results(folder, "identify", ()).rows() if row["status"] == DONE]
-    if not rows or not all(row.get("model_file") for row in rows):
+    if not rows or not all(isinstance(row.get("model_file"), str) for row in rows):
         raise InputError(f"{folder}: holds no study of identifications: give the folder that hyst fleet identify wrote")
     models = [load_model(row["model_file"]) for row in rows]
     found = population_model(models, [row["unit"] for row in rows], np.array([row["moment"] for row in rows]), Path(output), unit)

@@ -18,6 +18,8 @@ from hyst_control.files import replacing
 ROWS_PER_PART = 256
 SECONDS_PER_PART = 10.0
 DONE, FAILED = "done", "failed"
+OWN = ("unit", "time", "moment", "bag", "status", "reason", "mark")
+"""Columns that every table of results has."""
 
 
 def parquet() -> tuple[Any, type[Exception]]:
@@ -114,18 +116,12 @@ class Results:
 
     def marks(self) -> dict[str, str]:
         """Mark of every record that is done, by its bag."""
-        library, error_type = parquet()
         found: dict[str, str] = {}
-        for file in self._files():
-            try:
-                table = library.read_table(file, columns=["bag", "mark", "status"])
-            except (OSError, error_type) as error:
-                raise InputError(f"{file}: cannot be read ({error}): remove it, its records are computed again") from None
-            for row in table.to_pylist():
-                if row["status"] == DONE:
-                    found[row["bag"]] = row["mark"]
-                else:
-                    found.pop(row["bag"], None)
+        for row in self._rows(["bag", "mark", "status"]):
+            if row["status"] == DONE:
+                found[row["bag"]] = row["mark"]
+            else:
+                found.pop(row["bag"], None)
         return found
 
     def add(self, row: Mapping[str, Any]) -> None:
@@ -170,10 +166,23 @@ class Results:
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """Rows as they were written: a record that was computed again comes again."""
-        library, _ = parquet()
+        return self._rows(None)
+
+    def _rows(self, columns: list[str] | None) -> Iterator[dict[str, Any]]:
+        """Rows of all files, with these columns or all. Raises `InputError` where a file is damaged or not of a study."""
+        library, error_type = parquet()
         for file in self._files():
-            for batch in library.ParquetFile(file).iter_batches():
-                yield from batch.to_pylist()
+            try:
+                with library.ParquetFile(file) as opened:
+                    held = opened.schema_arrow
+                    for name in OWN:
+                        if name not in held.names or held.field(name).type != self._schema.field(name).type:
+                            raise InputError(f"{file}: is no table of results, its column {name} is missing or another: remove it")
+                    for batch in opened.iter_batches(columns=columns):
+                        yield from batch.to_pylist()
+            except (OSError, error_type) as error:
+                reason = str(error).split("\n")[0]
+                raise InputError(f"{file}: cannot be read ({reason}): remove it, its records are computed again") from None
 
     def _files(self) -> list[Path]:
         return [file for file in (self.whole, *sorted(self._parts.glob("*.parquet"))) if file.exists()]

@@ -6,6 +6,7 @@ again. A record that fails is listed with its reason, and tried again the next t
 
 from __future__ import annotations
 
+import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from hyst_control.errors import InputError
-from hyst_control.files import write_json
+from hyst_control.files import read_json, write_json
 from hyst_control.fleet.manifest import Entry
 from hyst_control.fleet.overview import overview
 from hyst_control.fleet.overview_page import write_overview
@@ -73,6 +74,11 @@ class Study:
             "seconds": self.seconds,
             "verdicts": dict(self.verdicts),
         }
+
+    @property
+    def exit_status(self) -> int:
+        """Status 2 where every record failed: what was given is no fleet's records."""
+        return 2 if self.records == len(self.failed) else 0
 
     def text(self) -> str:
         """Summary in lines."""
@@ -139,21 +145,21 @@ def run_study(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror}: choose another folder") from None
+    version = _version()
+    columns = list(dict.fromkeys(name for entry in entries for name in entry.columns))
+    results = Results(folder, kind, columns)
+    known = results.marks()
     unfinished = {"schema": SCHEMA, "version": 1, "kind": kind, "finished": False}
     write_json(folder / SUMMARY, {**unfinished, "records": len(entries)})
     if split:
         entries = split_axes(entries, folder, options.get("namespace"), options.get("unit", "unknown"))
-    version = _version()
-    columns = list(dict.fromkeys(name for entry in entries for name in entry.columns))
-    results = Results(folder, kind, columns)
-    write_json(folder / SUMMARY, {**unfinished, "records": len(entries)})
+        write_json(folder / SUMMARY, {**unfinished, "records": len(entries)})
     begin = time.monotonic()
-    known = results.marks()
     failed: dict[str, str] = {}
     jobs: list[RecordJob] = []
     marks: dict[str, str] = {}
     for entry in entries:
-        job = RecordJob(kind, entry, options, str(folder.resolve()))
+        job = RecordJob(kind, entry, options, os.path.realpath(folder))
         try:
             marks[entry.bag] = mark(job, version)
         except OSError as error:
@@ -206,17 +212,12 @@ def _row(job: RecordJob, found: str, version: str, result: Mapping[str, Any] | N
 
 
 def _check_kind(folder: Path, kind: str) -> None:
-    import json
-
     path = folder / SUMMARY
     if not path.exists():
         if folder.is_dir() and any(folder.iterdir()):
             raise InputError(f"{folder}: is not empty and holds no study: choose another folder")
         return
-    try:
-        known = json.loads(path.read_text(encoding="utf-8")).get("kind")
-    except (OSError, ValueError, AttributeError):
-        raise InputError(f"{path}: cannot be read: choose another folder, or remove it") from None
+    known = read_json(path).get("kind")
     if known != kind:
         raise InputError(f"{folder}: holds a study of another kind ({known}): choose another folder")
 

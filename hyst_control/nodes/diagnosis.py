@@ -111,7 +111,7 @@ class DiagnosisNode(SignalNode):
         given = self.settings
         if not given.model:
             raise InputError(f"{self.get_name()}: parameter model: give the model file of the simulator")
-        self._model_path = Path(given.model).resolve()
+        self._model_path = Path(os.path.realpath(given.model))
         try:
             model = load_model(self._model_path)
             if model.axes != self.axes or model.units["measurement"] != self.unit:
@@ -120,7 +120,7 @@ class DiagnosisNode(SignalNode):
                     "parameters axes and unit to them"
                 )
             self._twin = LiveTwin(model, self.period)
-            self._baseline = [Path(bag).resolve() for bag in given.baseline if bag]
+            self._baseline = [Path(os.path.realpath(bag)) for bag in given.baseline if bag]
             stated = np.broadcast_to(np.asarray(model.noise.get("sigma", 0.0), dtype=float), len(self.axes))
             if self._baseline:
                 stated = np.maximum(stated, error_on([read_bag(bag, unit=self.unit) for bag in self._baseline], model))
@@ -284,7 +284,7 @@ class DiagnosisNode(SignalNode):
         if not self._kept:
             raise InputError("no data yet: run the loop until command and measurement have been received")
         with as_input_error(self.settings.output):
-            output = Path(self.settings.output).resolve()
+            output = Path(os.path.realpath(self.settings.output))
             output.mkdir(parents=True, exist_ok=True)
             folder = output / f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{secrets.token_hex(4)}"
             folder.mkdir()  # with the permissions that the user's umask leaves

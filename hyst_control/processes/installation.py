@@ -268,7 +268,9 @@ def disk(folder: str | Path) -> Check:
     try:
         free = shutil.disk_usage(folder).free
         if free < 2 * WRITTEN:
-            return Check("disk", Verdict.FAULT, f"{free / 2**20:.0f} MiB free in {Path(folder).resolve()}", "make room for records")
+            return Check(
+                "disk", Verdict.FAULT, f"{free / 2**20:.0f} MiB free in {os.path.realpath(folder)}", "make room for records"
+            )
         with tempfile.TemporaryFile(dir=folder) as file:
             begin = time.monotonic()
             for _ in range(WRITTEN // len(block)):
@@ -277,7 +279,7 @@ def disk(folder: str | Path) -> Check:
             os.fsync(file.fileno())
             speed = WRITTEN / (time.monotonic() - begin)
     except OSError as error:
-        return Check("disk", Verdict.FAULT, f"{Path(folder).resolve()}: {error.strerror}", "choose a folder that can be written")
+        return Check("disk", Verdict.FAULT, f"{os.path.realpath(folder)}: {error.strerror}", "choose a folder that can be written")
     rows = speed / ROW_BYTES
     found = f"{speed / 1e6:.0f} MB/s, {free / 2**30:.0f} GiB free: a recorder can keep {rows:,.0f} rows a second of two axes"
     if rows < 20e3:

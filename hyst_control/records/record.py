@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.errors import InputError
+from hyst_control.records.foreign_rows import admissible
 from hyst_control.records.row_store import blocks, empty_rows
 
 Array = NDArray[np.float64]
@@ -218,18 +219,18 @@ class Record:
         return replace(self, signals=parts)
 
     def check(self, topics: Sequence[str]) -> None:
-        """Raise `InputError` when a value of these topics is not finite, naming its time and how many there are."""
+        """Raise `InputError` when a value of these topics is not finite or out of range, naming its time and how many there are."""
         for topic in topics:
             signal = self.signal(topic)
-            if all(np.isfinite(signal.values[part]).all() for part in blocks(len(signal.values))):
+            if all(admissible(signal.values[part]).all() for part in blocks(len(signal.values))):
                 continue
-            bad = np.asarray(~np.isfinite(signal.values).all(axis=1))
-            if bad.any():
-                first = signal.time[np.argmax(bad)]
-                raise InputError(
-                    f"{self.source}: {topic}: {int(bad.sum())} of {len(bad)} samples are NaN or infinite, the first at "
-                    f"t = {first:g} s: cut them out or record again"
-                )
+            bad = ~admissible(signal.values)
+            first = signal.time[np.argmax(bad)]
+            kind = "beyond 1e12" if np.isfinite(signal.values).all() else "NaN or infinite"
+            raise InputError(
+                f"{self.source}: {topic}: {int(bad.sum())} of {len(bad)} samples are {kind}, the first at "
+                f"t = {first:g} s: cut them out or record again"
+            )
 
     def sample_time(self, topics: Sequence[str]) -> float:
         """The common sample time (s) of these topics, from the commonest step of their times.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
@@ -37,7 +38,7 @@ def sqlite_messages(file: Path, finished: bool, topics: dict[int, str]) -> Itera
     size = file.stat().st_size + (log.stat().st_size if not finished and log.is_file() else 0)
     try:
         with closing(
-            sqlite3.connect(f"{file.resolve().as_uri()}?{'immutable=1' if finished else 'mode=ro'}", uri=True)
+            sqlite3.connect(f"{Path(os.path.realpath(file)).as_uri()}?{'immutable=1' if finished else 'mode=ro'}", uri=True)
         ) as database:
             if hasattr(database, "setlimit"):  # since Python 3.11
                 database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(min(size, 2**30), 2**16))

@@ -90,4 +90,4 @@ def _version() -> str:
 
 def _link(text: str, folder: Path) -> str | None:
     path = Path(text)
-    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix() if path.exists() else None
+    return Path(os.path.relpath(os.path.realpath(path), os.path.realpath(folder))).as_posix() if path.exists() else None

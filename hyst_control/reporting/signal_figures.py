@@ -142,7 +142,13 @@ def spectra(record: Record) -> list[Panel]:
     -------
     list of Panel
         A panel per unit.
+
+    Raises
+    ------
+    InputError
+        A value is not finite or out of range.
     """
+    record.check(list(record.signals))
     panels = []
     for unit in dict.fromkeys(signal.unit for signal in record.signals.values()):
         lines = []

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from hyst_control.errors import InputError
-from hyst_control.files import write_text
+from hyst_control.files import read_json, write_text
 from hyst_control.reporting.table_page import markdown
 from hyst_control.reporting.tables import SCHEMA, Row, Table
 from hyst_control.reporting.templates import render
@@ -37,13 +36,13 @@ def read_result(path: str | Path) -> Table:
     InputError
         Where it is not a result of HAMPI or MHL.
     """
-    try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as JSON ({error}): give a file written by hyst reproduce --json") from None
-    if not isinstance(document, dict) or document.get("schema") != SCHEMA or document.get("source") not in SOURCES:
+    document = read_json(path)
+    if document.get("schema") != SCHEMA or document.get("source") not in SOURCES:
         raise InputError(f"{path}: is no result of hyst reproduce hampi or mhl")
-    return Table(document["source"], [_row(row) for row in document["rows"]], document["machine"], document.get("notes", []))
+    try:
+        return Table(document["source"], [_row(row) for row in document["rows"]], document["machine"], document.get("notes", []))
+    except (KeyError, TypeError):
+        raise InputError(f"{path}: its rows are none of hyst reproduce: run it again with --json") from None
 
 
 def _row(values: dict[str, Any]) -> Row:

@@ -57,7 +57,7 @@ def test_gain_and_lag_of_a_truth_plant(capsys):
     assert rows["axis 0", "gain"] < 0.0 and rows["axis 1", "gain"] < 0.0
 
 
-def test_bags_of_trials_give_the_next_feedforward(tmp_path):
+def test_bags_of_trials_give_the_next_feedforward(tmp_path, capsys):
     """Bags cut from a run of three trials: after each, the file is what the run itself learned, to the rounding of its sums."""
     signals, _ = learned_run(3)
     unit = {"reference": "mrad", "measurement": "mrad"}
@@ -73,6 +73,9 @@ def test_bags_of_trials_give_the_next_feedforward(tmp_path):
         path = tmp_path / f"learned_{count}.npy"
         assert main(["learn", MODEL, *bags[:count], "--period", "0.01", "--output", str(path)]) == 0
         np.testing.assert_allclose(np.load(path), signals["learned"][150 * count : 150 * count + 50], atol=1e-9)
+    for period in ("nan", "inf", "-0.01", "0.03001", "1e300", "1e-9"):
+        assert main(["learn", MODEL, bags[0], "--period", period, "--output", str(tmp_path / "none.npy")]) == 2
+        assert capsys.readouterr().err.count("\n") == 1 and not (tmp_path / "none.npy").exists()
     # A bag of the second trial alone goes on from what it held.
     assert main(["learn", MODEL, bags[1], "--period", "0.01", "--output", str(path)]) == 0
     assert np.abs(np.load(path) - signals["learned"][300:350]).max() < 0.2 * np.abs(signals["learned"][300:350]).max()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -66,6 +68,16 @@ def test_pictures_and_pages(record, tmp_path, words):
     assert coloured.sum() > 300, "there are curves in it"
     assert main(["plot", str(tmp_path / "bag"), *words, "--output", str(page)]) == 0
     assert "measurement" in page.read_text(encoding="utf-8") and page.stat().st_size < 8e6
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
+def test_a_spectrum_of_what_is_no_number_is_refused_in_one_line(record, tmp_path, capsys, value):
+    values = record.signals["measurement"].values.copy()
+    values[100] = value
+    write_bag(tmp_path / "bag", replace(record, signals={"measurement": replace(record.signals["measurement"], values=values)}))
+    assert main(["plot", str(tmp_path / "bag"), "--spectrum", "--output", str(tmp_path / "a.svg")]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and "1 of 20000 samples" in told and not (tmp_path / "a.svg").exists()
 
 
 @pytest.mark.parametrize(

@@ -93,6 +93,38 @@ def test_a_bag_that_cannot_be_read_costs_itself(fleet):
     assert again["computed"] == 2 and len(again["failed"]) == 1, "what failed is tried again"
 
 
+def test_a_study_in_which_every_record_failed_says_so(tmp_path, capsys):
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    words = ["fleet", "identify", str(tmp_path / "empty.mcap"), str(tmp_path / "missing"), "--workers", "1"]
+    assert main([*words, "--output", str(tmp_path / "study")]) == 2
+    said = capsys.readouterr().out
+    assert "2 failed" in said and "missing: " in said
+    assert [row["status"] for row in rows(tmp_path / "study")] == ["failed", "failed"]
+    assert (tmp_path / "study" / "fleet.html").exists()
+
+
+@pytest.mark.parametrize("kind", ["empty", "noise", "other columns", "other types"])
+def test_results_that_are_none_are_refused_in_one_line(kind, tmp_path, capsys):
+    study = tmp_path / "study"
+    study.mkdir()
+    (study / "summary.json").write_text('{"kind": "identify"}')
+    file = study / "records.parquet"
+    if kind == "other columns":
+        pyarrow.parquet.write_table(pa.table({"a": [1]}), file)
+    elif kind == "other types":
+        names = ("unit", "time", "moment", "bag", "status", "reason", "mark", "model_file")
+        pyarrow.parquet.write_table(pa.table({name: [3] for name in names}), file)
+    else:
+        file.write_bytes(b"" if kind == "empty" else b"PAR1" + np.random.default_rng(0).bytes(200) + b"PAR1")
+    before = {path: path.read_bytes() for path in study.iterdir()}
+    population = ["fleet", "population", str(study), "--output", str(tmp_path / "model.yaml")]
+    for words in (population, ["fleet", "identify", str(tmp_path / "bag"), "--output", str(study)]):
+        assert main(words) == 2
+        told = capsys.readouterr().err
+        assert told.count("\n") == 1 and "records.parquet: " in told
+    assert {path: path.read_bytes() for path in study.iterdir()} == before and not (tmp_path / "model.yaml").exists()
+
+
 def test_models_and_diagnoses(fleet):
     bag = str(fleet / "bags" / "u2_0")
     common = [bag, "--names", r"(?P<unit>u\d)_(?P<time>\d)", "--workers", "1"]

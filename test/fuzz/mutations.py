@@ -1,161 +1,389 @@
 """`make mutate`: mutation tests of the checks at every entry.
 
 Does a test notice when a check is missing?
-Every `except` and every check (an `if` whose body ends in `raise`, or refuses a message) of the modules where foreign numbers and files
-enter is taken out in turn, in a copy of the sources, and the tests of that module are run. A mutant that they pass survives, and is
-printed. Arguments: parts of module names, to mutate only those.
+Every `except`, and every check, of the modules where foreign numbers and files enter is taken out in turn, and the tests of that module
+are run. A mutant that they pass survives, and is printed.
+
+All of it runs in one process, which has collected the tests once. In a fork of it they run without any mutant, and it is noted which of
+them reach which check. Each mutant is then put into a fork of its own, in place of the functions that it changes, with the tests that
+reach it, the shortest first, until one fails. Programs that a test starts see the mutant too: they import a copy of the sources.
+
+Arguments: parts of module names, to mutate only those; `--write` puts the table into docs/safety.md (all modules).
 """
 
 from __future__ import annotations
 
 import ast
+import gc
+import importlib
 import os
+import pickle
 import shutil
 import signal
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import CodeType, FrameType, FunctionType
+from typing import Any
 
-import hypothesis  # noqa: F401
-import numba  # noqa: F401
 import pytest
-import rclpy  # noqa: F401
-import rosbags.highlevel  # noqa: F401
-import scipy.io
-import scipy.signal  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[2]
-LONGEST = 300.0
-"""s, of the tests of one mutant; one that hangs is noticed."""
+PAGE = ROOT / "docs" / "safety.md"
+BEGIN, END = "<!-- made by `make mutate ARGS=--write` -->\n", "<!-- end -->\n"
+
+LONGEST = 60.0
+"""s, at least, that the tests of one mutant may take; one that hangs is noticed."""
 
 REFUSALS = "test/records/test_refusals.py"
 BAGS = (REFUSALS, "test/records/test_hostile_bags.py", "test/records/test_bag_writer.py", "test/records/test_record.py")
 TABLES = (REFUSALS, "test/records/test_hostile_tables.py", "test/records/test_importing.py")
-MODULES: dict[str, tuple[str, ...]] = {
-    "hyst_control/records/foreign_rows.py": ("test/records/test_foreign_rows.py",),
-    "hyst_control/nodes/signal_ports.py": ("test/nodes/test_entry.py",),
-    "hyst_control/nodes/watched_signal.py": ("test/nodes/test_entry.py",),
-    "hyst_control/nodes/recorded_topic.py": ("test/nodes/test_entry.py",),
-    "hyst_control/nodes/rival_watch.py": ("test/nodes/test_entry.py",),
-    "hyst_control/nodes/takeover.py": ("test/nodes/test_entry.py",),
-    "hyst_control/records/signal_rows.py": ("test/records/test_signal_rows.py", "test/records/test_foreign_rows.py"),
-    "hyst_control/records/signal_message.py": ("test/records/test_signal_message.py",),
-    "hyst_control/yaml_files.py": ("test/test_yaml_files.py",),
-    "hyst_control/files.py": ("test/test_files.py",),
-    "hyst_control/foreign_readers.py": TABLES,
-    "hyst_control/records/array_files.py": TABLES,
-    "hyst_control/records/importing.py": TABLES,
-    "hyst_control/records/bag_reader.py": BAGS,
-    "hyst_control/records/mcap_stream.py": BAGS,
-    "hyst_control/records/sqlite_bag.py": BAGS,
-    "hyst_control/records/decompression.py": BAGS,
-}
-"""Modules in which foreign numbers and files enter, and the tests that answer for each."""
+ENTRY = ("test/nodes/test_entry.py",)
+VALIDITY = ("test/records/test_record_validity.py", "test/diagnose/test_invalid_records.py")
+LOOP = ("test/control/test_sensor_watch.py", "test/control/test_safe_loop.py", "test/control/test_pi.py")
 
-ENTRIES = ("signal_ports", "watched_signal", "recorded_topic", "rival_watch", "takeover", "foreign_rows", "signal_rows")
-"""Modules that refuse by dropping: there an `if` that returns, or drops, is a check too."""
+
+@dataclass(frozen=True)
+class Module:
+    """Tests that answer for a module, and what counts as a check there.
+
+    Attributes
+    ----------
+    tests : tuple of str
+        Files of tests.
+    checks : str
+        "raise": an `if` that ends in `raise`; "drop": one that drops a message or returns early too; "every": every `if`.
+    """
+
+    tests: tuple[str, ...]
+    checks: str = "raise"
+
+
+MODULES: dict[str, Module] = {
+    "hyst_control/records/foreign_rows.py": Module(("test/records/test_foreign_rows.py", *ENTRY), "drop"),
+    "hyst_control/nodes/message_io.py": Module(("test/nodes/test_message_io.py",), "drop"),
+    "hyst_control/nodes/signal_ports.py": Module(ENTRY, "drop"),
+    "hyst_control/nodes/watched_signal.py": Module(ENTRY, "drop"),
+    "hyst_control/nodes/recorded_topic.py": Module(ENTRY, "drop"),
+    "hyst_control/nodes/rival_watch.py": Module(ENTRY, "drop"),
+    "hyst_control/nodes/takeover.py": Module(ENTRY, "drop"),
+    "hyst_control/records/signal_rows.py": Module(
+        ("test/records/test_signal_rows.py", "test/records/test_foreign_rows.py"), "drop"
+    ),
+    "hyst_control/records/signal_message.py": Module(("test/records/test_signal_message.py",)),
+    "hyst_control/nodes/identification.py": Module(("test/nodes/test_identification.py",)),
+    "hyst_control/control/safe_loop.py": Module(LOOP, "every"),
+    "hyst_control/control/sensor_watch.py": Module(LOOP, "every"),
+    "hyst_control/control/command_watchdog.py": Module(LOOP, "every"),
+    "hyst_control/records/record_validity.py": Module(VALIDITY, "every"),
+    "hyst_control/diagnose/invalid_records.py": Module(VALIDITY, "every"),
+    "hyst_control/yaml_files.py": Module(("test/test_yaml_files.py",)),
+    "hyst_control/files.py": Module(("test/test_files.py",)),
+    "hyst_control/foreign_readers.py": Module(TABLES),
+    "hyst_control/records/array_files.py": Module(TABLES),
+    "hyst_control/records/importing.py": Module(TABLES),
+    "hyst_control/records/bag_reader.py": Module(BAGS),
+    "hyst_control/records/mcap_stream.py": Module(BAGS),
+    "hyst_control/records/sqlite_bag.py": Module(BAGS),
+    "hyst_control/records/decompression.py": Module(BAGS),
+}
+"""Modules in which foreign numbers and files enter, or are judged."""
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """One text in place of another: begin and end as (line, byte) from 0, the new text, and what it is."""
+    """One expression that is taken out: its line and column, what is in its place, the first line behind it, and what it was."""
 
-    begin: tuple[int, int]
-    end: tuple[int, int]
-    text: str
+    line: int
+    column: int
+    kind: str
+    body: int
     what: str
 
 
-def mutants(source: str, entry: bool) -> Iterator[Mutant]:
+def mutants(source: str, checks: str) -> Iterator[Mutant]:
     """Every `except` that catches nothing, and every check that never applies."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.ExceptHandler) and node.type is not None:
-            yield _replaced(node.type, "()", f"except {ast.unparse(node.type)}")
-        elif isinstance(node, ast.If) and _refuses(node.body, entry):
-            yield _replaced(node.test, "False", f"if {ast.unparse(node.test)}")
+            yield _mutant(node.type, "except", node.body[0].lineno)
+        elif (
+            isinstance(node, ast.If)
+            and "__main__" not in ast.unparse(node.test)
+            and (checks == "every" or _refuses(node.body, checks))
+        ):
+            yield _mutant(node.test, "if", node.body[0].lineno)
+        elif isinstance(node, ast.IfExp) and checks == "drop" and "Refusal" in ast.unparse(node.body):
+            yield _mutant(node.test, "if", node.lineno)
 
 
-def _refuses(body: list[ast.stmt], entry: bool) -> bool:
+def _mutant(node: ast.expr, kind: str, body: int) -> Mutant:
+    return Mutant(node.lineno, node.col_offset, kind, body, f"line {node.lineno}: {kind} {ast.unparse(node)}")
+
+
+def _refuses(body: list[ast.stmt], checks: str) -> bool:
     if isinstance(body[-1], ast.Raise):
         return True
     text, last = "".join(ast.unparse(each) for each in body), ast.unparse(body[-1])
-    return entry and (
-        "drop(" in text or last == "return" or any(word in last for word in ("Refusal", "refused_values", "Receipt."))
+    return checks == "drop" and (
+        "drop(" in text or last in ("return", "continue") or any(word in last for word in ("Refusal", "refused", "Receipt."))
     )
 
 
-def _replaced(node: ast.expr, text: str, what: str) -> Mutant:
-    assert node.end_lineno is not None and node.end_col_offset is not None
-    return Mutant(
-        (node.lineno - 1, node.col_offset), (node.end_lineno - 1, node.end_col_offset), text, f"line {node.lineno}: {what}"
-    )
+class _TakeOut(ast.NodeTransformer):
+    """`if test` becomes `if False and test`, `except Kind` becomes `except ()`."""
+
+    def __init__(self, mutant: Mutant) -> None:
+        self.mutant = mutant
+
+    def _is(self, node: ast.expr | None) -> bool:
+        return node is not None and (node.lineno, node.col_offset) == (self.mutant.line, self.mutant.column)
+
+    def visit_ExceptHandler(self, node: ast.ExceptHandler) -> ast.AST:
+        if self.mutant.kind == "except" and self._is(node.type):
+            node.type = ast.Tuple([], ast.Load())
+        return self.generic_visit(node)
+
+    def _without(self, node: Any) -> ast.AST:
+        if self.mutant.kind == "if" and self._is(node.test):
+            node.test = ast.BoolOp(ast.And(), [ast.Constant(False), node.test])
+        return self.generic_visit(node)
+
+    visit_If = visit_IfExp = _without
 
 
-def mutated(source: str, mutant: Mutant) -> str:
-    """The source with the mutant in it."""
-    lines = [line.encode() for line in source.splitlines(keepends=True)]
-    (first, begin), (last, end) = mutant.begin, mutant.end
-    lines[first : last + 1] = [lines[first][:begin] + mutant.text.encode() + lines[last][end:]]
-    return b"".join(lines).decode()
+def mutated(source: str, mutant: Mutant) -> ast.Module:
+    """The source with the mutant in it; its lines keep their numbers."""
+    return ast.fix_missing_locations(_TakeOut(mutant).visit(ast.parse(source)))
 
 
-def passes(folder: Path, tests: tuple[str, ...]) -> bool:
-    """Whether the tests of a copy pass. They run in a fork of this process, which has the libraries and nothing of the package."""
+def put_in(path: Path, name: str, tree: ast.Module) -> None:
+    """Replace the functions of a module in this process, wherever they are used.
+
+    Parameters
+    ----------
+    path, name : Path, str
+        File of the module, and its name.
+    tree : ast.Module
+        The new text.
+    """
+    importlib.import_module(name)
+    new = dict(_codes(compile(tree, str(path), "exec", dont_inherit=True)))
+    for function in [each for each in gc.get_objects() if isinstance(each, FunctionType)]:
+        code = function.__code__
+        if code.co_filename == str(path):
+            found = new[_key(code)]
+            if len(found.co_freevars) == len(code.co_freevars):
+                function.__code__ = found
+
+
+def _codes(code: CodeType) -> Iterator[tuple[tuple[object, ...], CodeType]]:
+    yield _key(code), code
+    for each in code.co_consts:
+        if isinstance(each, CodeType):
+            yield from _codes(each)
+
+
+def _key(code: CodeType) -> tuple[object, ...]:
+    return code.co_name, code.co_firstlineno, code.co_varnames[: code.co_argcount]
+
+
+@dataclass
+class Runs:
+    """What the tests do without a mutant: seconds of each, the lines that each reaches, and those that failed."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    lines: dict[str, set[tuple[str, int]]] = field(default_factory=dict)
+    failed: list[str] = field(default_factory=list)
+
+
+class Mutation:
+    """Plugin of pytest that runs the tests of mutants in place of the tests."""
+
+    def __init__(self, folder: Path, modules: dict[str, Module]) -> None:
+        self.folder, self.modules = folder, modules
+        self.failed = False
+        self.results: dict[str, tuple[int, list[str]]] = {}
+        """Of each module: number of mutants, and those that survive."""
+
+    def pytest_sessionstart(self) -> None:
+        """Have Hypothesis end at the first failure: nobody reads the smallest one."""
+        from hypothesis import Phase, settings
+
+        settings.register_profile("mutants", phases=(Phase.explicit, Phase.generate))
+        settings.load_profile("mutants")
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Note a failure."""
+        self.failed = self.failed or report.failed
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        """Run the mutants."""
+        session.config.pluginmanager.unregister(name="terminalreporter")
+        begin = time.monotonic()
+        runs = self._without_mutant(session.items)
+        if runs.failed:
+            raise pytest.UsageError(f"fail without any mutant: {', '.join(runs.failed)}")
+        say(f"{len(session.items)} tests without any mutant: {time.monotonic() - begin:.0f} s")
+        for path, module in self.modules.items():
+            self._module(path, module, session.items, runs)
+        return True
+
+    def _module(self, path: str, module: Module, items: Sequence[pytest.Item], runs: Runs) -> None:
+        begin, place = time.monotonic(), self.folder / path
+        source = place.read_text(encoding="utf-8")
+        found = sorted(mutants(source, module.checks), key=lambda mutant: (mutant.line, mutant.column))
+        own = [item for item in items if item.nodeid.split("::")[0] in module.tests]
+        survivors = []
+        for mutant in found:
+            reached = [item for item in own if (path, mutant.body) in runs.lines[item.nodeid]]
+            chosen = sorted(reached or own, key=lambda item: runs.seconds[item.nodeid])
+            tree = mutated(source, mutant)
+            place.write_text(ast.unparse(tree), encoding="utf-8")
+            longest = LONGEST + 5.0 * sum(runs.seconds[item.nodeid] for item in chosen)
+            if self._passes(chosen, lambda tree=tree: put_in(place, path[:-3].replace("/", "."), tree), longest):
+                survivors.append(mutant.what + ("" if reached else " (no test reaches it)"))
+        place.write_text(source, encoding="utf-8")
+        self.results[path] = len(found), survivors
+        say(f"{path}: {len(found) - len(survivors)} of {len(found)} noticed, {time.monotonic() - begin:.0f} s")
+        for each in survivors:
+            say(f"  survives: {each}")
+
+    def _without_mutant(self, items: Sequence[pytest.Item]) -> Runs:
+        """Run all tests in a fork, with every line of the modules traced."""
+        file = self.folder / "runs.pickle"
+        forked(lambda: file.write_bytes(pickle.dumps(self._traced(items))) * 0, 3600.0)
+        runs = pickle.loads(file.read_bytes())
+        assert isinstance(runs, Runs)
+        return runs
+
+    def _traced(self, items: Sequence[pytest.Item]) -> Runs:
+        runs, places = Runs(), {str(self.folder / path): path for path in self.modules}
+        lines: set[tuple[str, int]] = set()
+
+        def trace(frame: FrameType, event: str, _: object) -> Any:
+            path = places.get(frame.f_code.co_filename)
+            if path is None:
+                return None
+            if event == "line":
+                lines.add((path, frame.f_lineno))
+            return trace
+
+        threading.settrace(trace)
+        for item, following in zip(items, [*items[1:], None]):
+            begin, self.failed, lines = time.monotonic(), False, set()
+            sys.settrace(trace)
+            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+            sys.settrace(None)
+            runs.seconds[item.nodeid], runs.lines[item.nodeid] = time.monotonic() - begin, lines
+            if self.failed:
+                runs.failed.append(item.nodeid)
+        return runs
+
+    def _passes(self, items: Sequence[pytest.Item], change: Callable[[], None], longest: float) -> bool:
+        def run() -> int:
+            change()
+            for item, following in zip(items, [*items[1:], None]):
+                item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+                if self.failed:
+                    item.session._setupstate.teardown_exact(None)
+                    return 1
+            return 0
+
+        return forked(run, longest) == 0
+
+
+def forked(run: Callable[[], int], longest: float) -> int:
+    """Exit status of what runs in a fork of this process, without its output; it is killed after `longest` s (status -9)."""
     child = os.fork()
     if not child:
-        os.setpgid(0, 0)
-        nothing = os.open(os.devnull, os.O_RDWR)
-        for stream in (0, 1, 2):
-            os.dup2(nothing, stream)
-        os.chdir(folder)
-        os.environ["PYTHONPATH"] = str(folder)
-        sys.dont_write_bytecode = True
-        sys.path[:] = [str(folder), *(each for each in sys.path if each != str(Path(__file__).parent))]
-        imported = "ignore::pytest.PytestAssertRewriteWarning"  # of a plugin that this process has
-        os._exit(int(pytest.main(["-x", "-q", "-W", imported, "-p", "no:cacheprovider", "-p", "no:faulthandler", *tests])))
-    end = time.monotonic() + LONGEST
-    while time.monotonic() < end:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            return os.waitstatus_to_exitcode(status) == 0
-        time.sleep(0.02)
-    os.killpg(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    return False
+        status = 3
+        try:
+            os.setpgid(0, 0)
+            nothing = os.open(os.devnull, os.O_RDWR)
+            for stream in (0, 1, 2):
+                os.dup2(nothing, stream)
+            status = run()
+        finally:
+            os._exit(status)
+    end = time.monotonic() + longest
+    status = None
+    while status is None and time.monotonic() < end:
+        done, found = os.waitpid(child, os.WNOHANG)
+        status = os.waitstatus_to_exitcode(found) if done else None
+        time.sleep(0.005)
+    try:
+        os.killpg(child, signal.SIGKILL)  # what it has started and left
+    except ProcessLookupError:
+        pass
+    if status is None:
+        os.waitpid(child, 0)
+        return -signal.SIGKILL
+    return status
+
+
+def say(line: str) -> None:
+    """Write a line where pytest does not catch it."""
+    os.write(OUT, line.encode() + b"\n")
+
+
+OUT = os.dup(1)
+
+
+def copy_of_sources(folder: Path) -> None:
+    """Copy what the tests need into a folder."""
+    for part in ("hyst_control", "hyst_plant_sim", "config", "test", "pyproject.toml"):
+        source = ROOT / part
+        if source.is_dir():
+            shutil.copytree(source, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(source, folder / part)
+
+
+def table(results: dict[str, tuple[int, list[str]]]) -> str:
+    """The result as a table in Markdown."""
+    rows = ["| module | checks taken out | noticed |", "|---|---|---|"]
+    for path, (total, survivors) in results.items():
+        rows.append(f"| `{path}` | {total} | {total - len(survivors)} |")
+    total, noticed = sums(results)
+    rows.append(f"| all | {total} | {noticed} ({100 * noticed / max(total, 1):.0f} %) |")
+    return "\n".join(rows) + "\n"
+
+
+def sums(results: dict[str, tuple[int, list[str]]]) -> tuple[int, int]:
+    """Number of mutants, and of those that are noticed."""
+    total = sum(number for number, _ in results.values())
+    return total, total - sum(len(survivors) for _, survivors in results.values())
 
 
 def main() -> int:
     """Run the mutants; exit status 1 when the tests fail without any."""
-    chosen = {name: tests for name, tests in MODULES.items() if not sys.argv[1:] or any(part in name for part in sys.argv[1:])}
-    noticed = total = 0
+    write, parts = "--write" in sys.argv, [each for each in sys.argv[1:] if each != "--write"]
+    chosen = {path: module for path, module in MODULES.items() if not parts or any(part in path for part in parts)}
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for part in ("hyst_control", "hyst_plant_sim", "config", "test", "pyproject.toml"):
-            source = ROOT / part
-            if source.is_dir():
-                shutil.copytree(source, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
-            else:
-                shutil.copy(source, folder / part)
-        for module, tests in chosen.items():
-            source, begin = (ROOT / module).read_text(encoding="utf-8"), time.monotonic()
-            if not passes(folder, tests):
-                print(f"{module}: {', '.join(tests)} fail without any mutant")
-                return 1
-            found = sorted(mutants(source, any(part in module for part in ENTRIES)), key=lambda mutant: mutant.begin)
-            survivors = []
-            for mutant in found:
-                (folder / module).write_text(mutated(source, mutant), encoding="utf-8")
-                if passes(folder, tests):
-                    survivors.append(mutant.what)
-            (folder / module).write_text(source, encoding="utf-8")
-            noticed, total = noticed + len(found) - len(survivors), total + len(found)
-            print(f"{module}: {len(found) - len(survivors)} of {len(found)} noticed, {time.monotonic() - begin:.0f} s", flush=True)
-            for each in survivors:
-                print(f"  survives: {each}", flush=True)
-    print(f"{noticed} of {total} mutants noticed, {100 * noticed / max(total, 1):.0f} %")
+        folder = Path(name).resolve()
+        copy_of_sources(folder)
+        os.chdir(folder)
+        os.environ["PYTHONPATH"] = str(folder)
+        sys.dont_write_bytecode = True
+        os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
+        sys.path[:] = [str(folder), *(each for each in sys.path if each != str(Path(__file__).parent))]
+        plugin = Mutation(folder, chosen)
+        tests = sorted({test for module in chosen.values() for test in module.tests})
+        options = ["-q", "-p", "no:cacheprovider", "-p", "no:faulthandler", "-p", "no:xdist", f"--basetemp={folder / 'made'}"]
+        status = pytest.main([*options, *tests], plugins=[plugin])
+        os.chdir(ROOT)
+    if status not in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED):
+        return 1
+    if write:
+        before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
+        PAGE.write_text(before + BEGIN + table(plugin.results) + END + rest.split(END)[1], encoding="utf-8")
+    total, noticed = sums(plugin.results)
+    say(f"{noticed} of {total} mutants noticed, {100 * noticed / max(total, 1):.1f} %")
     return 0
 
 

@@ -158,6 +158,32 @@ def test_a_database_that_is_no_bag_is_named(tmp_path, change, words):
     assert list(sqlite_messages(database(tmp_path / "sound.db3"), True, {})) == [("/command", 5, ROW)]
 
 
+def test_rows_that_share_their_bytes_are_no_more_than_the_file_holds(tmp_path):
+    """Four rows of 200 kB whose pages are those of the first one: a file of 200 kB that would be read as 800 kB, or any number."""
+    path, size = tmp_path / "a.db3", 204_700  # of which 489 bytes stand in the table's page, and the others in pages of their own
+    with closing(sqlite3.connect(path)) as made:
+        made.execute("PRAGMA page_size = 4096")
+        made.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format)")
+        made.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)")
+        made.execute("INSERT INTO topics VALUES (1, '/command', ?, 'cdr')", (MESSAGE_TYPE,))
+        made.executemany("INSERT INTO messages VALUES (?, 1, 5, ?)", [(k, bytes(size)) for k in range(4)])
+        made.commit()
+        page = 4096 * (made.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()[0] - 1)
+    file = bytearray(path.read_bytes())
+    begins = [page + int.from_bytes(file[at : at + 2], "big") for at in range(page + 8, page + 16, 2)]  # the first row stands last
+    ends = [page + 4096, *begins[:3]]
+    first, second = (int.from_bytes(file[end - 4 : end], "big") for end in ends[:2])
+    for end in ends:
+        file[end - 4 : end] = first.to_bytes(4, "big")
+    file[28:32] = (second - 1).to_bytes(4, "big")  # pages of the file
+    path.write_bytes(file[: (second - 1) * 4096])
+    with closing(sqlite3.connect(f"file:{path}?immutable=1", uri=True)) as opened:
+        assert [len(row[0]) for row in opened.execute("SELECT data FROM messages")] == [size] * 4  # SQLite itself reads it
+    with pytest.raises(Damage, match="holds more than its size"):
+        list(sqlite_messages(path, True, {}))
+
+
+
 def test_a_file_that_is_no_database_and_one_that_computes(tmp_path):
     (tmp_path / "none.db3").write_bytes(b"no database" * 100)
     with pytest.raises(Damage, match="is no SQLite3 bag .file is not a database"):
