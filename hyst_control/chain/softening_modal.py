@@ -30,18 +30,22 @@ class SofteningModal(Stage):
         dx_i/dt = λ_i x_i + (inputs_i + inputs_change_i g) · u,   z = 2 Re Σ c_i x_i + feedthrough u
         n  = q (|q|^exponent - force_mean a^exponent),  q = elongation z         per actuator and exponent
         s  = stop(u) - stop_mean u,   stop(u): u since its last reversal, no further than ±stop_threshold    per actuator and threshold
-        dw_i/dt = λ_i w_i + force_inputs_i · n + stop_inputs_i · s,   y = z + 2 Re Σ c_i w_i + force_feedthrough n + stop_feedthrough s
+        p  = q_j q_k - product_mean a²                                                 per pair of actuators, j ≤ k
+        dw_i/dt = λ_i w_i + force_inputs_i · n + stop_inputs_i · s + product_inputs_i · p
+        y  = z + 2 Re Σ c_i w_i + force_feedthrough n + stop_feedthrough s + product_feedthrough p
 
     The first part is the structure as it responds on the average at this amplitude (its describing function); n is
     what the softening force q |q|^exponent has beyond that average from one instant to the next. n is sampled and held.
     Several exponents are several terms of one force, each with gains of its own. s is the hysteresis of the actuators, a stop operator
-    of the command without its average part, which is in the first part already.
+    of the command without its average part, which is in the first part already. p is the even part of the force: what stretching one
+    actuator does to the stiffness that the others meet, and an actuator that pushes harder than it pulls. p is held as n is.
 
     Shapes for M modes and A axes: decay (log of 1/s), frequency (rad/s) and their changes (M); c = outputs (M, A),
     inputs and inputs_change (M, A) and force_inputs (M, K A) for K exponents, the terms one after the other, each as a
     pair [real, imaginary]; feedthrough (A, A), force_feedthrough (A, K A) and force_mean (K A); elongation (A, A), V per
     measurement unit, so that q is in volts of quasi-static command; exponent one number or K; stop_inputs (M, T A), stop_feedthrough
-    (A, T A) and stop_mean (T A) for T stop thresholds in the same order. A mode of frequency 0 is real and counts once.
+    (A, T A) and stop_mean (T A) for T stop thresholds in the same order; product_inputs (M, P), product_feedthrough (A, P) and
+    product_mean (P) for the P = A (A + 1) / 2 pairs (1, 1), (1, 2) … (1, A), (2, 2) … A mode of frequency 0 is real and counts once.
     """
 
     name: ClassVar[str] = "softening_modal"
@@ -65,6 +69,9 @@ class SofteningModal(Stage):
     )
     stop_feedthrough: AllAxes = all_axes("measurement unit / V", "of the stop operators", 0, 1, 2, default=0.0)
     stop_mean: AllAxes = all_axes("", "average gain of the stop operators, (thresholds · axes)", 0, 1, default=0.0)
+    product_inputs: AllAxes = all_axes("1/(V s)", "of the products, as inputs, (modes, pairs of axes)", 0, 1, 2, 3, default=0.0)
+    product_feedthrough: AllAxes = all_axes("measurement unit / V", "of the products", 0, 1, 2, default=0.0)
+    product_mean: AllAxes = all_axes("", "average of the products, (pairs of axes)", 0, 1, default=0.0)
     memory: float = all_axes("s", "over which the amplitude is averaged", 0, default=0.1, above=0.0)
 
     @property
@@ -87,6 +94,7 @@ class SofteningModal(Stage):
     def arrays(self, axes: int) -> dict[str, np.ndarray]:
         """Every parameter as an array of its full shape, complex where it is a pair."""
         modes, terms, stops = int(np.size(self.decay)), axes * int(np.size(self.exponent)), axes * int(np.size(self.stop_threshold))
+        products = axes * (axes + 1) // 2
         due = {
             "decay": (modes,),
             "frequency": (modes,),
@@ -100,8 +108,11 @@ class SofteningModal(Stage):
             "stop_inputs": (2, modes, stops),
             "stop_feedthrough": (axes, stops),
             "stop_mean": (stops,),
+            "product_inputs": (2, modes, products),
+            "product_feedthrough": (axes, products),
+            "product_mean": (products,),
         }
-        pairs = ("outputs", "inputs", "inputs_change", "force_inputs", "stop_inputs")
+        pairs = ("outputs", "inputs", "inputs_change", "force_inputs", "stop_inputs", "product_inputs")
         arrays = {}
         for field in dict.fromkeys((*due, *pairs)):
             shape = due.get(field, (2, modes, axes))
@@ -162,6 +173,7 @@ def advance_softening_modal(
     force_mean: Array,
     threshold: Array,
     stop_mean: Array,
+    product_mean: Array,
     force: Array,
     play: Array,
     output: Array,
@@ -178,10 +190,10 @@ def advance_softening_modal(
         s.
     exponent, amplitude, decay, frequency, decay_change, frequency_change, c, b, b_change, d, k, h, h_d
         The stage's matrices, as `SofteningModalFilter` prepares them.
-    force_mean, threshold, stop_mean
-        (K A,): mean of n; (T,) and (T A,): of the stop operators.
+    force_mean, threshold, stop_mean, product_mean
+        (K A,): mean of n; (T,) and (T A,): of the stop operators; (P,): mean of p.
     force
-        ((K + T) A,): n of the tick that begins the interval, and s of the interval, updated.
+        ((K + T) A + P,): n of the tick that begins the interval, s of the interval, and p as n, updated.
     play
         (T A,): command less what the stop operators hold, updated.
     last
@@ -193,7 +205,7 @@ def advance_softening_modal(
     """
     modes, axes = c.shape
     held = np.isnan(last[0])
-    drive, linear = np.empty(axes), np.empty(axes)
+    drive, linear, strain = np.empty(axes), np.empty(axes), np.empty(axes)
     for row in range(block.shape[0]):
         power = 0.0
         for j in range(axes):
@@ -242,6 +254,12 @@ def advance_softening_modal(
             for e in range(exponent.size):
                 at = e * axes + j
                 force[at] = q * (abs(q) ** exponent[e] - force_mean[at] * a ** exponent[e])
+            strain[j] = q
+        at = force_mean.size + stop_mean.size
+        for j in range(axes):
+            for e in range(j, axes):
+                force[at] = strain[j] * strain[e] - product_mean[at - force_mean.size - stop_mean.size] * a * a
+                at += 1
 
 
 @njit(cache=True)
@@ -265,6 +283,7 @@ def settle_softening_modal(
     force_mean: Array,
     threshold: Array,
     stop_mean: Array,
+    product_mean: Array,
     force: Array,
     play: Array,
     output: Array,
@@ -275,7 +294,7 @@ def settle_softening_modal(
     ----------
     value, output
         (A,): command, and the output that is filled in.
-    exponent, amplitude, decay, frequency, decay_change, frequency_change, c, b, b_change, d, k, h, h_d, force_mean, threshold, stop_mean
+    exponent, amplitude, decay, frequency, decay_change, frequency_change, c, b, b_change, d, k, h, h_d, force_mean, threshold, stop_mean, product_mean
         As for `advance_softening_modal`.
     state, mean_square, force, play
         As there; filled in.
@@ -292,7 +311,7 @@ def settle_softening_modal(
             at = e * axes + j
             play[at] = min(max(0.0, value[j] - threshold[e]), value[j] + threshold[e])
             force[force_mean.size + at] = (value[j] - play[at]) - stop_mean[at] * value[j]
-    linear = np.empty(axes)
+    linear, strain = np.empty(axes), np.empty(axes)
     for o in range(axes):
         linear[o] = 0.0
         for j in range(axes):
@@ -315,6 +334,12 @@ def settle_softening_modal(
         for e in range(exponent.size):
             at = e * axes + j
             force[at] = q * (abs(q) ** exponent[e] - force_mean[at] * a ** exponent[e])
+        strain[j] = q
+    at = force_mean.size + stop_mean.size
+    for j in range(axes):
+        for e in range(j, axes):
+            force[at] = strain[j] * strain[e] - product_mean[at - force_mean.size - stop_mean.size] * a * a
+            at += 1
     for o in range(axes):
         output[o] = linear[o]
         for j in range(force.size):
@@ -369,6 +394,8 @@ for (int e = 0; e < THRESHOLDS; e++) {{
 """Stop operators of the command, from the play that they had."""
 
 FORCE = """
+real strain[AXES];
+int product = 0;
 for (int j = 0; j < AXES; j++) {
     real q = R(0.0);
     for (int o = 0; o < AXES; o++) {
@@ -377,6 +404,13 @@ for (int j = 0; j < AXES; j++) {
     for (int e = 0; e < EXPONENTS; e++) {
         const int at = (e * AXES) + j;
         s->force[at] = q * (M(pow)(M(fabs)(q), p->exponent[e]) - (p->force_mean[at] * M(pow)(a, p->exponent[e])));
+    }
+    strain[j] = q;
+}
+for (int j = 0; j < AXES; j++) {
+    for (int e = j; e < AXES; e++) {
+        s->force[((EXPONENTS + THRESHOLDS) * AXES) + product] = (strain[j] * strain[e]) - ((p->product_mean[product] * a) * a);
+        product++;
     }
 }
 """
@@ -528,11 +562,12 @@ class SofteningModalFilter(Filter):
         )
         self.arguments = (
             *self.arguments,
-            np.concatenate([arrays["force_inputs"], arrays["stop_inputs"]], axis=1),
-            np.concatenate([arrays["force_feedthrough"], arrays["stop_feedthrough"]], axis=1),
+            np.concatenate([arrays["force_inputs"], arrays["stop_inputs"], arrays["product_inputs"]], axis=1),
+            np.concatenate([arrays["force_feedthrough"], arrays["stop_feedthrough"], arrays["product_feedthrough"]], axis=1),
             arrays["force_mean"],
             np.atleast_1d(np.asarray(stage.stop_threshold, dtype=float)),
             arrays["stop_mean"],
+            arrays["product_mean"],
         )
         exponent = np.atleast_1d(np.asarray(stage.exponent, dtype=float))
         self.scalars: tuple[Any, ...] = (
@@ -546,7 +581,7 @@ class SofteningModalFilter(Filter):
         self.state = np.zeros((2, modes), dtype=complex)
         self.mean_square, self.last = np.zeros(1), np.full(sampling.axes, np.nan)
         self.play = np.zeros(arrays["stop_mean"].size)
-        self.force = np.zeros(arrays["force_mean"].size + self.play.size)
+        self.force = np.zeros(arrays["force_mean"].size + self.play.size + arrays["product_mean"].size)
 
     def settle(self, value: Array) -> Array:
         value = np.array(value, dtype=float)
@@ -579,6 +614,7 @@ class SofteningModalFilter(Filter):
             "force_mean",
             "threshold",
             "stop_mean",
+            "product_mean",
         )
         texts = (
             "log(1/s)",
@@ -595,6 +631,7 @@ class SofteningModalFilter(Filter):
             "mean of the force",
             "V, of the stop operators",
             "mean of the stop operators",
+            "mean of the products",
         )
         smooth, step, exponent, amplitude = self.scalars
         return CCode(
@@ -620,7 +657,7 @@ class SofteningModalFilter(Filter):
                 "x": reals(_pairs(self.state), "modes driven by the command, and by the force; complex"),
                 "mean_square": reals(0.0, "V^2"),
                 "last": reals(self.last, "V, command before"),
-                "force": reals(self.force, "of the tick that begins the interval, and the stop operators"),
+                "force": reals(self.force, "of the tick that begins the interval, with the stop operators and the products"),
                 "play": reals(self.play, "V, command less what the stop operators hold"),
             },
             (COMPLEX, MODES),

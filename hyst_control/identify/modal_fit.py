@@ -24,6 +24,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
+from scipy.linalg.blas import zherk
+from scipy.sparse import csr_array
 
 from hyst_control.chain.stage import Array
 from hyst_control.identify import gauss_newton
@@ -499,22 +501,25 @@ class Problem:
 
     def normal_equations(self) -> tuple[Array, Array, float]:
         """JᵀJ (P, P), Jᵀr (P,) and rᵀr over all data at the present model; r is measured minus model."""
-        gram = np.zeros((self.columns, self.columns), dtype=complex)
+        gram = np.zeros((self.columns, self.columns), dtype=complex, order="F")
         moment = np.zeros((self.columns, self.model.feedthrough.shape[0]), dtype=complex)
         cost = self.irreducible
         weights = self._output_weights()
         for functions, measured in self._pieces():
             residual = measured - functions @ weights
-            conjugate = functions.conj().T
-            gram += conjugate @ functions
-            moment += conjugate @ residual
+            # Half of W^H W, which is all that a Hermitian matrix needs: of the transposed columns, so that nothing is copied.
+            gram = zherk(1.0, functions.T, beta=1.0, c=gram, overwrite_c=1)
+            moment += functions.conj().T @ residual
             cost += float(np.sum(np.abs(residual) ** 2))
-        jacobian = self._jacobian_weights()
+        # What zherk sums up is the conjugate of W^H W.
+        gram = np.triu(gram, 1).conj() + np.triu(gram).T
         size = self.layout.size
         matrix, vector = np.zeros((size, size)), np.zeros(size)
-        for o, weight in enumerate(jacobian):
-            matrix += (weight.conj().T @ (gram @ weight)).real
-            vector += (weight.conj().T @ moment[:, o]).real
+        for o, dense in enumerate(self._jacobian_weights()):
+            weight = csr_array(dense)  # a parameter moves few columns of W
+            adjoint = weight.conj().T
+            matrix += (adjoint @ (weight.T @ gram.T).T).real
+            vector += (adjoint @ moment[:, o]).real
         return matrix, vector, cost
 
     def cost(self) -> float:

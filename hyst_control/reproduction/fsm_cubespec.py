@@ -59,20 +59,24 @@ HALF_WIDTH = 8
 
 @dataclass(frozen=True)
 class Law:
-    """Exponents of the softening force's terms, and thresholds (V) of the stop operators of the command."""
+    """Exponents of the softening force's terms, thresholds (V) of the stop operators of the command, products of elongations."""
 
     exponents: tuple[float, ...]
     stops: tuple[float, ...] = ()
+    products: bool = False
 
     @property
     def name(self) -> str:
         """Text for tables."""
         force = "and force " + " + ".join(f"q|q|^{exponent:g}" for exponent in self.exponents)
-        return force + "".join(f", stop operators of {1e3 * threshold:g} mV" for threshold in self.stops)
+        stops = "".join(f", stop operators of {1e3 * threshold:g} mV" for threshold in self.stops)
+        return force + stops + (", products q q" if self.products else "")
 
 
-LAWS = (Law((0.5,)), Law((0.5, 1.0)), Law((0.5, 1.0), (0.03,)))
-"""Laws of the softening force and of the actuators' hysteresis among which the fifth realization chooses."""
+LAWS = (Law((0.5,)), Law((0.5, 1.0)), Law((0.5, 1.0), (0.03,)), Law((0.5, 1.0), (0.03,), True))
+"""Laws of the softening force and of the actuators' hysteresis among which the fifth realization chooses; each has what the one before
+has, and its fit starts there.
+"""
 
 
 @dataclass(frozen=True)
@@ -336,7 +340,12 @@ def run(json_path: str | Path | None = None, figures_dir: str | Path | None = No
         middle = fits[1]
         pending = pool.submit(fit_all, levels, middle[0].model.states)
         mean = soften(levels, middle[0].model, None)
-        forced = list(pool.map(soften, [levels] * len(LAWS), [mean.scheduled] * len(LAWS), LAWS))
+        forced, last = [], mean
+        for law in LAWS:
+            progress.step(law.name)
+            found = soften(levels, last.scheduled, law)
+            last = replace(found, seconds=last.seconds + found.seconds)
+            forced.append(last)
         linear = pending.result()
     largest = max(float(np.abs(level.command).max()) for level in levels)
     models = [
@@ -401,7 +410,14 @@ def soften(levels: Sequence[Level], start: ModalModel | softening_modes.Schedule
     if law is None:
         return softening_modes.fit_softening(periods, start, periods[1].amplitude, SAMPLE_TIME, force=False, iterations=steps)
     return softening_modes.fit_softening(
-        periods, start, periods[1].amplitude, SAMPLE_TIME, exponent=law.exponents, stops=law.stops, iterations=steps
+        periods,
+        start,
+        periods[1].amplitude,
+        SAMPLE_TIME,
+        exponent=law.exponents,
+        stops=law.stops,
+        products=law.products,
+        iterations=steps,
     )
 
 
@@ -623,6 +639,7 @@ EFFECTS = {
     "softening: gains": {"inputs_change": 0.0},
     "softening from instant to instant": {"force_inputs": 0.0, "force_feedthrough": 0.0},
     "hysteresis of the actuators": {"stop_inputs": 0.0, "stop_feedthrough": 0.0},
+    "even force, products of elongations": {"product_inputs": 0.0, "product_feedthrough": 0.0},
 }
 """The parts of the chosen model, and the parameters that switch each off."""
 
