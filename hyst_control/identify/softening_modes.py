@@ -21,7 +21,8 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify import gauss_newton
 from hyst_control.identify.frequency_response import excited_lines
 from hyst_control.identify.gauss_newton import End, Rules, Trial, solve_damped
-from hyst_control.identify.modal_fit import Layout, ModalModel, Problem, Spectra
+from hyst_control.identify.modal_fit import Problem
+from hyst_control.identify.modal_model import Layout, ModalModel, Spectra
 
 
 @dataclass(frozen=True)
