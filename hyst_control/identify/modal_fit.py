@@ -30,6 +30,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify import gauss_newton
 from hyst_control.identify.gauss_newton import End, Rules, Trial, solve_damped
 from hyst_control.identify.modal_model import Layout, ModalModel, Spectra, Transients, direct_response, mode_response
+from hyst_control.identify.periodic_gram import periodic_cost, periodic_gram
 
 CHUNK = 400_000
 """Entries of the matrix W worked on at once: few enough for the cache, enough for the matrix product."""
@@ -160,18 +161,7 @@ class Problem:
 
     def normal_equations(self) -> tuple[Array, Array, float]:
         """JᵀJ (P, P), Jᵀr (P,) and rᵀr over all data at the present model; r is measured minus model."""
-        gram = np.zeros((self.columns, self.columns), dtype=complex, order="F")
-        moment = np.zeros((self.columns, self.model.feedthrough.shape[0]), dtype=complex)
-        cost = self.irreducible
-        weights = self._output_weights()
-        for functions, measured in self._pieces():
-            residual = measured - functions @ weights
-            # Half of W^H W, which is all that a Hermitian matrix needs: of the transposed columns, so that nothing is copied.
-            gram = zherk(1.0, functions.T, beta=1.0, c=gram, overwrite_c=1)
-            moment += functions.conj().T @ residual
-            cost += float(np.sum(np.abs(residual) ** 2))
-        # What zherk sums up is the conjugate of W^H W.
-        gram = np.triu(gram, 1).conj() + np.triu(gram).T
+        gram, moment, cost = self._gram()
         size = self.layout.size
         matrix, vector = np.zeros((size, size)), np.zeros(size)
         for o, dense in enumerate(self._jacobian_weights()):
@@ -183,10 +173,35 @@ class Problem:
 
     def cost(self) -> float:
         """rᵀr over all data at the present model."""
+        if self.alike:
+            return self.irreducible + periodic_cost(self.data, self.model, self.branches)
         weights = self._output_weights()
         return self.irreducible + sum(
             float(np.sum(np.abs(measured - functions @ weights) ** 2)) for functions, measured in self._pieces()
         )
+
+    @property
+    def alike(self) -> bool:
+        """Whether all records are periodic and all commands equally late, so that all inputs of a mode have one response."""
+        return self.records == 0 and not self.free_delay and bool(np.all(self.model.delay == self.model.delay[0]))
+
+    def _gram(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """W^H W (K, K), W^H r (K, p) and rᵀr at the present model."""
+        if self.alike:
+            gram, moment, cost = periodic_gram(self.data, self.model, self.branches)
+            return gram, moment, self.irreducible + cost
+        gram = np.zeros((self.columns, self.columns), dtype=complex, order="F")
+        moment = np.zeros((self.columns, self.model.feedthrough.shape[0]), dtype=complex)
+        cost = self.irreducible
+        weights = self._output_weights()
+        for functions, measured in self._pieces():
+            residual = measured - functions @ weights
+            # Half of W^H W, which is all that a Hermitian matrix needs: of the transposed columns, so that nothing is copied.
+            gram = zherk(1.0, functions.T, beta=1.0, c=gram, overwrite_c=1)
+            moment += functions.conj().T @ residual
+            cost += float(np.sum(np.abs(residual) ** 2))
+        # What zherk sums up is the conjugate of W^H W.
+        return np.triu(gram, 1).conj() + np.triu(gram).T, moment, cost
 
     def fit_linear(self, *names: str) -> ModalModel:
         """Minimize the error over parameters in which the output is linear; the others stay.
