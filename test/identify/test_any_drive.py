@@ -27,15 +27,17 @@ from hyst_control.model_file import Model, simulate
 from test.identify.test_estimators import CURVES, EXAMPLES, FAMILIES
 
 MIDDLE, SWING = 5.0, 40.0
+OSCILLATORS = {"bouc_wen", "duhem_oscillator"}
+"""Families whose records are taken to begin at rest: what they remember from before stays in the error."""
 SPACED = ("degree", "order", "delay", "direct", "thresholds", "creep")
 """Options of the examples that say where the family is right; the structure of G(s) is left to the fit."""
 
 
-def sines(sample_time: float, *cycles: tuple[float, float]) -> np.ndarray:
+def sines(sample_time: float, seconds: float, *cycles: tuple[float, float]) -> np.ndarray:
     """Whole sines (N, 1) about the middle of the drive, each of a frequency in Hz and an amplitude in V, a short rest behind each."""
     parts = []
     for frequency, amplitude in cycles:
-        count = max(round(0.2 * frequency), 2)
+        count = max(round(seconds * frequency), 2)
         time = np.arange(round(count / frequency / sample_time)) * sample_time
         parts += [MIDDLE + amplitude * np.sin(2 * np.pi * frequency * time), np.full(round(0.02 / sample_time), MIDDLE)]
     return np.concatenate(parts)[:, None]
@@ -59,8 +61,11 @@ def record(name: str, label: str, zero: float, drift: float, *cycles: tuple[floa
     """A record of `cycles` from amid the first of them, as a laboratory has it; zero and drift are shares of the range."""
     sample_time = EXAMPLES[name].sample_time
     pace = 1.0 if sample_time >= 1e-3 else 20.0  # families with dynamics are excited faster
-    warm = sines(sample_time, (2.0 * pace, SWING), (3.0 * pace, 25.0))
-    command = np.concatenate([warm, sines(sample_time, *((frequency * pace, amplitude) for frequency, amplitude in cycles))])
+    seconds = 0.05 if name in OSCILLATORS else 0.2  # oscillators are integrated sample by sample
+    warm = sines(sample_time, seconds, (2.0 * pace, SWING), (3.0 * pace, 25.0))
+    command = np.concatenate(
+        [warm, sines(sample_time, seconds, *((frequency * pace, amplitude) for frequency, amplitude in cycles))]
+    )
     measurement = simulate(plant(name), command)
     cut = len(warm) + round(0.13 / cycles[0][0] / pace / sample_time)
     command, measurement = command[cut:], measurement[cut:]
@@ -88,10 +93,6 @@ def fits() -> dict[str, Fit]:
         options = {key: value for key, value in EXAMPLES[name].options.items() if key in SPACED}
         found[name] = identify([teacher(name)], name, **options)
     return found
-
-
-OSCILLATORS = {"bouc_wen", "duhem_oscillator"}
-"""Families whose records are taken to begin at rest: what they remember from before stays in the error."""
 
 
 @pytest.mark.parametrize("name", FAMILIES)
