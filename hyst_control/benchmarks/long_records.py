@@ -1,11 +1,13 @@
 """Time and memory of import, simulate, validate and identify by the length of the record, each in a process of its own.
 
 Memory is what a process has taken for itself (RssAnon), at its largest: pages of temporary files, which the system takes back as it
-needs them, are none of it. A command streams where its memory stays as the record grows, and is linear where its time per sample does.
+needs them, are none of it. A command streams where its memory stays as the record grows, and is linear where its time per sample does;
+processor time tells so on a machine that has other work too.
 """
 
 from __future__ import annotations
 
+import resource
 import subprocess
 import sys
 import tempfile
@@ -48,9 +50,10 @@ def run(table: Table, minutes: Sequence[float], commands: Sequence[str] = COMMAN
             save_model(plant(), folder / "model.yaml")
             for command in commands:
                 progress.step(f"{command}, {length:g} min at {RATE / 1e3:g} kHz")
-                seconds, memory = measured(arguments_of(command, folder))
+                seconds, processor, memory = measured(arguments_of(command, folder))
                 case = f"{length:g} min at {RATE / 1e3:g} kHz"
                 table.add("long records", case, command, "time_per_million_samples", "s", 1e6 * seconds / rows, n=rows)
+                table.add("long records", case, command, "processor_time_per_million_samples", "s", 1e6 * processor / rows, n=rows)
                 table.add("long records", case, command, "time", "s", seconds, n=rows)
                 table.add("long records", case, command, "memory", "MiB", memory, n=rows)
 
@@ -118,8 +121,8 @@ def arguments_of(command: str, folder: Path) -> list[str]:
     }[command]
 
 
-def measured(arguments: Sequence[str]) -> tuple[float, float]:
-    """Time and largest memory of a command, its worker processes included.
+def measured(arguments: Sequence[str]) -> tuple[float, float, float]:
+    """Time, processor time and largest memory of a command, its worker processes included.
 
     Parameters
     ----------
@@ -130,6 +133,8 @@ def measured(arguments: Sequence[str]) -> tuple[float, float]:
     -------
     seconds : float
         Time, start of the process included, s.
+    processor : float
+        Processor time in user mode, s: what other load on the machine changes least.
     memory : float
         Largest memory, MiB.
 
@@ -138,7 +143,7 @@ def measured(arguments: Sequence[str]) -> tuple[float, float]:
     RuntimeError
         The command failed.
     """
-    begin, memory = time.perf_counter(), 0.0
+    begin, before, memory = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime, 0.0
     call = "import sys; from hyst_control.cli import main; sys.exit(main(sys.argv[1:]))"
     with subprocess.Popen([sys.executable, "-c", call, *arguments, "--quiet"], stdout=subprocess.DEVNULL) as running:
         while True:
@@ -149,7 +154,8 @@ def measured(arguments: Sequence[str]) -> tuple[float, float]:
                 memory = max(memory, own_memory(running.pid))
     if status:
         raise RuntimeError(f"hyst {' '.join(arguments)}: exit status {status}")
-    return time.perf_counter() - begin, memory
+    processor = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
+    return time.perf_counter() - begin, processor, memory
 
 
 def own_memory(process: int) -> float:

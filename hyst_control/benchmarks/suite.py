@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hyst_control import progress
-from hyst_control.benchmarks import coverage, exported, kernels, long_records, loops, workflows
+from hyst_control.benchmarks import coverage, exported, kernels, long_records, loops, round_trips, workflows
 from hyst_control.errors import InputError
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.bag_writer import BagWriter
@@ -22,7 +22,7 @@ MESSAGES, ROWS = 24_000, 50
 REPEATS = 5
 
 
-GROUPS = ("kernels", "exported", "bags", "loops", "workflows", "coverage")
+GROUPS = ("kernels", "exported", "bags", "loops", "workflows", "coverage", "round_trips")
 
 
 def run(
@@ -75,6 +75,8 @@ def run(
     if only in (None, "coverage"):
         progress.step("coverage of identified intervals")
         coverage.run(table)
+    if only in (None, "round_trips"):
+        round_trips.run(table)
     if only in (None, "workflows"):
         progress.step("workflows")
         workflows.run(table)

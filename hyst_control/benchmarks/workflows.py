@@ -53,9 +53,10 @@ def run(table: Table, seconds: float = SECONDS, plants: Sequence[str] = PLANTS) 
     for name in TRUTH:
         table.add("truth plants", f"{RATE / 1e3:g} kHz, one core", name, "speed", "x real time", _alone(speed, name), n=REPEATS)
     for family in IDENTIFIED:
-        elapsed, memory, rows = _alone(identification, family, seconds)
+        elapsed, processor, memory, rows = _alone(identification, family, seconds)
         case = f"{seconds:g} s at {RATE / 1e3:g} kHz"
         table.add("identification", case, family, "identify_time", "s", elapsed, n=rows)
+        table.add("identification", case, family, "identify_processor_time", "s", processor, n=rows)
         table.add("identification", case, family, "identify_memory", "MiB", memory, n=rows)
     for plant in plants:
         fresh, cached, rows, seconds_of_record = _alone(diagnosis, plant)
@@ -92,7 +93,7 @@ def speed(name: str) -> float:
     return len(rows) / RATE / float(np.median(spent))
 
 
-def identification(family: str, seconds: float) -> tuple[float, float, int]:
+def identification(family: str, seconds: float) -> tuple[float, float, float, int]:
     """Time and memory of one identification; a tenth of the record is identified first to compile the kernels.
 
     Parameters
@@ -106,6 +107,8 @@ def identification(family: str, seconds: float) -> tuple[float, float, int]:
     -------
     elapsed : float
         Time, s.
+    processor : float
+        Processor time in user mode, worker processes included, s: what other load on the machine changes least.
     memory : float
         Largest memory, MiB.
     rows : int
@@ -120,10 +123,10 @@ def identification(family: str, seconds: float) -> tuple[float, float, int]:
     measured = np.concatenate([first[None], truth.step(rows)[:-1]])
     dataset = Dataset("bench", rows, measured, 1.0 / RATE, axes, unit)
     identify([dataset.rows(0, min(once, count))], family)
-    begin = time.perf_counter()
+    begin, before = time.perf_counter(), processor_time()
     identify([dataset], family)
-    elapsed = time.perf_counter() - begin
-    return elapsed, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, count
+    elapsed, processor = time.perf_counter() - begin, processor_time() - before
+    return elapsed, processor, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, count
 
 
 def diagnosis(plant: str) -> tuple[float, float, int, float]:
@@ -156,6 +159,11 @@ def diagnosis(plant: str) -> tuple[float, float, int, float]:
     diagnosed([record], model, seed=1)
     signal = record.signal("measurement")
     return fresh, time.perf_counter() - begin, len(signal.time), float(signal.time[-1] - signal.time[0])
+
+
+def processor_time() -> float:
+    """Processor time (s) in user mode of this process and of its workers that have ended."""
+    return sum(resource.getrusage(whose).ru_utime for whose in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
 
 
 def _alone(task: Callable[P, T], *arguments: P.args, **named: P.kwargs) -> T:

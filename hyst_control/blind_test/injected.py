@@ -306,7 +306,7 @@ def mirror_machine(scoring: bool, level: int) -> Machine:
         The machine.
     """
     from hyst_control.blind_test.measured import DELAYS, fit, own_error
-    from hyst_control.reproduction import fsm_cubespec as mirror
+    from hyst_control.reproduction import fsm_cubespec_records as mirror
 
     data = mirror.load_levels()[level]
     case, other = (mirror.TEST[0], mirror.SELECT[0]) if scoring else (mirror.SELECT[0], mirror.TEST[0])

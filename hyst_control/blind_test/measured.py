@@ -37,7 +37,7 @@ from hyst_control.model_file import Model, model_to_document, simulate
 from hyst_control.parallel import forked
 from hyst_control.records.record import Record, Signal
 from hyst_control.reporting.tables import Table
-from hyst_control.reproduction import fsm_cubespec as mirror
+from hyst_control.reproduction import fsm_cubespec_records as mirror
 from hyst_control.reproduction import pea_p885 as stack
 
 ORDER = 46

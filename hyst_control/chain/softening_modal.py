@@ -13,6 +13,7 @@ from scipy.linalg import block_diag
 from hyst_control.chain.c_code import COMPLEX, CCode, reals
 from hyst_control.chain.linear import StateSpace
 from hyst_control.chain.parameter import AllAxes, Array, Scattering, all_axes
+from hyst_control.chain.softening_modal_c import ADVANCE, COME_TO_REST, MODES
 from hyst_control.chain.stage import Filter, Sampling, Stage, register
 from hyst_control.errors import InputError
 
@@ -30,18 +31,22 @@ class SofteningModal(Stage):
         dx_i/dt = λ_i x_i + (inputs_i + inputs_change_i g) · u,   z = 2 Re Σ c_i x_i + feedthrough u
         n  = q (|q|^exponent - force_mean a^exponent),  q = elongation z         per actuator and exponent
         s  = stop(u) - stop_mean u,   stop(u): u since its last reversal, no further than ±stop_threshold    per actuator and threshold
-        dw_i/dt = λ_i w_i + force_inputs_i · n + stop_inputs_i · s,   y = z + 2 Re Σ c_i w_i + force_feedthrough n + stop_feedthrough s
+        p  = q_j q_k - product_mean a²                                                 per pair of actuators, j ≤ k
+        dw_i/dt = λ_i w_i + force_inputs_i · n + stop_inputs_i · s + product_inputs_i · p
+        y  = z + 2 Re Σ c_i w_i + force_feedthrough n + stop_feedthrough s + product_feedthrough p
 
     The first part is the structure as it responds on the average at this amplitude (its describing function); n is
     what the softening force q |q|^exponent has beyond that average from one instant to the next. n is sampled and held.
     Several exponents are several terms of one force, each with gains of its own. s is the hysteresis of the actuators, a stop operator
-    of the command without its average part, which is in the first part already.
+    of the command without its average part, which is in the first part already. p is the even part of the force: what stretching one
+    actuator does to the stiffness that the others meet, and an actuator that pushes harder than it pulls. p is held as n is.
 
     Shapes for M modes and A axes: decay (log of 1/s), frequency (rad/s) and their changes (M); c = outputs (M, A),
     inputs and inputs_change (M, A) and force_inputs (M, K A) for K exponents, the terms one after the other, each as a
     pair [real, imaginary]; feedthrough (A, A), force_feedthrough (A, K A) and force_mean (K A); elongation (A, A), V per
     measurement unit, so that q is in volts of quasi-static command; exponent one number or K; stop_inputs (M, T A), stop_feedthrough
-    (A, T A) and stop_mean (T A) for T stop thresholds in the same order. A mode of frequency 0 is real and counts once.
+    (A, T A) and stop_mean (T A) for T stop thresholds in the same order; product_inputs (M, P), product_feedthrough (A, P) and
+    product_mean (P) for the P = A (A + 1) / 2 pairs (1, 1), (1, 2) … (1, A), (2, 2) … A mode of frequency 0 is real and counts once.
     """
 
     name: ClassVar[str] = "softening_modal"
@@ -65,6 +70,9 @@ class SofteningModal(Stage):
     )
     stop_feedthrough: AllAxes = all_axes("measurement unit / V", "of the stop operators", 0, 1, 2, default=0.0)
     stop_mean: AllAxes = all_axes("", "average gain of the stop operators, (thresholds · axes)", 0, 1, default=0.0)
+    product_inputs: AllAxes = all_axes("1/(V s)", "of the products, as inputs, (modes, pairs of axes)", 0, 1, 2, 3, default=0.0)
+    product_feedthrough: AllAxes = all_axes("measurement unit / V", "of the products", 0, 1, 2, default=0.0)
+    product_mean: AllAxes = all_axes("", "average of the products, (pairs of axes)", 0, 1, default=0.0)
     memory: float = all_axes("s", "over which the amplitude is averaged", 0, default=0.1, above=0.0)
 
     @property
@@ -87,6 +95,7 @@ class SofteningModal(Stage):
     def arrays(self, axes: int) -> dict[str, np.ndarray]:
         """Every parameter as an array of its full shape, complex where it is a pair."""
         modes, terms, stops = int(np.size(self.decay)), axes * int(np.size(self.exponent)), axes * int(np.size(self.stop_threshold))
+        products = axes * (axes + 1) // 2
         due = {
             "decay": (modes,),
             "frequency": (modes,),
@@ -100,8 +109,11 @@ class SofteningModal(Stage):
             "stop_inputs": (2, modes, stops),
             "stop_feedthrough": (axes, stops),
             "stop_mean": (stops,),
+            "product_inputs": (2, modes, products),
+            "product_feedthrough": (axes, products),
+            "product_mean": (products,),
         }
-        pairs = ("outputs", "inputs", "inputs_change", "force_inputs", "stop_inputs")
+        pairs = ("outputs", "inputs", "inputs_change", "force_inputs", "stop_inputs", "product_inputs")
         arrays = {}
         for field in dict.fromkeys((*due, *pairs)):
             shape = due.get(field, (2, modes, axes))
@@ -162,6 +174,7 @@ def advance_softening_modal(
     force_mean: Array,
     threshold: Array,
     stop_mean: Array,
+    product_mean: Array,
     force: Array,
     play: Array,
     output: Array,
@@ -178,10 +191,10 @@ def advance_softening_modal(
         s.
     exponent, amplitude, decay, frequency, decay_change, frequency_change, c, b, b_change, d, k, h, h_d
         The stage's matrices, as `SofteningModalFilter` prepares them.
-    force_mean, threshold, stop_mean
-        (K A,): mean of n; (T,) and (T A,): of the stop operators.
+    force_mean, threshold, stop_mean, product_mean
+        (K A,): mean of n; (T,) and (T A,): of the stop operators; (P,): mean of p.
     force
-        ((K + T) A,): n of the tick that begins the interval, and s of the interval, updated.
+        ((K + T) A + P,): n of the tick that begins the interval, s of the interval, and p as n, updated.
     play
         (T A,): command less what the stop operators hold, updated.
     last
@@ -193,7 +206,7 @@ def advance_softening_modal(
     """
     modes, axes = c.shape
     held = np.isnan(last[0])
-    drive, linear = np.empty(axes), np.empty(axes)
+    drive, linear, strain = np.empty(axes), np.empty(axes), np.empty(axes)
     for row in range(block.shape[0]):
         power = 0.0
         for j in range(axes):
@@ -242,6 +255,12 @@ def advance_softening_modal(
             for e in range(exponent.size):
                 at = e * axes + j
                 force[at] = q * (abs(q) ** exponent[e] - force_mean[at] * a ** exponent[e])
+            strain[j] = q
+        at = force_mean.size + stop_mean.size
+        for j in range(axes):
+            for e in range(j, axes):
+                force[at] = strain[j] * strain[e] - product_mean[at - force_mean.size - stop_mean.size] * a * a
+                at += 1
 
 
 @njit(cache=True)
@@ -265,6 +284,7 @@ def settle_softening_modal(
     force_mean: Array,
     threshold: Array,
     stop_mean: Array,
+    product_mean: Array,
     force: Array,
     play: Array,
     output: Array,
@@ -275,7 +295,9 @@ def settle_softening_modal(
     ----------
     value, output
         (A,): command, and the output that is filled in.
-    exponent, amplitude, decay, frequency, decay_change, frequency_change, c, b, b_change, d, k, h, h_d, force_mean, threshold, stop_mean
+    exponent, amplitude, decay, frequency, decay_change, frequency_change, c, b, b_change, d, k, h, h_d
+        As for `advance_softening_modal`.
+    force_mean, threshold, stop_mean, product_mean
         As for `advance_softening_modal`.
     state, mean_square, force, play
         As there; filled in.
@@ -292,7 +314,7 @@ def settle_softening_modal(
             at = e * axes + j
             play[at] = min(max(0.0, value[j] - threshold[e]), value[j] + threshold[e])
             force[force_mean.size + at] = (value[j] - play[at]) - stop_mean[at] * value[j]
-    linear = np.empty(axes)
+    linear, strain = np.empty(axes), np.empty(axes)
     for o in range(axes):
         linear[o] = 0.0
         for j in range(axes):
@@ -315,6 +337,12 @@ def settle_softening_modal(
         for e in range(exponent.size):
             at = e * axes + j
             force[at] = q * (abs(q) ** exponent[e] - force_mean[at] * a ** exponent[e])
+        strain[j] = q
+    at = force_mean.size + stop_mean.size
+    for j in range(axes):
+        for e in range(j, axes):
+            force[at] = strain[j] * strain[e] - product_mean[at - force_mean.size - stop_mean.size] * a * a
+            at += 1
     for o in range(axes):
         output[o] = linear[o]
         for j in range(force.size):
@@ -330,179 +358,6 @@ def settle_softening_modal(
         twice = 1.0 if frequency[i] == 0.0 else 2.0
         for o in range(axes):
             output[o] += twice * (c[i, o] * state[1, i]).real
-
-
-MODES = """
-/* A complex number of a pair. */
-static complex_number complex_at(const real pair[])
-{
-    return complex_of(pair[0], pair[1]);
-}
-
-/* What all modes' poles depend on. */
-static real modes_amplitude(real a, real amplitude, real span)
-{
-    return (M(sqrt)(a / amplitude) - R(1.0)) / span;
-}
-"""
-
-POLE = """
-        const int oscillates = (p->frequency[i] != R(0.0)) ? 1 : 0;
-        const complex_number pole = complex_of(
-            -M(exp)(p->decay[i] + (p->decay_change[i] * g)),
-            (oscillates != 0) ? (p->frequency[i] + (p->frequency_change[i] * g)) : R(0.0));
-        const real twice = (oscillates != 0) ? R(2.0) : R(1.0);
-"""
-
-STOPS = """
-for (int e = 0; e < THRESHOLDS; e++) {{
-    for (int j = 0; j < AXES; j++) {{
-        const int at = (e * AXES) + j;
-        const real low = {command}[j] - p->threshold[e];
-        const real high = {command}[j] + p->threshold[e];
-        const real above = ({play} > low) ? {play} : low;
-        s->play[at] = (above < high) ? above : high;
-        s->force[(EXPONENTS * AXES) + at] = ({command}[j] - s->play[at]) - (p->stop_mean[at] * {command}[j]);
-    }}
-}}
-"""
-"""Stop operators of the command, from the play that they had."""
-
-FORCE = """
-for (int j = 0; j < AXES; j++) {
-    real q = R(0.0);
-    for (int o = 0; o < AXES; o++) {
-        q += p->k[j][o] * linear[o];
-    }
-    for (int e = 0; e < EXPONENTS; e++) {
-        const int at = (e * AXES) + j;
-        s->force[at] = q * (M(pow)(M(fabs)(q), p->exponent[e]) - (p->force_mean[at] * M(pow)(a, p->exponent[e])));
-    }
-}
-"""
-
-ADVANCE = (
-    """
-real drive[AXES];
-real linear[AXES];
-real power = R(0.0);
-for (int j = 0; j < AXES; j++) {
-    drive[j] = (HELD != 0) ? in[j] : (R(0.5) * (in[j] + s->last[j]));
-    power += drive[j] * drive[j];
-    s->last[j] = in[j];
-}
-s->mean_square += p->smooth * ((power / (real)AXES) - s->mean_square);
-const real a = M(sqrt)(s->mean_square);
-const real g = modes_amplitude(a, p->amplitude, p->span);
-"""
-    + STOPS.format(command="drive", play="s->play[at]")
-    + """
-for (int o = 0; o < AXES; o++) {
-    linear[o] = R(0.0);
-    out[o] = R(0.0);
-    for (int j = 0; j < AXES; j++) {
-        linear[o] += p->d[o][j] * drive[j];
-    }
-    for (int j = 0; j < FORCES; j++) {
-        out[o] += p->h_d[o][j] * s->force[j];
-    }
-}
-for (int i = 0; i < MODES; i++) {"""
-    + POLE
-    + """
-    const complex_number carry = complex_exp(complex_times(pole, complex_of(p->time, R(0.0))));
-    const complex_number gain = complex_over(complex_minus(carry, complex_of(R(1.0), R(0.0))), pole);
-    complex_number by_command = complex_of(R(0.0), R(0.0));
-    complex_number by_force = complex_of(R(0.0), R(0.0));
-    for (int j = 0; j < AXES; j++) {
-        const complex_number moved = complex_times(complex_at(p->b_change[i][j]), complex_of(g, R(0.0)));
-        const complex_number entering = complex_plus(complex_at(p->b[i][j]), moved);
-        by_command = complex_plus(by_command, complex_times(entering, complex_of(drive[j], R(0.0))));
-    }
-    for (int j = 0; j < FORCES; j++) {
-        by_force = complex_plus(by_force, complex_times(complex_at(p->h[i][j]), complex_of(s->force[j], R(0.0))));
-    }
-    const complex_number x = complex_plus(complex_times(carry, complex_at(s->x[0][i])), complex_times(gain, by_command));
-    const complex_number w = complex_plus(complex_times(carry, complex_at(s->x[1][i])), complex_times(gain, by_force));
-    s->x[0][i][0] = x.re;
-    s->x[0][i][1] = x.im;
-    s->x[1][i][0] = w.re;
-    s->x[1][i][1] = w.im;
-    for (int o = 0; o < AXES; o++) {
-        linear[o] += twice * complex_times(complex_at(p->c[i][o]), x).re;
-        out[o] += twice * complex_times(complex_at(p->c[i][o]), w).re;
-    }
-}
-for (int o = 0; o < AXES; o++) {
-    out[o] += linear[o];
-}
-"""
-    + FORCE
-)
-"""`advance_softening_modal` in C."""
-
-COME_TO_REST = (
-    """
-real linear[AXES];
-real power = R(0.0);
-for (int j = 0; j < AXES; j++) {
-    power += in[j] * in[j];
-    s->last[j] = in[j];
-}
-s->mean_square = power / (real)AXES;
-const real a = M(sqrt)(s->mean_square);
-const real g = modes_amplitude(a, p->amplitude, p->span);
-"""
-    + STOPS.format(command="in", play="R(0.0)")
-    + """
-for (int o = 0; o < AXES; o++) {
-    linear[o] = R(0.0);
-    for (int j = 0; j < AXES; j++) {
-        linear[o] += p->d[o][j] * in[j];
-    }
-}
-for (int i = 0; i < MODES; i++) {"""
-    + POLE
-    + """
-    complex_number entering = complex_of(R(0.0), R(0.0));
-    for (int j = 0; j < AXES; j++) {
-        const complex_number moved = complex_times(complex_at(p->b_change[i][j]), complex_of(g, R(0.0)));
-        const complex_number both = complex_plus(complex_at(p->b[i][j]), moved);
-        entering = complex_plus(entering, complex_times(both, complex_of(in[j], R(0.0))));
-    }
-    const complex_number x = complex_over(complex_of(-entering.re, -entering.im), pole);
-    s->x[0][i][0] = x.re;
-    s->x[0][i][1] = x.im;
-    for (int o = 0; o < AXES; o++) {
-        linear[o] += twice * complex_times(complex_at(p->c[i][o]), x).re;
-    }
-}
-"""
-    + FORCE
-    + """
-for (int o = 0; o < AXES; o++) {
-    out[o] = linear[o];
-    for (int j = 0; j < FORCES; j++) {
-        out[o] += p->h_d[o][j] * s->force[j];
-    }
-}
-for (int i = 0; i < MODES; i++) {"""
-    + POLE
-    + """
-    complex_number entering = complex_of(R(0.0), R(0.0));
-    for (int j = 0; j < FORCES; j++) {
-        entering = complex_plus(entering, complex_times(complex_at(p->h[i][j]), complex_of(s->force[j], R(0.0))));
-    }
-    const complex_number w = complex_over(complex_of(-entering.re, -entering.im), pole);
-    s->x[1][i][0] = w.re;
-    s->x[1][i][1] = w.im;
-    for (int o = 0; o < AXES; o++) {
-        out[o] += twice * complex_times(complex_at(p->c[i][o]), w).re;
-    }
-}
-"""
-)
-"""`settle_softening_modal` in C."""
 
 
 class SofteningModalFilter(Filter):
@@ -528,11 +383,12 @@ class SofteningModalFilter(Filter):
         )
         self.arguments = (
             *self.arguments,
-            np.concatenate([arrays["force_inputs"], arrays["stop_inputs"]], axis=1),
-            np.concatenate([arrays["force_feedthrough"], arrays["stop_feedthrough"]], axis=1),
+            np.concatenate([arrays["force_inputs"], arrays["stop_inputs"], arrays["product_inputs"]], axis=1),
+            np.concatenate([arrays["force_feedthrough"], arrays["stop_feedthrough"], arrays["product_feedthrough"]], axis=1),
             arrays["force_mean"],
             np.atleast_1d(np.asarray(stage.stop_threshold, dtype=float)),
             arrays["stop_mean"],
+            arrays["product_mean"],
         )
         exponent = np.atleast_1d(np.asarray(stage.exponent, dtype=float))
         self.scalars: tuple[Any, ...] = (
@@ -546,7 +402,7 @@ class SofteningModalFilter(Filter):
         self.state = np.zeros((2, modes), dtype=complex)
         self.mean_square, self.last = np.zeros(1), np.full(sampling.axes, np.nan)
         self.play = np.zeros(arrays["stop_mean"].size)
-        self.force = np.zeros(arrays["force_mean"].size + self.play.size)
+        self.force = np.zeros(arrays["force_mean"].size + self.play.size + arrays["product_mean"].size)
 
     def settle(self, value: Array) -> Array:
         value = np.array(value, dtype=float)
@@ -579,6 +435,7 @@ class SofteningModalFilter(Filter):
             "force_mean",
             "threshold",
             "stop_mean",
+            "product_mean",
         )
         texts = (
             "log(1/s)",
@@ -595,6 +452,7 @@ class SofteningModalFilter(Filter):
             "mean of the force",
             "V, of the stop operators",
             "mean of the stop operators",
+            "mean of the products",
         )
         smooth, step, exponent, amplitude = self.scalars
         return CCode(
@@ -620,7 +478,7 @@ class SofteningModalFilter(Filter):
                 "x": reals(_pairs(self.state), "modes driven by the command, and by the force; complex"),
                 "mean_square": reals(0.0, "V^2"),
                 "last": reals(self.last, "V, command before"),
-                "force": reals(self.force, "of the tick that begins the interval, and the stop operators"),
+                "force": reals(self.force, "of the tick that begins the interval, with the stop operators and the products"),
                 "play": reals(self.play, "V, command less what the stop operators hold"),
             },
             (COMPLEX, MODES),

@@ -160,6 +160,7 @@ class DuhemHysteresis(Estimator[DuhemOptions]):
         "Duhem hysteresis of Bouc and Wen's form, asymmetric and saturating, in front of creep operators and dynamics G(s), which are "
         "added as long as the held-out error falls"
     )
+    second_choice = True
     Options = DuhemOptions
 
     def fit(self, datasets: Sequence[Dataset], options: DuhemOptions) -> Fit:

@@ -55,6 +55,8 @@ class Estimator(Generic[O]):
     sentence: ClassVar[str] = ""
     suggested: ClassVar[bool] = False
     """Mark of the families that are compared on held-out data when none is named: its report has `held_out_nrmse`."""
+    second_choice: ClassVar[bool] = False
+    """Mark of the families, slower to fit, that are compared as well where none of the suggested ones does well; the same holds."""
     Options: type[O]
 
     def fit(self, datasets: Sequence[Dataset], options: O) -> Fit:

@@ -23,7 +23,8 @@ from hyst_control.identify.dataset import Dataset, Fit, OrderRow, ParameterRow, 
 from hyst_control.identify.estimator import Estimator, register
 from hyst_control.identify.excited_band import REACH
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
-from hyst_control.identify.modal_fit import Layout, ModalModel, Problem, Spectra, refine, subspace
+from hyst_control.identify.modal_fit import Problem, refine, subspace
+from hyst_control.identify.modal_model import Layout, ModalModel, Spectra
 from hyst_control.identify.options import INTEGER, NUMBER, TRUTH, Options, option
 from hyst_control.identify.parameter_covariance import Uncertainty, uncertainty_of
 from hyst_control.model_file import Model

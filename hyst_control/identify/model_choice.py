@@ -12,9 +12,11 @@ from hyst_control.identify.dataset import Fit, TriedRow
 
 AS_GOOD = 0.01
 """The model with fewest parameters is taken of those whose error exceeds the least one by no more than this share."""
+POOR = 1.0
+"""Held-out NRMSE, % of the range, above which the families of the second choice are tried as well."""
 
 
-def best_family(families: Sequence[str], identify: Callable[[str], Fit]) -> Fit:
+def best_family(families: Sequence[str], identify: Callable[[str], Fit], second: Sequence[str] = ()) -> Fit:
     """Identify every family and take the plainest of those that do best on held-out rows.
 
     Parameters
@@ -23,6 +25,8 @@ def best_family(families: Sequence[str], identify: Callable[[str], Fit]) -> Fit:
         Names of the families.
     identify
         Fit of a family, whose report has `held_out_nrmse`.
+    second
+        Names of the families that are tried where the best of the others leaves more than `POOR`.
 
     Returns
     -------
@@ -37,7 +41,8 @@ def best_family(families: Sequence[str], identify: Callable[[str], Fit]) -> Fit:
     rows: list[TriedRow] = []
     fits: dict[str, Fit] = {}
     errors: list[InputError] = []
-    for family in families:
+
+    def attempt(family: str) -> None:
         progress.step(f"try {family}")
         begin = time.perf_counter()
         try:
@@ -47,9 +52,18 @@ def best_family(families: Sequence[str], identify: Callable[[str], Fit]) -> Fit:
             rows.append(_row(family, None, time.perf_counter() - begin, str(error)))
         else:
             rows.append(_row(family, fits[family], time.perf_counter() - begin, ""))
+
+    def scored() -> dict[str, float]:
+        return {row["family"]: row["held_out_nrmse"] for row in rows if row["held_out_nrmse"] is not None}
+
+    for family in families:
+        attempt(family)
     if not fits:
         raise errors[0]
-    scores = {row["family"]: row["held_out_nrmse"] for row in rows if row["held_out_nrmse"] is not None}
+    if min(scored().values()) > POOR:
+        for family in second:
+            attempt(family)
+    scores = scored()
     limit = (1.0 + AS_GOOD) * min(scores.values())
     counts = {row["family"]: row["parameters"] for row in rows}
     chosen = min(

@@ -21,7 +21,8 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify import gauss_newton
 from hyst_control.identify.frequency_response import excited_lines
 from hyst_control.identify.gauss_newton import End, Rules, Trial, solve_damped
-from hyst_control.identify.modal_fit import Layout, ModalModel, Problem, Spectra
+from hyst_control.identify.modal_fit import Problem
+from hyst_control.identify.modal_model import Layout, ModalModel, Spectra
 
 
 @dataclass(frozen=True)
@@ -130,6 +131,7 @@ def fit_softening(
     memory: float = 0.1,
     force: bool = True,
     stops: Sequence[float] = (),
+    products: bool = False,
     iterations: tuple[int, int] = (14, 7),
     rounds: int = 2,
 ) -> SofteningFit:
@@ -140,7 +142,8 @@ def fit_softening(
     levels
         Steady periods at each level.
     start
-        Linear model of the level whose amplitude is the reference, or an earlier fit without the softening force.
+        Linear model of the level whose amplitude is the reference, or an earlier fit: without the softening force, or with a part of
+        what is fitted now.
     reference
         Amplitude (V rms) at which the changes are nil.
     sample_time
@@ -153,6 +156,8 @@ def fit_softening(
         False leaves the softening force out: the model is then linear at each amplitude.
     stops
         Thresholds (V) of stop operators of the command beside the force.
+    products
+        Products of the actuators' elongations beside the force.
     iterations
         Most steps without and with the force.
     rounds
@@ -167,7 +172,7 @@ def fit_softening(
     g = [schedule(level.amplitude, reference) for level in levels]
     weights = [1.0 / float(np.std(level.measurement)) for level in levels]
     linear = start.centre if isinstance(start, Scheduled) else start
-    inputs = linear.inputs.shape[1]
+    inputs = levels[0].command.shape[1]
     if isinstance(start, Scheduled):
         scheduled, parameters, sigma = start, 0, np.zeros((len(start.centre.poles), 2))
     else:
@@ -179,9 +184,11 @@ def fit_softening(
         return SofteningFit(stage, scheduled, parameters, time.perf_counter() - began, _per_second(sigma, sample_time))
     # The elongation in volts of a slow command: the output divided by the gain of the low lines.
     low = linear.response(2 * np.pi * np.linspace(80.0, 230.0, 50) * sample_time).mean(axis=0).real
-    elongation = np.linalg.inv(low)
+    elongation = np.linalg.inv(low[:, :inputs])
     exponents = np.atleast_1d(np.asarray(exponent, dtype=float))
-    point = _widened(scheduled, inputs * (len(exponents) + len(stops)))
+    pairs = np.triu_indices(inputs if products else 0)
+    wanted = inputs * (1 + len(exponents) + len(stops)) + len(pairs[0])
+    point = _widened(scheduled, wanted - linear.inputs.shape[1])
     held = [stop_operators(level.command, stops) for level in levels]
     # Their average part at the reference belongs to the scheduled modes too.
     nearest = min(range(len(levels)), key=lambda index: abs(g[index]))
@@ -199,11 +206,14 @@ def fit_softening(
             bent = sum(np.sum(np.abs(q) ** (2 + e), axis=(0, 2)) for q in strains)
             means.append(bent / sum(part * level.amplitude**e for part, level in zip(power, levels, strict=True)))
         mean = np.concatenate(means)
+        drive = sum(level.amplitude**2 * q.shape[0] * q.shape[2] for q, level in zip(strains, levels, strict=True))
+        product_mean = sum(np.sum(q[:, pairs[0]] * q[:, pairs[1]], axis=(0, 2)) for q in strains) / drive
         data = []
         for level, weight, q, stop in zip(levels, weights, strains, held, strict=True):
             terms = [q * (np.abs(q) ** e - part[:, None] * level.amplitude**e) for e, part in zip(exponents, means, strict=True)]
             # The force reaches lines that the command leaves out.
             terms += [stop - stop_mean[:, None] * np.concatenate([level.command] * len(stops), axis=1)] if stops else []
+            terms.append(q[:, pairs[0]] * q[:, pairs[1]] - product_mean[:, None] * level.amplitude**2)
             command = np.concatenate([level.command, *terms], axis=1)
             data.append(spectra(command, level.measurement, weight, every_line=True))
         point, parameters, sigma = refine_scheduled(data, g, point, inputs, iterations[1])
@@ -217,6 +227,7 @@ def fit_softening(
         mean=mean,
         stops=stops,
         stop_mean=stop_mean,
+        product_mean=product_mean,
     )
     return SofteningFit(stage, point, parameters, time.perf_counter() - began, _per_second(sigma, sample_time))
 
@@ -420,8 +431,9 @@ def stage_of(
     mean: Array | None = None,
     stops: Sequence[float] = (),
     stop_mean: Array | None = None,
+    product_mean: Array | None = None,
 ) -> SofteningModal:
-    """Construct the stage; inputs beyond the number of outputs are those of the softening force and of the stop operators.
+    """Construct the stage; inputs beyond the number of outputs are those of the force, of the stop operators and of the products.
 
     Parameters
     ----------
@@ -441,6 +453,8 @@ def stage_of(
         Mean amplitude.
     stops, stop_mean
         Thresholds of the stop operators, V, and their average gains.
+    product_mean
+        Average of the products, none or one a pair of actuators.
 
     Returns
     -------
@@ -454,7 +468,8 @@ def stage_of(
     pole = scheduled.change[layout.slices["pole"]].reshape(n, 2)
     change = scheduled.change[layout.indices("b", 2, n, m)][:, :, :outputs] / sample_time
 
-    behind = m - outputs * len(stops)
+    first = m - (0 if product_mean is None else len(product_mean))  # of the products
+    behind = first - outputs * len(stops)
 
     def pair(values: np.ndarray) -> Array:
         return np.stack([values.real, values.imag])
@@ -472,9 +487,15 @@ def stage_of(
     if stops:
         parts |= {
             "stop_threshold": np.array(stops),
-            "stop_inputs": pair(model.inputs[:, behind:] / sample_time),
-            "stop_feedthrough": model.feedthrough[:, behind:],
+            "stop_inputs": pair(model.inputs[:, behind:first] / sample_time),
+            "stop_feedthrough": model.feedthrough[:, behind:first],
             "stop_mean": cast(Array, stop_mean),
+        }
+    if first < m:
+        parts |= {
+            "product_inputs": pair(model.inputs[:, first:] / sample_time),
+            "product_feedthrough": model.feedthrough[:, first:],
+            "product_mean": cast(Array, product_mean),
         }
     return SofteningModal(
         decay=np.log(-model.poles.real / sample_time),

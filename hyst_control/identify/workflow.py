@@ -220,7 +220,8 @@ def identified(datasets: Sequence[Dataset], family: str | None = None, method: s
     if family not in (None, AUTO):
         fit = identify(datasets, chosen[0], method, **options)
     else:
-        fit = best_family(chosen, lambda name: identify(datasets, name, method, **options))
+        second = [name for name, each in estimators().items() if each.second_choice and each.has(options)]
+        fit = best_family(chosen, lambda name: identify(datasets, name, method, **options), second)
     begun = [with_beginning(data) for data in datasets]
     return replace(fit, model=replace(fit.model, discrepancy=discrepancy(fit.model, begun)))
 

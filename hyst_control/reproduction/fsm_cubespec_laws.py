@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyst_control.chain.stage import Array
-from hyst_control.identify.modal_fit import ModalModel
+from hyst_control.identify.modal_model import ModalModel
 from hyst_control.identify.softening_modes import stop_operators
 
 LINES = 24

@@ -89,6 +89,12 @@ EXAMPLES = {
         "stop_inputs": [np.full((2, n), 10.0).tolist(), [[2.0] * n, [0.0] * n]],
         "stop_feedthrough": (0.01 * np.eye(n)).tolist(),
         "stop_mean": 0.2,
+        "product_inputs": [
+            np.full((2, n * (n + 1) // 2), 3e-3).tolist(),
+            [[1e-3] * (n * (n + 1) // 2), [0.0] * (n * (n + 1) // 2)],
+        ],
+        "product_feedthrough": np.full((n, n * (n + 1) // 2), 1e-6).tolist(),
+        "product_mean": 0.8,
         "amplitude": 50.0,
         "memory": 0.02,
     },

@@ -145,3 +145,24 @@ def test_stop_operators_of_a_period_are_those_of_the_stage_in_the_steady_state()
         for at, threshold in enumerate((0.2, 1.0)):
             play = run(PrandtlIshlinskii([threshold], [1.0], w0=0.0), twice)[300:]
             assert np.allclose(found[:, 2 * at : 2 * at + 2, record], period[:, :, record] - play, atol=1e-12)
+
+
+def test_products_of_elongations_pass_through_the_same_modes_a_sample_late():
+    """As inputs of a linear system: q1², q1 q2, q2² less their averages, held from the tick at which they were."""
+    command = np.random.default_rng(6).normal(size=(400, 2))
+    h, d = 15.0 * np.random.default_rng(7).normal(size=(2, 3, 3)), [[0.02, 0.01, -0.03], [0.0, 0.02, 0.01]]
+    h[1, 2] = 0.0
+    even = SofteningModal(
+        **MODES, elongation=np.diag([0.5, 2.0]), product_inputs=h, product_feedthrough=d, product_mean=[0.3, 0.0, 0.1], memory=1e9
+    )
+    q = run(state_space(), command) * [0.5, 2.0]
+    mean_square = np.mean(command[0] ** 2)  # of a memory that long it stays what it was at rest
+    products = q[:, [0, 0, 1]] * q[:, [0, 1, 1]] - mean_square * np.array([0.3, 0.0, 0.1])
+    late = np.concatenate([products[:1], products[:-1]])
+    # Modes of the state space, driven by the products in place of the commands: two inputs at a time are enough of them.
+    expected = np.zeros((400, 2))
+    for pair in range(3):
+        inputs = np.stack([h[:, :, pair], np.zeros((2, 3))], axis=2)
+        driven = SofteningModal(**{**MODES, "inputs": inputs, "feedthrough": np.stack([np.array(d)[:, pair], np.zeros(2)], axis=1)})
+        expected += run(driven, np.stack([late[:, pair], np.zeros(400)], axis=1))
+    assert np.allclose(run(even, command) - run(state_space(), command), expected, atol=1e-9)

@@ -13,7 +13,7 @@ from hyst_control.effects import insert
 from hyst_control.effects.softening_modes import SofteningModes
 from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
-from hyst_control.reproduction import fsm_cubespec
+from hyst_control.reproduction import fsm_cubespec_records as records
 
 ROOT = Path(__file__).resolve().parents[2]
 STEP = 1e-5
@@ -60,7 +60,7 @@ def test_coupled_axes_share_their_modes():
 
 def test_the_measured_mirror_softens(measured_data):
     """A linear model at 200 mV rms against 300 mV: two numbers, fitted on one realisation, take most of the gap off another."""
-    levels = fsm_cubespec.load_levels()
+    levels = records.load_levels()
     whole = load_model(ROOT / "config/models/fsm_cubespec.yaml")
     linear = whole.with_stages((whole.chain.stages[0].mean(),))
     size = 0.25 * float(np.ptp(levels[2].measurement))
@@ -68,7 +68,7 @@ def test_the_measured_mirror_softens(measured_data):
     def error(softening: float, damping: float, realisation: int) -> float:
         stage = SofteningModes(softening, damping, size)
         model = linear.with_stages(insert(linear.chain.stages, "motion", stage))
-        return float(fsm_cubespec.simulation_error(model, levels[2], (realisation,))[0])
+        return float(records.simulation_error(model, levels[2], (realisation,))[0])
 
     fitted = min(((error(s, d, 4), s, d) for s in np.linspace(0.002, 0.010, 5) for d in (0.0, 0.08)), key=lambda item: item[0])
     before, after = error(0.0, 0.0, 5), error(*fitted[1:], 5)

@@ -59,11 +59,11 @@ class Example:
         return Dataset("loops", command, clean + noise, self.sample_time, ("x",), "um")
 
 
-def loops(sample_time: float, *cycles: tuple[float, float]) -> np.ndarray:
-    """Loops (N, 1) from 0 V and back, each of a frequency in Hz and a peak in V, a rest behind each."""
+def loops(sample_time: float, *cycles: tuple[float, float], seconds: float = 0.1) -> np.ndarray:
+    """Loops (N, 1) from 0 V and back, each of a frequency in Hz and a peak in V, for about `seconds`, a rest behind each."""
     parts = []
     for frequency, peak in cycles:
-        count = max(round(frequency * 0.1), 1)
+        count = max(round(frequency * seconds), 1)
         phase = 2 * np.pi * np.arange(round(count / frequency / sample_time)) * frequency * sample_time
         parts += [0.5 * peak * (1 - np.cos(phase)), np.zeros(round(0.01 / sample_time))]
     return np.concatenate(parts)[:, None]
@@ -73,6 +73,8 @@ W = 2 * np.pi * 700.0
 MODE = TransferFunction([W * W], [1.0, 0.6 * W, W * W])
 SLOW = loops(1e-3, (1.0, 50.0), (2.0, 35.0), (2.0, 45.0), (4.0, 20.0), (4.0, 50.0))
 FAST = loops(1e-4, (5.0, 50.0), (40.0, 50.0), (150.0, 40.0), (400.0, 45.0), (80.0, 25.0), (20.0, 35.0))
+BRIEF = loops(1e-4, (20.0, 50.0), (40.0, 50.0), (150.0, 40.0), (400.0, 45.0), (80.0, 25.0), (20.0, 35.0), seconds=0.03)
+"""For oscillators, whose equations are integrated sample by sample: every amplitude and rate of `FAST`, fewer loops."""
 CURVES = Madelung([0.2, 0.5, 0.3], [-0.3, -0.2, 1.5], 50.0, 2.0)
 WEIGHT_ROWS = {f"weights[{i}]": weight for i, weight in enumerate(WEIGHTS)}
 GIVEN = {"thresholds": THRESHOLDS, "nuisance": "none"}
@@ -124,7 +126,7 @@ EXAMPLES = {
     ),
     "bouc_wen": Example(
         (BoucWen(10.0 / W**2, 6.0 / W, 6.0, 4.0, 0.5, -0.2),),
-        FAST,
+        BRIEF,
         1e-4,
         {"mass": 10.0 / W**2, "damping": 6.0 / W, "stiffness": 6.0, "alpha": 4.0, "beta": 0.5, "gamma": -0.2},
         {"exponent": 1.0},
@@ -132,7 +134,7 @@ EXAMPLES = {
     ),
     "duhem_oscillator": Example(
         (DuhemOscillator(10.0 / W**2, 6.0 / W, 6.0, [-3.0, 0.0, 3.0], [4.5, 4.0, 2.5], [2.5, 4.0, 4.5]),),
-        FAST,
+        BRIEF,
         1e-4,
         {"mass": 10.0 / W**2, "damping": 6.0 / W, "stiffness": 6.0, "rising[1]": 4.0, "falling[1]": 4.0},
         {"table_size": 3},

@@ -7,11 +7,22 @@ import pytest
 
 from hyst_control.errors import InputError
 from hyst_control.identify.frequency_response import robust_bla
-from hyst_control.identify.linear import error_of, refined
+from hyst_control.identify.linear import Candidate, error_of, refined
 from hyst_control.identify.modal_fit import subspace
+from hyst_control.identify.modal_model import ModalModel
 from hyst_control.model_file import load_model
+from hyst_control.reporting.tables import Table
 from hyst_control.reproduction import fsm_cubespec
-from hyst_control.reproduction.fsm_cubespec import FIT, TEST, load_levels, model_of, simulation_error
+from hyst_control.reproduction.fsm_cubespec_records import (
+    FIT,
+    SAMPLE_TIME,
+    TEST,
+    load_levels,
+    model_of,
+    simulation_error,
+    steady_state,
+)
+from hyst_control.reproduction.fsm_cubespec_tables import PUBLISHED_ALL, PUBLISHED_OWN, report_shares
 
 MODEL = Path(__file__).resolve().parents[2] / "config" / "models" / "fsm_cubespec.yaml"
 
@@ -40,7 +51,7 @@ def test_levels_and_noise_are_those_of_the_benchmark(levels):
 def test_distortion_is_above_the_noise_and_grows_with_the_level(levels):
     sizes = []
     for level in levels:
-        bla = robust_bla(level.command, level.measurement, fsm_cubespec.SAMPLE_TIME)
+        bla = robust_bla(level.command, level.measurement, SAMPLE_TIME)
         assert bla.distortion_variance.sum() > bla.noise_variance.sum()
         sizes.append(np.sqrt(bla.distortion_variance.sum()) * np.std(level.command))
     assert sizes[0] < sizes[1] < sizes[2]
@@ -52,7 +63,7 @@ def test_a_linear_model_of_the_highest_level_beats_the_published_one_on_unseen_r
     found = refined(data, subspace(data, [28], np.zeros(3), "zoh")[0], True, False, 10)
     model = model_of(found.model, "fsm", 1.2)
     error = simulation_error(model, level, TEST)[0]
-    assert error < fsm_cubespec.PUBLISHED_OWN[300]
+    assert error < PUBLISHED_OWN[300]
     # The chain, simulated in time, and the fit, computed in frequency, are the same model: the slow modes' start apart, they agree.
     assert error == pytest.approx(100 * error_of(found.model, [level.spectra(TEST)]), rel=0.05)
 
@@ -60,10 +71,10 @@ def test_a_linear_model_of_the_highest_level_beats_the_published_one_on_unseen_r
 def test_the_model_file_holds_at_every_level_of_the_realisation_it_never_saw(levels):
     model = load_model(MODEL)
     errors = [simulation_error(model, level, TEST)[0] for level in levels]
-    for error, published in zip(errors, fsm_cubespec.PUBLISHED_ALL.values(), strict=True):
+    for error, published in zip(errors, PUBLISHED_ALL.values(), strict=True):
         assert error < 0.95 * published
     # Driven half as hard again and scaled back, a linear model would give the same: this one must not.
-    swapped = levels[0].error(2.0 / 3.0 * fsm_cubespec.steady_state(model, 1.5 * levels[0].command[:, :, TEST].mean(axis=3)), TEST)
+    swapped = levels[0].error(2.0 / 3.0 * steady_state(model, 1.5 * levels[0].command[:, :, TEST].mean(axis=3)), TEST)
     assert swapped[0] > 1.5 * errors[0]
 
 
@@ -77,8 +88,8 @@ def test_the_model_file_states_the_noise_of_one_period_and_a_range_that_holds_th
 
 
 def test_the_shares_of_the_gap_add_up_to_it(levels):
-    table = fsm_cubespec.Table("shares")
-    fsm_cubespec.report_shares(table, levels[2:], load_model(MODEL))
+    table = Table("shares")
+    report_shares(table, levels[2:], load_model(MODEL))
     shares = {row.subject: row.value for row in table.rows if row.case == "300 mV" and row.quantity == "share"}
     assert sum(shares.values()) == pytest.approx(100.0, abs=1e-6)
     assert shares["softening: frequencies"] > 50.0 > shares["not explained"] > shares["noise"] > 0.0
@@ -87,8 +98,8 @@ def test_the_shares_of_the_gap_add_up_to_it(levels):
 def test_of_models_alike_the_smallest_is_chosen():
     def candidate(states, held_out):
         zeros = np.zeros((states, 1), dtype=complex)
-        model = fsm_cubespec.ModalModel(np.full(states, -1.0 + 0j), zeros, zeros, np.zeros((1, 1)), np.zeros(1))
-        return fsm_cubespec.Candidate(model, 0.0, held_out, np.zeros(0), 0.0, None, 0.0)
+        model = ModalModel(np.full(states, -1.0 + 0j), zeros, zeros, np.zeros((1, 1)), np.zeros(1))
+        return Candidate(model, 0.0, held_out, np.zeros(0), 0.0, None, 0.0)
 
     found = [candidate(3, 0.0400), candidate(2, 0.0403), candidate(1, 0.05)]
     assert [fit.model.states for fit in fsm_cubespec.smallest_first(found)] == [2, 3, 1]

@@ -1,0 +1,43 @@
+"""Choice between families: slow ones are tried only where the usual ones do badly, and win only by their held-out error."""
+
+from __future__ import annotations
+
+import pytest
+
+from hyst_control.errors import InputError
+from hyst_control.identify import Fit
+from hyst_control.identify.model_choice import POOR, best_family
+
+
+class Stand:
+    """Fits by name of given held-out errors (%) and numbers of parameters; notes which were asked for."""
+
+    def __init__(self, **known: tuple[float, int]) -> None:
+        self.known, self.asked = known, []
+
+    def __call__(self, name: str) -> Fit:
+        self.asked.append(name)
+        if name not in self.known:
+            raise InputError(f"{name}: does not suit")
+        error, count = self.known[name]
+        return Fit(None, {"family": name, "held_out_nrmse": [error], "parameters": [{}] * count, "records": [], "notes": []})
+
+
+@pytest.mark.parametrize(
+    "first, slow, asked, chosen",
+    [
+        (0.9 * POOR, 0.1, ["a", "b"], "a"),
+        (1.5 * POOR, 0.1, ["a", "b", "slow"], "slow"),
+        (1.5 * POOR, 1.6 * POOR, ["a", "b", "slow"], "a"),
+    ],
+)
+def test_the_second_choice_is_tried_where_the_first_is_poor_and_wins_by_its_error(first, slow, asked, chosen):
+    stand = Stand(a=(first, 5), b=(2.0 * first, 3), slow=(slow, 20))
+    fit = best_family(["a", "b"], stand, ["slow"])
+    assert stand.asked == asked and fit.report["family"] == chosen
+    assert [row["family"] for row in fit.report["tried"] if row["chosen"]] == [chosen]
+
+
+def test_a_second_choice_that_does_not_suit_leaves_the_first():
+    fit = best_family(["a"], Stand(a=(2.0 * POOR, 5)), ["slow"])
+    assert fit.report["family"] == "a" and fit.report["tried"][1]["refused"] == "slow: does not suit"
