@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from types import SimpleNamespace
 from typing import Any
 
 from rclpy.clock import Clock
@@ -49,6 +50,8 @@ class EndingNode(Node):
     """
 
     SETTINGS: tuple[Setting, ...] = ()
+    elsewhere: frozenset[str] = frozenset()
+    """Parameters of the other nodes in the process: an argument without a node's name reaches all of them."""
     ends = False
     """True when the node ends by itself."""
 
@@ -152,7 +155,9 @@ class SignalNode(EndingNode):
         self.receptions: list[CallbackSubscription] = []
         self.senders: list[Sender] = []
         super().__init__(name, **options)
-        self.settings = declare(self, (*COMMON, *self.SETTINGS), self.changed)
+        self.settings = declare(
+            self, (*COMMON, *self.SETTINGS), self.changed, self.check_change, self.further_settings, self.elsewhere
+        )
         self.lockstep = self.settings.schedule == LOCKSTEP
         self.period = 1.0 / self.settings.rate_hz
         self.axes: tuple[str, ...] = self.settings.axes
@@ -235,6 +240,30 @@ class SignalNode(EndingNode):
             Name of the parameter.
         value : object
             Its new value.
+        """
+
+    def further_settings(self, given: SimpleNamespace) -> Iterable[Setting]:
+        """Parameters of the node besides `SETTINGS`, which depend on those that were given.
+
+        Parameters
+        ----------
+        given : SimpleNamespace
+            Values of `SETTINGS`.
+
+        Returns
+        -------
+        iterable of Setting
+            The parameters.
+        """
+        return ()
+
+    def check_change(self, values: Mapping[str, Any]) -> None:
+        """Refuse values of live parameters that cannot be taken over, by an `InputError` with the reason.
+
+        Parameters
+        ----------
+        values : mapping
+            New values by name.
         """
 
     @property
