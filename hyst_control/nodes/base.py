@@ -37,6 +37,9 @@ from hyst_control.nodes.tick_timer import TickTimer
 from hyst_control.records.signal_message import label_for
 from hyst_control.records.signal_rows import Missing, SignalRows, Wait, waits
 
+LOOK_INTERVAL = 0.01
+"""s, between two looks for subscribers in other processes, under the timer."""
+
 
 class EndingNode(Node):
     """Node that can end by itself with an exit status and offers services of its own.
@@ -173,6 +176,9 @@ class SignalNode(EndingNode):
         self.tick_timer = TickTimer(self, self.period, self.settings.block)
         self._simulated = bool(self.get_parameter("use_sim_time").value)
         self._source_clocks = SourceClocks()
+        self.latest_tick = math.inf
+        """Tick that no row of an input may be beyond, under the timer."""
+        self._polled_at: float | None = None  # s of the control clock, while a tick takes its messages
         self._warnings = ThrottledWarnings(self)
         self._diagnostics = DiagnosticsPublisher(self)
         self._diagnosed = (time.monotonic(), 0)
@@ -276,11 +282,6 @@ class SignalNode(EndingNode):
         return ""
 
     @property
-    def latest_tick(self) -> float:
-        """Tick that no row of an input may be beyond, under the timer."""
-        return float((self.tick_timer.now + self.settings.ahead) / self.period)
-
-    @property
     def control_time(self) -> float:
         """Time in s of the clock whose ticks the rows have, under the timer: that of the machine since its start, or the simulated one."""
         return self.ros_time if self._simulated else time.monotonic()
@@ -306,7 +307,8 @@ class SignalNode(EndingNode):
             Time of the newest row of a message, s.
         """
         if not self.lockstep:
-            self._source_clocks.heard(topic, newest - self.control_time)
+            now = self._polled_at
+            self._source_clocks.heard(topic, newest - (self.control_time if now is None else now))
 
     @property
     def longest_age(self) -> float:
@@ -446,7 +448,8 @@ class SignalNode(EndingNode):
         Output
             The signal.
         """
-        self.senders.append(Sender(self, topic, label_for(self.axes, unit), self.settings.message_objects))
+        look = 0.0 if self.lockstep else LOOK_INTERVAL
+        self.senders.append(Sender(self, topic, label_for(self.axes, unit), self.settings.message_objects, look))
         return Output(self.senders[-1], len(self.axes) + 1, self.period, self.settings.block)
 
     def start_timer(self, phase: float) -> None:
@@ -478,8 +481,12 @@ class SignalNode(EndingNode):
         tick : int
             Tick of the first sample.
         """
+        now = self.tick_timer.now
+        self.latest_tick = (now + self.settings.ahead) / self.period
+        self._polled_at = now
         for signal in self.inputs:
             signal.poll()
+        self._polled_at = None
         self.tick(tick)
 
     def time_ran_backwards(self, seconds: float) -> None:

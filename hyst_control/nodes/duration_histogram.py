@@ -17,7 +17,7 @@ class Durations:
 
     def __init__(self) -> None:
         self._offset = math.log(SHORTEST)
-        self._counts = np.zeros(int((math.log(LONGEST) - self._offset) / RESOLUTION) + 2, dtype=np.int64)
+        self._counts = [0] * (int((math.log(LONGEST) - self._offset) / RESOLUTION) + 2)  # numpy's items would cost a tick more
 
     def add(self, seconds: float) -> None:
         """Count one duration.
@@ -32,7 +32,7 @@ class Durations:
     @property
     def count(self) -> int:
         """Number of counted durations."""
-        return int(self._counts.sum())
+        return sum(self._counts)
 
     def quantile(self, share: float) -> float:
         """Quantile of the durations, to 1 %.

@@ -142,11 +142,13 @@ def declare(
     InputError
         When a value is not allowed, or there is no such parameter; names node, parameter and remedy.
     """
-    values, table = SimpleNamespace(), {}
-    for given in (settings, None):
-        for setting in further(values) if given is None else given:
-            setattr(values, setting.name, _declared(node, setting))
-            table[setting.name] = setting
+    values = SimpleNamespace()
+    table = {setting.name: setting for setting in settings}  # a later one takes the place of one of the same name
+    for setting in table.values():
+        setattr(values, setting.name, _declared(node, setting))
+    for setting in further(values):
+        setattr(values, setting.name, _declared(node, setting))
+        table[setting.name] = setting
     _refuse_unknown(node, elsewhere)
 
     def check(parameters: list[Parameter]) -> SetParametersResult:
