@@ -27,7 +27,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from hyst_control.errors import InputError
 from hyst_control.nodes.common_parameters import COMMON, LOCKSTEP
-from hyst_control.nodes.message_io import CallbackSubscription, PolledSubscription, Sender
+from hyst_control.nodes.message_io import LOOK_INTERVAL, CallbackSubscription, PolledSubscription, Sender
 from hyst_control.nodes.node_diagnostics import DIAGNOSTICS_INTERVAL, DiagnosticsPublisher, NodeHealth, ThrottledWarnings
 from hyst_control.nodes.parameters import Setting, declare
 from hyst_control.nodes.realtime_scheduling import set_scheduler
@@ -36,9 +36,6 @@ from hyst_control.nodes.source_clocks import CLOCK_REMEDY, SourceClocks, describ
 from hyst_control.nodes.tick_timer import TickTimer
 from hyst_control.records.signal_message import label_for
 from hyst_control.records.signal_rows import Missing, SignalRows, Wait, waits
-
-LOOK_INTERVAL = 0.01
-"""s, between two looks for subscribers in other processes, under the timer."""
 
 
 class EndingNode(Node):

@@ -19,6 +19,9 @@ from hyst_control.records.signal_message import ROW_LABEL, Decoder, Encoder
 
 Array = NDArray[np.float64]
 
+LOOK_INTERVAL = 0.01
+"""s, between two looks beyond the process, for subscribers or for messages, while there is enough to do within it."""
+
 # Every sample counts: reliable delivery, and a queue as long as the lag that a recorder may have.
 QUEUE = QoSProfile(history=QoSHistoryPolicy.KEEP_LAST, depth=5000, reliability=QoSReliabilityPolicy.RELIABLE)
 
@@ -206,6 +209,7 @@ class PolledSubscription:
         self._decoder, self.raw = Decoder(), not objects
         self.subscription = node.create_subscription(Float64MultiArray, topic, lambda message: None, QUEUE, raw=self.raw)
         self.topic = self.subscription.topic_name
+        self._looked = -math.inf  # s, when the middleware was asked
         self._handed: deque[tuple[Any, int, Array | None]] = deque(maxlen=QUEUE.depth)  # as many as the middleware would keep
 
     def hand(self, raw: bytes, block: Array | None = None) -> None:
@@ -237,12 +241,23 @@ class PolledSubscription:
         list of (str, ndarray, int)
             Column label, block (N, C) and time of reception in ns since the epoch.
         """
-        handle, raw, decode = self.subscription.handle, self.raw, self._decoder.decode
+        handle, raw = self.subscription.handle, self.raw
         found = list(self._handed)  # before those that the middleware carried: they were sent before
         self._handed.clear()
+        now = time.monotonic()
+        if found and now - self._looked < LOOK_INTERVAL:  # what comes within the process comes from nowhere else, as a rule
+            return self._read(found, refused, merge)
+        self._looked = now
         with handle:
             while len(found) < QUEUE.depth and (message := handle.take_message(Float64MultiArray, raw)) is not None:
                 found.append((message[0], message[1]["received_timestamp"] or time.time_ns(), None))
+        return self._read(found, refused, merge)
+
+    def _read(
+        self, found: list[tuple[Any, int, Array | None]], refused: Callable[[str], None], merge: bool
+    ) -> list[tuple[str, Array, int]]:
+        """Label, block and time of messages, see `take`."""
+        raw, decode = self.raw, self._decoder.decode
         taken: list[tuple[str, Array, int]] = []
         begin, count = 0, len(found)
         while begin < count:
