@@ -35,6 +35,7 @@ class ReferenceGenerator(SignalNode):
     are changed while it runs, the signal goes over into the new one within `transition` without a jump (`records.signal_change`).
     """
 
+    FURTHER = "and the parameters of the kind of signal, live: hyst excite --list"
     SETTINGS = (
         Setting("signal", "rest", "", "kind of signal, a .npy file (rows by axes), or a .yaml file with its description"),
         Setting("lead", 0, "samples", "rows published ahead, for a feedforward that previews", 0, 10_000_000),

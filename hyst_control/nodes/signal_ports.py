@@ -27,8 +27,9 @@ class InputOwner(Protocol):
     lockstep: bool
     period: float
 
-    latest_tick: float
-    """Tick that no row may be beyond, under the timer."""
+    @property
+    def latest_tick(self) -> float:
+        """Tick that no row may be beyond, under the timer."""
 
     def heard(self, topic: str, newest: float) -> None:
         """Compare the clock of a `topic`, whose newest row has the time `newest` in s, with the node's."""
@@ -68,6 +69,8 @@ class Input:
         self, owner: InputOwner, topic: str, label: str, rows: SignalRows, intake: PolledSubscription | None = None
     ) -> None:
         self.topic, self.label, self.rows = topic, label, rows
+        self.needed = True
+        """False when the node works without the signal, under the timer."""
         self._owner, self._intake = owner, intake
         self._seen_label: str | None = None
 
