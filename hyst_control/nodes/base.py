@@ -190,7 +190,7 @@ class SignalNode(EndingNode):
         self._diagnostics = DiagnosticsPublisher(self)
         self._state_log = StateLog(self, self.REMEDIES)
         self._diagnosed = (time.monotonic(), 0, 0)
-        self._ready = False
+        self._ready_since = math.inf  # s, since when the node spins
         self.once(self._say_ready)
         self.every(DIAGNOSTICS_INTERVAL, self._publish_diagnostics)
         self.service("reset", self._reset)
@@ -575,7 +575,7 @@ class SignalNode(EndingNode):
             contested=[signal.topic for signal in self.inputs if self.count_publishers(signal.topic) > self.settings.most_sources],
             waits=self.waits(now),
             enabled=self.working,
-            slow=self._slow(ticks - ticks_before, missed - missed_before, now - before) if ticks_before else "",
+            slow=self._slow(ticks - ticks_before, missed - missed_before, now - before) if before > self._ready_since else "",
             unheard=[signal.topic for signal in self.inputs if not self.lockstep and signal.needed and signal.rows.end is None],
         )
         for topic in health.contested:
@@ -597,7 +597,7 @@ class SignalNode(EndingNode):
             **self.status(),
         }
         self._diagnostics.publish(health, values)
-        if self._ready:
+        if self._ready_since < now:
             self._state_log.tell(health)
 
     def _slow(self, ticks: int, missed: int, seconds: float) -> str:
@@ -608,7 +608,7 @@ class SignalNode(EndingNode):
 
     def _say_ready(self) -> None:
         pace = "lockstep" if self.lockstep else f"timer, {1.0 / self.tick_timer.interval:g} ticks/s"
-        self._ready = True
+        self._ready_since = time.monotonic()
         hears = ", ".join(self.resolve_topic_name(topic) for topic in self.received) or "nothing"
         says = ", ".join(sender.topic for sender in self.senders) or "nothing"
         self.get_logger().info(f"ready: {pace}; axes {', '.join(self.axes)}; hears {hears}; publishes {says}")

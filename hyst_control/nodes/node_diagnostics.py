@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -181,26 +181,31 @@ class StateLog:
 
     def tell(self, health: NodeHealth) -> None:
         """Log the state unless it is the one that was logged last."""
-        text, kind = self._text(health)
+        text, kind, waits = self._text(health)
         if kind == self._said:
             return
         before, self._said = self._said, kind
+        logger = self._node.get_logger()
         if kind == "running":
-            self._node.get_logger().info("running" if not self._ran else f"running again, after: {before}")
+            logger.info(f"running again, after: {before}" if self._ran else "running")
             self._ran = True
-        elif not self._ran:
-            self._node.get_logger().info(text)
+        elif waits and not self._ran:
+            logger.info(text)
         else:
-            self._node.get_logger().warning(text)
+            logger.warning(text)
 
-    def _text(self, health: NodeHealth) -> tuple[str, str]:
-        """Line of a state, and what must change for another line: numbers that go on do not."""
+    def _text(self, health: NodeHealth) -> tuple[str, str, bool]:
+        """Line of a state, what must change for another line (numbers that go on do not), and whether the node waits."""
         if health.enabled and not health.trouble:
             late = [wait for wait in health.waits if wait.seconds >= WAIT_WARNING]
             if late:
                 topics = [f"{wait.topic}, tick {wait.tick}" for wait in late]
                 remedies = [self._remedies[wait.topic] for wait in late if wait.topic in self._remedies]
-                return ": ".join([f"waiting for {' and '.join(topics)}", *remedies]), f"waiting for {[wait.topic for wait in late]}"
+                return ": ".join([f"waiting for {' and '.join(topics)}", *remedies]), _names(wait.topic for wait in late), True
             if health.unheard:
-                return f"waiting for {', '.join(health.unheard)}: nothing has come yet", f"waiting for {health.unheard}"
-        return health.message, re.sub(r"[0-9][0-9.e+-]*", "", health.message)
+                return f"{_names(health.unheard)}: nothing has come yet", _names(health.unheard), True
+        return health.message, re.sub(r"[0-9][0-9.e+-]*", "…", health.message), False
+
+
+def _names(topics: Iterable[str]) -> str:
+    return f"waiting for {', '.join(topics)}"
