@@ -44,6 +44,7 @@ class PlantNode(ManagedNode):
     command, and in lockstep while none arrives, it publishes on `applied` what is on the actuator (V).
     """
 
+    REMEDIES = {"recorded": "is a recorder running? wait_for_recorder is true"}
     SETTINGS = (
         Setting("plant", "", "", "truth plant: a name in config/plants or a file"),
         Setting("model", "", "", "model file, run instead of a truth plant"),

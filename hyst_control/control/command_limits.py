@@ -42,5 +42,8 @@ class CommandLimits:
         ndarray, shape (A,)
             The nearest voltage that is allowed after `applied`, V. From outside the range the way back has the slope as well.
         """
+        inside = all(self.lower <= value <= self.upper for value in command.tolist())
+        if inside and not math.isfinite(self.step):
+            return command
         within = np.clip(command, self.lower, self.upper)
         return np.clip(within, applied - self.step, applied + self.step) if math.isfinite(self.step) else within

@@ -8,6 +8,8 @@ unchanged from where it is met: a restarted feedback cannot make the actuator ju
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -62,7 +64,7 @@ class CommandWatchdog:
         ndarray, shape (A,)
             The voltage, V.
         """
-        if command is None or not trusted or not np.isfinite(command).all():
+        if command is None or not trusted or not all(map(math.isfinite, command.tolist())):
             self._met[:], self._below = False, None
             if self.armed:
                 self.applied = self.applied + np.clip(self._safe - self.applied, -self._step, self._step)

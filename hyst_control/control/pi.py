@@ -19,7 +19,7 @@ Inputs so large that a sum or product overflows leave the state of their axis as
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -71,6 +71,23 @@ class PI:
         return RunningPI(self, axes)
 
 
+def constants_of(description: PI) -> Array:
+    """Constants of the law (7,): kp, ki T, lower, upper, greatest step, share of the anti-windup, share of the roll-off."""
+    tracking_time = description.tracking_time or (description.kp / description.ki if description.ki else 0.0)
+    share = 0.0 if not description.ki else min(1.0, description.sample_time / tracking_time) if tracking_time else 1.0
+    return np.array(
+        [
+            description.kp,
+            description.ki * description.sample_time,
+            description.lower,
+            description.upper,
+            description.slew_limit * description.sample_time if description.slew_limit else np.inf,
+            share,
+            description.roll_off_share,
+        ]
+    )
+
+
 def roll_off_share(roll_off: float, sample_time: float) -> float:
     """Share of a step that a first-order low-pass passes within one sample.
 
@@ -95,20 +112,8 @@ class RunningPI:
     def __init__(self, description: PI, axes: int) -> None:
         self.description = description
         self.axes = axes
-        tracking_time = description.tracking_time or (description.kp / description.ki if description.ki else 0.0)
-        share = 0.0 if not description.ki else min(1.0, description.sample_time / tracking_time) if tracking_time else 1.0
-        step = description.slew_limit * description.sample_time if description.slew_limit else np.inf
-        self._constants = np.array(
-            [
-                description.kp,
-                description.ki * description.sample_time,
-                description.lower,
-                description.upper,
-                step,
-                share,
-                description.roll_off_share,
-            ]
-        )
+        self._constants = constants_of(description)
+        self._previous: Array | None = None  # constants before a change that has not come into effect yet
         self._state = np.empty((4, axes))
         """Integral, last command, rolled-off error, and 1 where the arithmetic has overflowed, of each axis."""
         self.saturated = 0
@@ -131,11 +136,49 @@ class RunningPI:
 
         A command beyond the limits counts as at the limit: what is published lies within them from the first row on.
         """
+        self._previous = None
         self._state[0] = 0.0
         self._state[1] = np.nan if command is None else np.clip(command, self.description.lower, self.description.upper)
         self._state[2] = 0.0
         self._state[3] = 0.0
         self.saturated, self.overflowed = 0, ()
+
+    def change(self, description: PI) -> None:
+        """Go on with other gains, limits or filters, without a jump.
+
+        At the next tick the integral takes up what the proportional part gives up, so that the command differs from what it would
+        have been by no more than (ki_new - ki_old) T e and by what other limits cut off. Without integral action there is nothing to
+        take it up: then the integral is forgotten, and whoever calls has to lead the command (`control.safe_loop` does).
+
+        Parameters
+        ----------
+        description
+            The new description, of the same sample time.
+        """
+        if self._previous is None:
+            self._previous = self._constants.copy()
+        self.description = description
+        self._constants[:] = constants_of(description)
+
+    def limit(self, lower: float, upper: float) -> None:
+        """Go on with other limits, V."""
+        self.description = replace(self.description, lower=lower, upper=upper)
+        self._constants[2:4] = lower, upper
+
+    def _take_over(self, error: Array) -> None:
+        """Bring a change into effect at a tick with this error (A,), measurement unit."""
+        assert self._previous is not None
+        kp_before, passed_before = self._previous[0], self._previous[6]
+        kp, ki_step, passed = self._constants[0], self._constants[1], self._constants[6]
+        rolled = self._state[2].copy() if passed_before < 1.0 else error
+        with np.errstate(all="ignore"):
+            before = rolled + passed_before * (error - rolled)
+            now = rolled + passed * (error - rolled)
+            integral = self._state[0] + kp_before * before - kp * now if ki_step else np.zeros(self.axes)
+        usable = np.isfinite(integral) & np.isfinite(rolled)
+        self._state[0][usable] = integral[usable]
+        self._state[2][usable] = rolled[usable]
+        self._previous = None
 
     def resume(
         self,
@@ -165,6 +208,8 @@ class RunningPI:
         kp, ki_step = self._constants[:2]
         with np.errstate(all="ignore"):
             error = reference - measurement
+            if self._previous is not None:
+                self._take_over(error)
             integral = np.asarray(command, dtype=float) - feedforward - (kp + ki_step) * error if ki_step else np.zeros(self.axes)
         self._state[0][axes] = np.where(np.isfinite(integral), integral, 0.0)[axes]
         self._state[1][axes] = command[axes]
@@ -176,6 +221,8 @@ class RunningPI:
         reference, measurement: measurement unit; feedforward, command, feedback: V.
         """
         shape = feedforward.shape
+        if self._previous is not None:
+            self._take_over((reference - measurement).reshape(-1, self.axes)[0])
         command, feedback = np.empty((2, shape[0] if len(shape) == 2 else 1, self.axes))
         saturated, overflowed = _run(
             reference.reshape(-1, self.axes),

@@ -20,13 +20,14 @@ stage are seldom independent.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.control.pi import RunningPI
+from hyst_control.control.pi import PI, RunningPI
 from hyst_control.control.sensor_watch import MeasurementWatch
 
 Array = NDArray[np.float64]
@@ -129,6 +130,43 @@ class SafeLoop:
         self._away = np.zeros(controller.axes, bool)  # stopped, or returning
         self._well = True  # no axis is away or has a fault
         self._overflowed: tuple[int, ...] = ()
+        self._limits: tuple[float, float] | None = None  # V, towards which those of the controller move after a change
+
+    def change(self, description: PI) -> None:
+        """Go on with another description of the controller, without a jump of the command.
+
+        Gains are taken over as `RunningPI.change` does. The limits go to their new values at the safe rate: narrower ones from the
+        command where that is beyond them, wider ones from the old ones. Without integral action the command approaches that of the new
+        gains at the safe rate.
+
+        Parameters
+        ----------
+        description : PI
+            The new description, of the same sample time.
+        """
+        old, command = self.controller.description, self.controller.command
+        within = command[np.isfinite(command)]
+        lowest, highest = (within.min(), within.max()) if len(within) else (old.lower, old.upper)
+        lower = old.lower if description.lower < old.lower else min(description.lower, max(lowest, old.lower))
+        upper = old.upper if description.upper > old.upper else max(description.upper, min(highest, old.upper))
+        lower = min(lower, upper - self.safety.rate * old.sample_time)  # the command is at both
+        moving = (lower, upper) != (description.lower, description.upper)
+        self._limits = (description.lower, description.upper) if moving and len(within) else None
+        self.controller.change(replace(description, lower=lower, upper=upper) if self._limits else description)
+        led = not description.ki and (old.kp, old.ki, old.roll_off) != (description.kp, 0.0, description.roll_off)
+        if led and len(within):  # nothing but a ramp would lead there
+            self._away[:] = True
+            self._well = False
+
+    def _move_limits(self) -> None:
+        """Bring the limits nearer to those that they are to have, by one tick."""
+        assert self._limits is not None
+        now = self.controller.description
+        step = self.safety.rate * now.sample_time
+        lower, upper = (_towards(target, value, step) for target, value in zip(self._limits, (now.lower, now.upper), strict=True))
+        self.controller.limit(lower, upper)
+        if (lower, upper) == self._limits:
+            self._limits = None
 
     @property
     def rate(self) -> float:
@@ -178,6 +216,8 @@ class SafeLoop:
         command, feedback : ndarray, shape (1, A)
             In V.
         """
+        if self._limits is not None:
+            self._move_limits()
         last = self.controller.command
         found = self.watch.check(measurement[0], last)
         if self._well and self.enabled and not fault and not found and not self._overflowed:
@@ -204,6 +244,11 @@ class SafeLoop:
         command, feedback : ndarray, shape (N, A)
             In V.
         """
+        if self._limits is not None:
+            if len(feedforward) > 1:
+                rows = [self.open(row[None], fault) for row in feedforward]
+                return np.concatenate([command for command, _ in rows]), np.zeros_like(feedforward)
+            self._move_limits()
         if not (self._well and self.enabled and not fault and not self._overflowed):
             running = self._running(fault, (), len(feedforward))
             if not running.all():
@@ -219,7 +264,15 @@ class SafeLoop:
         """Command (ticks, A) on the way to the safe value, in V, and a feedback of zeros."""
         self._away[:] = True
         self._well = False
-        command = self.controller.ramp(self._safe, self.rate, ticks)
+        if self._limits is None:
+            command = self.controller.ramp(self._safe, self.rate, ticks)
+        else:
+            rows = []
+            for _ in range(ticks):
+                if self._limits is not None:
+                    self._move_limits()
+                rows.append(self.controller.ramp(self._safe, self.rate)[0])
+            command = np.array(rows)
         return command, np.zeros_like(command)
 
     def stopped_by(self, fault: str, ticks: int) -> tuple[Array, Array]:
@@ -310,3 +363,8 @@ class SafeLoop:
             self._away = ~running | led & (command != wanted)
             rows.append(command)
         return np.array(rows), np.zeros_like(feedforward)
+
+
+def _towards(target: float, value: float, step: float) -> float:
+    """The value after a step towards a target."""
+    return target if abs(target - value) <= step else value + math.copysign(step, target - value)

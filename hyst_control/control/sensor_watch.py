@@ -31,6 +31,10 @@ class MeasurementWatch:
         self.frozen_ticks, self.motion = frozen_ticks, motion
         self._axes: list[_Axis] = []
 
+    def judge_by(self, other: MeasurementWatch) -> None:
+        """Go on with the range and the times of another watch."""
+        self.lower, self.upper, self.frozen_ticks, self.motion = other.lower, other.upper, other.frozen_ticks, other.motion
+
     def check(self, measurement: Array, command: Array) -> tuple[str, ...]:
         """Check one sample.
 

@@ -99,8 +99,9 @@ class Actuator:
         trusted = allowed and not self._contradicted and rows.behind(tick) * node.period <= node.longest_age
         if command is not None and trusted:
             within = self.limits.limited(command, self.watchdog.applied)
-            self.limited += bool(np.abs(within - command).max() > CLOSE)
-            command = within
+            if within is not command:
+                self.limited += bool(np.abs(within - command).max() > CLOSE)
+                command = within
         return self.watchdog.apply(command, trusted)
 
     def report(self, tick: int) -> None:

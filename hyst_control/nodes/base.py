@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from types import SimpleNamespace
 from typing import Any
 
 from rclpy.clock import Clock
@@ -26,8 +27,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from hyst_control.errors import InputError
 from hyst_control.nodes.common_parameters import COMMON, LOCKSTEP
-from hyst_control.nodes.message_io import CallbackSubscription, PolledSubscription, Sender
-from hyst_control.nodes.node_diagnostics import DIAGNOSTICS_INTERVAL, DiagnosticsPublisher, NodeHealth, ThrottledWarnings
+from hyst_control.nodes.message_io import LOOK_INTERVAL, CallbackSubscription, PolledSubscription, Sender
+from hyst_control.nodes.node_diagnostics import DIAGNOSTICS_INTERVAL, DiagnosticsPublisher, NodeHealth, StateLog, ThrottledWarnings
 from hyst_control.nodes.parameters import Setting, declare
 from hyst_control.nodes.realtime_scheduling import set_scheduler
 from hyst_control.nodes.signal_ports import Input, Output
@@ -35,6 +36,9 @@ from hyst_control.nodes.source_clocks import CLOCK_REMEDY, SourceClocks, describ
 from hyst_control.nodes.tick_timer import TickTimer
 from hyst_control.records.signal_message import label_for
 from hyst_control.records.signal_rows import Missing, SignalRows, Wait, waits
+
+MISSED_SHARE = 0.01
+"""Share of missed ticks from which on the diagnostics warn."""
 
 
 class EndingNode(Node):
@@ -49,6 +53,12 @@ class EndingNode(Node):
     """
 
     SETTINGS: tuple[Setting, ...] = ()
+    COMMON_SETTINGS: tuple[Setting, ...] = ()
+    """Parameters that it shares with other kinds of nodes."""
+    FURTHER = ""
+    """Sentence about parameters that depend on others."""
+    elsewhere: frozenset[str] = frozenset()
+    """Parameters of the other nodes in the process: an argument without a node's name reaches all of them."""
     ends = False
     """True when the node ends by itself."""
 
@@ -147,12 +157,18 @@ class SignalNode(EndingNode):
         Passed on to `rclpy.node.Node`.
     """
 
+    COMMON_SETTINGS = COMMON
+    REMEDIES: Mapping[str, str] = {}
+    """What to do when the node waits for a topic, by topic."""
+
     def __init__(self, name: str, **options: Any) -> None:
         self.polled: list[PolledSubscription] = []
         self.receptions: list[CallbackSubscription] = []
         self.senders: list[Sender] = []
         super().__init__(name, **options)
-        self.settings = declare(self, (*COMMON, *self.SETTINGS), self.changed)
+        self.settings = declare(
+            self, (*COMMON, *self.SETTINGS), self.changed, self.check_change, self.further_settings, self.elsewhere
+        )
         self.lockstep = self.settings.schedule == LOCKSTEP
         self.period = 1.0 / self.settings.rate_hz
         self.axes: tuple[str, ...] = self.settings.axes
@@ -168,9 +184,14 @@ class SignalNode(EndingNode):
         self.tick_timer = TickTimer(self, self.period, self.settings.block)
         self._simulated = bool(self.get_parameter("use_sim_time").value)
         self._source_clocks = SourceClocks()
+        self._latest_tick = math.inf
+        self._polled_at: float | None = None  # s of the control clock, while a tick takes its messages
         self._warnings = ThrottledWarnings(self)
         self._diagnostics = DiagnosticsPublisher(self)
-        self._diagnosed = (time.monotonic(), 0)
+        self._state_log = StateLog(self, self.REMEDIES)
+        self._diagnosed = (time.monotonic(), 0, 0)
+        self._ready_since = math.inf  # s, since when the node spins
+        self.once(self._say_ready)
         self.every(DIAGNOSTICS_INTERVAL, self._publish_diagnostics)
         self.service("reset", self._reset)
         self.service("stop", self._stop)
@@ -237,6 +258,30 @@ class SignalNode(EndingNode):
             Its new value.
         """
 
+    def further_settings(self, given: SimpleNamespace) -> Iterable[Setting]:
+        """Parameters of the node besides `SETTINGS`, which depend on those that were given.
+
+        Parameters
+        ----------
+        given : SimpleNamespace
+            Values of `SETTINGS`.
+
+        Returns
+        -------
+        iterable of Setting
+            The parameters.
+        """
+        return ()
+
+    def check_change(self, values: Mapping[str, Any]) -> None:
+        """Refuse values of live parameters that cannot be taken over, by an `InputError` with the reason.
+
+        Parameters
+        ----------
+        values : mapping
+            New values by name.
+        """
+
     @property
     def working(self) -> bool:
         """False while the node was told to stop."""
@@ -249,6 +294,8 @@ class SignalNode(EndingNode):
     @property
     def latest_tick(self) -> float:
         """Tick that no row of an input may be beyond, under the timer."""
+        if self._polled_at is not None:  # once for all messages of a tick
+            return self._latest_tick
         return float((self.tick_timer.now + self.settings.ahead) / self.period)
 
     @property
@@ -277,7 +324,8 @@ class SignalNode(EndingNode):
             Time of the newest row of a message, s.
         """
         if not self.lockstep:
-            self._source_clocks.heard(topic, newest - self.control_time)
+            now = self._polled_at
+            self._source_clocks.heard(topic, newest - (self.control_time if now is None else now))
 
     @property
     def longest_age(self) -> float:
@@ -383,7 +431,7 @@ class SignalNode(EndingNode):
         topic, unit : str
             Topic, and the unit of its values.
         every_row : bool
-            Refuse rows that skip earlier ones, in lockstep.
+            Refuse rows that skip earlier ones, in lockstep; False also means that under the timer the node works without the signal.
         replace : bool
             Let a second row of a tick replace the first, under the timer.
 
@@ -399,6 +447,7 @@ class SignalNode(EndingNode):
             replace=replace and not self.lockstep,
         )
         signal = Input(self, topic, label_for(self.axes, unit), rows, None if self.lockstep else self.intake(topic))
+        signal.needed = every_row
         if self.lockstep:
             self.receptions.append(CallbackSubscription(self, topic, signal.receive, signal.refused, self.settings.message_objects))
         self.inputs.append(signal)
@@ -417,7 +466,8 @@ class SignalNode(EndingNode):
         Output
             The signal.
         """
-        self.senders.append(Sender(self, topic, label_for(self.axes, unit), self.settings.message_objects))
+        look = 0.0 if self.lockstep else LOOK_INTERVAL
+        self.senders.append(Sender(self, topic, label_for(self.axes, unit), self.settings.message_objects, look))
         return Output(self.senders[-1], len(self.axes) + 1, self.period, self.settings.block)
 
     def start_timer(self, phase: float) -> None:
@@ -449,8 +499,12 @@ class SignalNode(EndingNode):
         tick : int
             Tick of the first sample.
         """
+        now = self.tick_timer.now
+        self._latest_tick = (now + self.settings.ahead) / self.period
+        self._polled_at = now
         for signal in self.inputs:
             signal.poll()
+        self._polled_at = None
         self.tick(tick)
 
     def time_ran_backwards(self, seconds: float) -> None:
@@ -508,8 +562,9 @@ class SignalNode(EndingNode):
     def _publish_diagnostics(self) -> None:
         now = time.monotonic()
         ticks = max((signal.rows.end or 0 for signal in self.inputs), default=0) if self.lockstep else self.counts["ticks"]
-        before, ticks_before = self._diagnosed
-        self._diagnosed = (now, ticks)
+        missed = self.counts["missed ticks"]
+        before, ticks_before, missed_before = self._diagnosed
+        self._diagnosed = (now, ticks, missed)
         wrong_clocks = self._source_clocks.look(self.longest_age, self.settings.ahead)
         for topic, seconds in wrong_clocks.items():
             self.warn(f"{topic}: clock", f"{topic}: its times are {describe(seconds)} this node's clock: {CLOCK_REMEDY}")
@@ -520,6 +575,8 @@ class SignalNode(EndingNode):
             contested=[signal.topic for signal in self.inputs if self.count_publishers(signal.topic) > self.settings.most_sources],
             waits=self.waits(now),
             enabled=self.working,
+            slow=self._slow(ticks - ticks_before, missed - missed_before, now - before) if before > self._ready_since else "",
+            unheard=[signal.topic for signal in self.inputs if not self.lockstep and signal.needed and signal.rows.end is None],
         )
         for topic in health.contested:
             self.warn(
@@ -540,3 +597,18 @@ class SignalNode(EndingNode):
             **self.status(),
         }
         self._diagnostics.publish(health, values)
+        if self._ready_since < now:
+            self._state_log.tell(health)
+
+    def _slow(self, ticks: int, missed: int, seconds: float) -> str:
+        """Rate that is not kept, "" when at most `MISSED_SHARE` of the ticks were missed."""
+        if self.lockstep or missed <= MISSED_SHARE * (ticks + missed):
+            return ""
+        return f"{ticks / seconds:.0f} of {1.0 / self.tick_timer.interval:.0f} Hz: {missed} ticks missed"
+
+    def _say_ready(self) -> None:
+        pace = "lockstep" if self.lockstep else f"timer, {1.0 / self.tick_timer.interval:g} ticks/s"
+        self._ready_since = time.monotonic()
+        hears = ", ".join(self.resolve_topic_name(topic) for topic in self.received) or "nothing"
+        says = ", ".join(sender.topic for sender in self.senders) or "nothing"
+        self.get_logger().info(f"ready: {pace}; axes {', '.join(self.axes)}; hears {hears}; publishes {says}")

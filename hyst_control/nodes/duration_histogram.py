@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -17,7 +18,7 @@ class Durations:
 
     def __init__(self) -> None:
         self._offset = math.log(SHORTEST)
-        self._counts = np.zeros(int((math.log(LONGEST) - self._offset) / RESOLUTION) + 2, dtype=np.int64)
+        self._counts = [0] * (int((math.log(LONGEST) - self._offset) / RESOLUTION) + 2)  # numpy's items would cost a tick more
 
     def add(self, seconds: float) -> None:
         """Count one duration.
@@ -32,7 +33,7 @@ class Durations:
     @property
     def count(self) -> int:
         """Number of counted durations."""
-        return int(self._counts.sum())
+        return sum(self._counts)
 
     def quantile(self, share: float) -> float:
         """Quantile of the durations, to 1 %.
@@ -47,11 +48,14 @@ class Durations:
         float
             The quantile in s; NaN before the first duration.
         """
-        total = self.count
-        if not total:
-            return math.nan
-        at = int(np.searchsorted(np.cumsum(self._counts), max(share * total, 1)))
-        return math.exp(self._offset + (at + 0.5) * RESOLUTION)
+        return self._quantiles([share])[0]
+
+    def _quantiles(self, shares: Sequence[float]) -> list[float]:
+        below = np.cumsum(self._counts)
+        if not below[-1]:
+            return [math.nan] * len(shares)
+        at = np.searchsorted(below, [max(share * below[-1], 1) for share in shares])
+        return [math.exp(self._offset + (place + 0.5) * RESOLUTION) for place in at]
 
     def entries(self, name: str) -> dict[str, str]:
         """Median, 99 % and 99.9 % quantiles as entries of the diagnostics.
@@ -66,8 +70,6 @@ class Durations:
         dict of str
             Quantiles in us, by key; empty before the first duration.
         """
-        return {
-            f"{name} {label} [us]": f"{self.quantile(share) * 1e6:.1f}"
-            for label, share in (("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999))
-            if self.count
-        }
+        labels = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
+        found = self._quantiles(list(labels.values()))
+        return {f"{name} {label} [us]": f"{each * 1e6:.1f}" for label, each in zip(labels, found, strict=True) if each == each}

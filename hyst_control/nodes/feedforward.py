@@ -21,6 +21,58 @@ from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.signal_ports import Input
 
 
+def settings_of(kind: str) -> tuple[Setting, ...]:
+    """Parameters of a feedforward node.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of compensator that it has by default.
+
+    Returns
+    -------
+    tuple of Setting
+        The parameters.
+    """
+    return (
+        *feedforward_learning.SETTINGS,
+        Setting("model", "", "", "model file that the compensator inverts"),
+        Setting("kind", kind, "", "kind of compensator", choices=(*KINDS, "proportional")),
+        Setting("inverse", "zpetc", "", "inverse of the dynamics", choices=("zpetc", "zmetc", "npz_ignore", "none")),
+        Setting("discretisation", "zoh", "", "discretization of the dynamics", choices=("zoh", "tustin")),
+        Setting("preview", True, "", "look ahead as far as the inverse of the dynamics allows; if false, the command is late"),
+        Setting(
+            "iterations",
+            -1,
+            "iterations",
+            "iterations of the inverse of the hysteresis, -1 for the default of the kind",
+            -1,
+            1000,
+        ),
+        Setting(
+            "smoothing",
+            0,
+            "ticks",
+            "order of a zero-phase low-pass of the reference, which looks as many ticks ahead; mhl: of Ψ', one tick further",
+            0,
+            20,
+        ),
+        Setting("inverse_model", "", "", "model file with separately identified inverse curves"),
+        Setting(
+            "rate_filter",
+            RATE_FILTER,
+            "s^2, s, 1",
+            "mhl: denominator of N(s), descending powers of s; a single 0: without",
+            0.0,
+            1e12,
+        ),
+        Setting("limits", (0.0, 0.0), "V", "rating of the drive, lower and upper; if equal, the model's valid range", -1e6, 1e6),
+        BACKEND,
+        Setting("gain", (0.0,), "V per unit", "proportional: gain of all axes or of each", -1e12, 1e12),
+        Setting("offset", (0.0,), "V", "proportional: command at reference 0, of all axes or of each", -1e6, 1e6),
+    )
+
+
 class Feedforward(SignalNode):
     """Node that streams `reference` through a compensator to `feedforward` (V).
 
@@ -30,6 +82,12 @@ class Feedforward(SignalNode):
     """
 
     KIND = "proportional"
+    SETTINGS = settings_of(KIND)
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Give a subclass the parameters of its `KIND`."""
+        super().__init_subclass__(**options)
+        cls.SETTINGS = settings_of(cls.KIND)
 
     def __init__(self, name: str, compensator: Compensator | None = None, **options: Any) -> None:
         """Create the node.
@@ -43,45 +101,6 @@ class Feedforward(SignalNode):
         **options : object
             Passed on to `rclpy.node.Node`.
         """
-        self.SETTINGS = (
-            *feedforward_learning.SETTINGS,
-            Setting("model", "", "", "model file that the compensator inverts"),
-            Setting("kind", self.KIND, "", "kind of compensator", choices=(*KINDS, "proportional")),
-            Setting("inverse", "zpetc", "", "inverse of the dynamics", choices=("zpetc", "zmetc", "npz_ignore", "none")),
-            Setting("discretisation", "zoh", "", "discretization of the dynamics", choices=("zoh", "tustin")),
-            Setting("preview", True, "", "look ahead as far as the inverse of the dynamics allows; if false, the command is late"),
-            Setting(
-                "iterations",
-                -1,
-                "iterations",
-                "iterations of the inverse of the hysteresis, -1 for the default of the kind",
-                -1,
-                1000,
-            ),
-            Setting(
-                "smoothing",
-                0,
-                "ticks",
-                "order of a zero-phase low-pass of the reference, which looks as many ticks ahead; mhl: of Ψ', one tick further",
-                0,
-                20,
-            ),
-            Setting("inverse_model", "", "", "model file with separately identified inverse curves"),
-            Setting(
-                "rate_filter",
-                RATE_FILTER,
-                "s^2, s, 1",
-                "mhl: denominator of N(s), descending powers of s; a single 0: without",
-                0.0,
-                1e12,
-            ),
-            Setting(
-                "limits", (0.0, 0.0), "V", "rating of the drive, lower and upper; if equal, the model's valid range", -1e6, 1e6
-            ),
-            BACKEND,
-            Setting("gain", (0.0,), "V per unit", "proportional: gain of all axes or of each", -1e12, 1e12),
-            Setting("offset", (0.0,), "V", "proportional: command at reference 0, of all axes or of each", -1e6, 1e6),
-        )
         super().__init__(name, **options)
         self._compensator = compensator or self._described()
         if self.settings.backend == C:

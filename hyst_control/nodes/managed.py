@@ -141,6 +141,11 @@ class ManagedNode(LifecycleNodeMixin, SignalNode):
         if self.ever_active:
             super().take_tick(tick)
 
+    def _say_ready(self) -> None:
+        super()._say_ready()
+        if not self.settings.autostart:
+            self.get_logger().info(f"{self.state}: waiting for lifecycle transitions, as autostart is false")
+
     def _reset(self) -> str:
         if self.state == UNCONFIGURED and self.settings.autostart:
             self.begin()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -17,6 +18,9 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from hyst_control.records.signal_message import ROW_LABEL, Decoder, Encoder
 
 Array = NDArray[np.float64]
+
+LOOK_INTERVAL = 0.01
+"""s, between two looks beyond the process, for subscribers or for messages, while there is enough to do within it."""
 
 # Every sample counts: reliable delivery, and a queue as long as the lag that a recorder may have.
 QUEUE = QoSProfile(history=QoSHistoryPolicy.KEEP_LAST, depth=5000, reliability=QoSReliabilityPolicy.RELIABLE)
@@ -36,13 +40,15 @@ class LocalReceiver(Protocol):
     topic: str
     raw: bool
 
-    def hand(self, raw: bytes) -> None:
-        """Queue a serialized message, to be decoded later.
+    def hand(self, raw: bytes, block: Array | None = None) -> None:
+        """Queue a message.
 
         Parameters
         ----------
         raw : bytes
-            The message.
+            The serialized message.
+        block : ndarray, shape (N, C), optional
+            Its rows, which nobody may change any more; to be decoded later if not given.
         """
 
 
@@ -61,9 +67,11 @@ class Sender:
         Topic, and the column label of its messages.
     objects : bool
         Send message objects instead of serialized bytes.
+    look_interval : float
+        Time in s between two looks for subscribers in other processes.
     """
 
-    def __init__(self, node: Node, topic: str, label: str, objects: bool = False) -> None:
+    def __init__(self, node: Node, topic: str, label: str, objects: bool = False, look_interval: float = 0.0) -> None:
         self.publisher = node.create_publisher(Float64MultiArray, topic, QUEUE)
         self.topic = self.publisher.topic_name
         self.within = False
@@ -71,6 +79,7 @@ class Sender:
         self._encoder = Encoder(label)
         self._objects = objects
         self._receivers: Sequence[LocalReceiver] = ()
+        self._look_interval, self._looked = look_interval, -math.inf
 
     def link(self, receivers: Sequence[LocalReceiver]) -> None:
         """Hand messages directly to receivers within the process.
@@ -93,10 +102,12 @@ class Sender:
         if not self._objects:
             message = self._encoder.encode(block)
             if self.within:
-                self.within = self.publisher.get_subscription_count() <= len(self._receivers)
+                now = time.monotonic()
+                if now - self._looked >= self._look_interval:
+                    self.within, self._looked = self.publisher.get_subscription_count() <= len(self._receivers), now
                 if self.within:
                     for receiver in self._receivers:
-                        receiver.hand(message)
+                        receiver.hand(message, block)
                     return
             try:
                 self.publisher.publish(message)
@@ -140,13 +151,15 @@ class CallbackSubscription:
             self.subscription = node.create_subscription(Float64MultiArray, topic, self._on_message, QUEUE)
         self.topic = self.subscription.topic_name
 
-    def hand(self, raw: bytes) -> None:
+    def hand(self, raw: bytes, block: Array | None = None) -> None:
         """Queue a message of a sender in this process.
 
         Parameters
         ----------
         raw : bytes
             The serialized message.
+        block : ndarray, shape (N, C), optional
+            Not used: decoding costs little beside a callback.
         """
         self._handed.append(raw)
         if self.post is not None:
@@ -196,17 +209,20 @@ class PolledSubscription:
         self._decoder, self.raw = Decoder(), not objects
         self.subscription = node.create_subscription(Float64MultiArray, topic, lambda message: None, QUEUE, raw=self.raw)
         self.topic = self.subscription.topic_name
-        self._handed: deque[tuple[Any, int]] = deque(maxlen=QUEUE.depth)  # as many as the middleware would keep
+        self._looked = -math.inf  # s, when the middleware was asked
+        self._handed: deque[tuple[Any, int, Array | None]] = deque(maxlen=QUEUE.depth)  # as many as the middleware would keep
 
-    def hand(self, raw: bytes) -> None:
+    def hand(self, raw: bytes, block: Array | None = None) -> None:
         """Queue a message of a sender in this process.
 
         Parameters
         ----------
         raw : bytes
             The serialized message.
+        block : ndarray, shape (N, C), optional
+            Its rows, which nobody may change any more; decoded from the message if not given.
         """
-        self._handed.append((raw, time.time_ns()))
+        self._handed.append((raw, time.time_ns(), block))
 
     def take(self, refused: Callable[[str], None], merge: bool = False) -> list[tuple[str, Array, int]]:
         """Take the messages that have arrived.
@@ -228,27 +244,48 @@ class PolledSubscription:
         handle, raw = self.subscription.handle, self.raw
         found = list(self._handed)  # before those that the middleware carried: they were sent before
         self._handed.clear()
+        now = time.monotonic()
+        if found and now - self._looked < LOOK_INTERVAL:  # what comes within the process comes from nowhere else, as a rule
+            return self._read(found, refused, merge)
+        self._looked = now
         with handle:
             while len(found) < QUEUE.depth and (message := handle.take_message(Float64MultiArray, raw)) is not None:
-                found.append((message[0], message[1]["received_timestamp"] or time.time_ns()))
+                found.append((message[0], message[1]["received_timestamp"] or time.time_ns(), None))
+        return self._read(found, refused, merge)
+
+    def _read(
+        self, found: list[tuple[Any, int, Array | None]], refused: Callable[[str], None], merge: bool
+    ) -> list[tuple[str, Array, int]]:
+        """Label, block and time of messages, see `take`."""
+        raw, decode = self.raw, self._decoder.decode
         taken: list[tuple[str, Array, int]] = []
-        begin = 0
-        while begin < len(found):
-            end = begin + 1
+        begin, count = 0, len(found)
+        while begin < count:
+            message, stamp, block = found[begin]
+            begin += 1
             try:
-                label, block = self._decoder.decode(found[begin][0]) if raw else from_message(found[begin][0])
-                if merge and raw and label:
-                    size, head = len(found[begin][0]), found[begin][0][: -block.nbytes]
-                    while end < len(found) and len(found[end][0]) == size and found[end][0].startswith(head):
-                        end += 1
-                    if end - begin > 1:
-                        data = b"".join([message[len(head) :] for message, _ in found[begin:end]])
-                        block = np.frombuffer(data, np.float64).reshape(-1, block.shape[1])
-                taken.append((label, block, found[end - 1][1]))
+                if block is None or merge:
+                    label, block = decode(message) if raw else from_message(message)
+                    if merge and raw and label:
+                        block, begin, stamp = _joined(found, begin, block, stamp)
+                else:
+                    label = self._decoder.label_of(message)
+                taken.append((label, block, stamp))
             except ValueError as error:
                 refused(str(error))
-            begin = end
         return taken
+
+
+def _joined(found: list[tuple[Any, int, Array | None]], begin: int, block: Array, stamp: int) -> tuple[Array, int, int]:
+    """A block with those of the messages from `begin` on that have its label and size; behind the last one, and its time."""
+    first = found[begin - 1][0]
+    size, head, end = len(first), first[: -block.nbytes], begin
+    while end < len(found) and len(found[end][0]) == size and found[end][0].startswith(head):
+        end += 1
+    if end == begin:
+        return block, end, stamp
+    data = b"".join([message[len(head) :] for message, _, _ in found[begin - 1 : end]])
+    return np.frombuffer(data, np.float64).reshape(-1, block.shape[1]), end, found[end - 1][1]
 
 
 def to_message(label: str, block: Array) -> Float64MultiArray:

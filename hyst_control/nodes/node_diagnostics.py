@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,6 +40,10 @@ class NodeHealth:
         Signals that the node is waiting for, in lockstep.
     enabled : bool
         False after `~/stop`, and after `~/enable` with false.
+    slow : str
+        Rate that is not kept, under the timer; "" when it is.
+    unheard : sequence of str
+        Inputs on which nothing has come yet, under the timer.
     """
 
     trouble: str = ""
@@ -47,6 +52,8 @@ class NodeHealth:
     wrong_clocks: Sequence[str] = ()
     waits: Sequence[Wait] = ()
     enabled: bool = True
+    slow: str = ""
+    unheard: Sequence[str] = ()
 
     @property
     def waiting_for(self) -> str:
@@ -69,6 +76,8 @@ class NodeHealth:
         """First reason for a warning; "" when there is none."""
         if self.trouble:
             return self.trouble
+        if self.slow:
+            return self.slow
         if self.wrong_clocks:
             return f"other clock: {', '.join(self.wrong_clocks)}"
         if self.stale:
@@ -78,6 +87,13 @@ class NodeHealth:
         if any(wait.seconds >= WAIT_WARNING for wait in self.waits):
             return f"waiting for {self.waiting_for}"
         return ""
+
+    @property
+    def message(self) -> str:
+        """What the node does, in a few words."""
+        if not self.enabled:
+            return f"stopped: {self.warning}" if self.warning else "stopped"
+        return self.warning or "running"
 
     @property
     def warns(self) -> bool:
@@ -112,7 +128,7 @@ class DiagnosticsPublisher:
             name=f"{self._node.get_fully_qualified_name()}: loop",
             hardware_id="hyst_control",
             level=DiagnosticStatus.WARN if health.warns else DiagnosticStatus.OK,
-            message=health.warning or "running",
+            message=health.message,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])
@@ -145,3 +161,51 @@ class ThrottledWarnings:
         if now - self._logged.get(key, -math.inf) >= LOG_INTERVAL:
             self._logged[key] = now
             self._node.get_logger().warning(text)
+
+
+class StateLog:
+    """Log of what a node does: a line whenever that changes.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    remedies : mapping of str to str
+        What to do when the node waits for a topic, by topic.
+    """
+
+    def __init__(self, node: Node, remedies: Mapping[str, str]) -> None:
+        self._node, self._remedies = node, remedies
+        self._said = ""
+        self._ran = False
+
+    def tell(self, health: NodeHealth) -> None:
+        """Log the state unless it is the one that was logged last."""
+        text, kind, waits = self._text(health)
+        if kind == self._said:
+            return
+        before, self._said = self._said, kind
+        logger = self._node.get_logger()
+        if kind == "running":
+            logger.info(f"running again, after: {before}" if self._ran else "running")
+            self._ran = True
+        elif waits and not self._ran:
+            logger.info(text)
+        else:
+            logger.warning(text)
+
+    def _text(self, health: NodeHealth) -> tuple[str, str, bool]:
+        """Line of a state, what must change for another line (numbers that go on do not), and whether the node waits."""
+        if health.enabled and not health.trouble:
+            late = [wait for wait in health.waits if wait.seconds >= WAIT_WARNING]
+            if late:
+                topics = [f"{wait.topic}, tick {wait.tick}" for wait in late]
+                remedies = [self._remedies[wait.topic] for wait in late if wait.topic in self._remedies]
+                return ": ".join([f"waiting for {' and '.join(topics)}", *remedies]), _names(wait.topic for wait in late), True
+            if health.unheard:
+                return f"{_names(health.unheard)}: nothing has come yet", _names(health.unheard), True
+        return health.message, re.sub(r"[0-9][0-9.e+-]*", "…", health.message), False
+
+
+def _names(topics: Iterable[str]) -> str:
+    return f"waiting for {', '.join(topics)}"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +14,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from hyst_control.errors import InputError
+
+MIDDLEWARE = "qos_overrides."
+"""Beginning of parameters that belong to a publisher or subscription."""
 
 
 @dataclass(frozen=True)
@@ -92,9 +96,10 @@ class Setting:
         if self.lower is not None or self.upper is not None:
             lower = -1e300 if self.lower is None else self.lower
             upper = 1e300 if self.upper is None else self.upper
-            if isinstance(self.default, float):
+            kind = type(self.default[0]) if isinstance(self.default, tuple) else type(self.default)
+            if kind is float:
                 descriptor.floating_point_range = [FloatingPointRange(from_value=float(lower), to_value=float(upper))]
-            elif isinstance(self.default, int):
+            elif kind is int:
                 descriptor.integer_range = [IntegerRange(from_value=int(max(lower, -(2**62))), to_value=int(min(upper, 2**62)))]
         return descriptor
 
@@ -102,7 +107,14 @@ class Setting:
         return f" [{self.unit}]" if self.unit else ""
 
 
-def declare(node: Node, settings: Iterable[Setting], changed: Callable[[str, Any], None]) -> SimpleNamespace:
+def declare(
+    node: Node,
+    settings: Iterable[Setting],
+    changed: Callable[[str, Any], None],
+    check_change: Callable[[Mapping[str, Any]], None] = lambda values: None,
+    further: Callable[[SimpleNamespace], Iterable[Setting]] = lambda values: (),
+    elsewhere: Collection[str] = (),
+) -> SimpleNamespace:
     """Declare settings as parameters of a node.
 
     Parameters
@@ -113,6 +125,12 @@ def declare(node: Node, settings: Iterable[Setting], changed: Callable[[str, Any
         Its parameters.
     changed : callable
         Called with name and value after a live change.
+    check_change : callable
+        Called with the new values by name before a live change; an `InputError` is the reason of a refusal.
+    further : callable
+        Called with the values; gives further settings that depend on them.
+    elsewhere : collection of str
+        Parameters of other nodes that may be given to this one as well, without effect.
 
     Returns
     -------
@@ -122,38 +140,71 @@ def declare(node: Node, settings: Iterable[Setting], changed: Callable[[str, Any
     Raises
     ------
     InputError
-        When a value is not allowed; names node, parameter and remedy.
+        When a value is not allowed, or there is no such parameter; names node, parameter and remedy.
     """
-    table = {setting.name: setting for setting in settings}
     values = SimpleNamespace()
+    table = {setting.name: setting for setting in settings}  # a later one takes the place of one of the same name
     for setting in table.values():
-        default = list(setting.default) if isinstance(setting.default, tuple) else setting.default
-        if node.has_parameter(setting.name):  # declared from an override; declared again with its descriptor
-            node.undeclare_parameter(setting.name)
-        try:
-            given = node.declare_parameter(setting.name, default, setting.descriptor()).value
-            setattr(values, setting.name, setting.convert(given))
-        except InputError as error:
-            raise InputError(f"{node.get_name()}: parameter {error}") from None
-        except Exception as error:
-            raise InputError(f"{node.get_name()}: parameter {setting.name}: {error}") from None
+        setattr(values, setting.name, _declared(node, setting))
+    for setting in further(values):
+        setattr(values, setting.name, _declared(node, setting))
+        table[setting.name] = setting
+    _refuse_unknown(node, elsewhere)
 
     def check(parameters: list[Parameter]) -> SetParametersResult:
         try:
-            for parameter in parameters:
-                if parameter.name in table:
-                    table[parameter.name].convert(parameter.value)
+            new = {each.name: table[each.name].convert(each.value) for each in parameters if each.name in table}
+            if new:
+                check_change(new)
         except InputError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def apply(parameters: list[Parameter]) -> None:
-        for parameter in parameters:
-            if parameter.name in table:
-                value = table[parameter.name].convert(parameter.value)
-                setattr(values, parameter.name, value)
-                changed(parameter.name, value)
+        new = {each.name: table[each.name].convert(each.value) for each in parameters if each.name in table}
+        vars(values).update(new)  # all of them first, as one may depend on another
+        for name, value in new.items():
+            changed(name, value)
 
     node.add_on_set_parameters_callback(check)
     node.add_post_set_parameters_callback(apply)
     return values
+
+
+def _declared(node: Node, setting: Setting) -> Any:
+    """Value of a setting after its declaration."""
+    default = list(setting.default) if isinstance(setting.default, tuple) else setting.default
+    try:
+        return setting.convert(node.declare_parameter(setting.name, default, setting.descriptor()).value)
+    except InputError as error:
+        raise InputError(f"{node.get_name()}: parameter {error}") from None
+    except Exception as error:
+        raise InputError(f"{node.get_name()}: parameter {setting.name}: {error}") from None
+
+
+def _refuse_unknown(node: Node, elsewhere: Collection[str]) -> None:
+    """Raise `InputError` for a value that was given for a parameter that does not exist: it would act nowhere."""
+    declared = list(node.get_parameters_by_prefix(""))
+    for name in node._parameter_overrides:  # no public way leads to what was given
+        if name not in declared and name not in elsewhere and not name.startswith(MIDDLEWARE):
+            raise InputError(f"{node.get_name()}: parameter {name}: there is no such parameter{nearest(name, declared)}")
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Question after the name that was meant.
+
+    Parameters
+    ----------
+    name : str
+        A name that is not known.
+    known : iterable of str
+        Those that are.
+
+    Returns
+    -------
+    str
+        Such as ": did you mean upper?"; without a similar name, where to find all.
+    """
+    plain = {each.lower().replace("_", ""): each for each in known}
+    found = difflib.get_close_matches(name.lower().replace("_", ""), plain, 1)
+    return f": did you mean {plain[found[0]]}?" if found else ": --help lists them"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +28,8 @@ from hyst_control.records.signal_message import label_for
 Array = NDArray[np.float64]
 
 ENDING, RIVAL = "the node is ending", "another node publishes command"
+LAW = ("kp", "ki", "roll_off", "tracking_time", "lower", "upper", "slew_limit")
+"""Parameters of the controller's law."""
 TAKEOVER_INTERVAL = 0.01  # s, between two looks whether the present command was heard
 LONGEST_RAMP = 100_000  # rows, in lockstep
 
@@ -50,13 +54,15 @@ class PiFeedback(ManagedNode):
 
     SETTINGS = (
         Setting("feedback", True, "", "close the loop"),
-        Setting("kp", 0.0, "V per unit", "proportional gain", 0.0, 1e9),
-        Setting("ki", 0.0, "V per unit and s", "integral gain", 0.0, 1e12),
-        Setting("roll_off", 0.0, "Hz", "corner of a low-pass of the error, 0 for none (see hyst tune --roll-off)", 0.0, 1e9),
-        Setting("tracking_time", 0.0, "s", "time constant of the anti-windup, 0 for kp / ki", 0.0, 1e6),
-        Setting("lower", 0.0, "V", "lowest command", -1e6, 1e6),
-        Setting("upper", 100.0, "V", "highest command", -1e6, 1e6),
-        Setting("slew_limit", 0.0, "V/s", "greatest slope of the command, 0 for none", 0.0, 1e12),
+        Setting("kp", 0.0, "V per unit", "proportional gain", 0.0, 1e9, live=True),
+        Setting("ki", 0.0, "V per unit and s", "integral gain", 0.0, 1e12, live=True),
+        Setting(
+            "roll_off", 0.0, "Hz", "corner of a low-pass of the error, 0 for none (see hyst tune --roll-off)", 0.0, 1e9, live=True
+        ),
+        Setting("tracking_time", 0.0, "s", "time constant of the anti-windup, 0 for kp / ki", 0.0, 1e6, live=True),
+        Setting("lower", 0.0, "V", "lowest command", -1e6, 1e6, live=True),
+        Setting("upper", 100.0, "V", "highest command", -1e6, 1e6, live=True),
+        Setting("slew_limit", 0.0, "V/s", "greatest slope of the command, 0 for none", 0.0, 1e12, live=True),
         Setting(
             "start",
             "rest",
@@ -64,7 +70,7 @@ class PiFeedback(ManagedNode):
             "slew the first command from 0 V (rest), or let it be any (first_command)",
             choices=("rest", "first_command"),
         ),
-        Setting("safe_command", (0.0,), "V", "command of a stopped loop, one value for all axes or one each", -1e6, 1e6),
+        Setting("safe_command", (0.0,), "V", "command of a stopped loop, one value for all axes or one each", -1e6, 1e6, live=True),
         Setting(
             "safe_rate",
             1000.0,
@@ -116,8 +122,8 @@ class PiFeedback(ManagedNode):
             1e6,
             live=True,
         ),
-        Setting("measurement_lower", -1e6, "um or mrad", "a lower measurement is a fault", -1e12, 1e12),
-        Setting("measurement_upper", 1e6, "um or mrad", "a higher measurement is a fault", -1e12, 1e12),
+        Setting("measurement_lower", -1e6, "um or mrad", "a lower measurement is a fault", -1e12, 1e12, live=True),
+        Setting("measurement_upper", 1e6, "um or mrad", "a higher measurement is a fault", -1e12, 1e12, live=True),
         Setting(
             "frozen_time",
             0.1,
@@ -125,6 +131,7 @@ class PiFeedback(ManagedNode):
             "time after which a constant measurement is a fault if the command moves by 1 % of its range, 0 for never",
             0.0,
             1e6,
+            live=True,
         ),
         BACKEND,
         AUTOSTART,
@@ -144,33 +151,14 @@ class PiFeedback(ManagedNode):
         super().__init__(name, **options)
         given, axes = self.settings, len(self.axes)
         try:
-            description = PI(
-                given.kp,
-                given.ki,
-                self.period,
-                given.lower,
-                given.upper,
-                given.slew_limit,
-                given.tracking_time,
-                given.roll_off,
-            )
-        except InputError as error:
-            raise InputError(f"{self.get_name()}: parameter {error}") from None
-        if len(given.safe_command) not in (1, axes):
-            raise InputError(f"{self.get_name()}: parameter safe_command: {len(given.safe_command)} values, {axes} axes")
-        try:
+            self.check_change({})
+            description = self._described(vars(given))
             controller = CompiledPI(description, axes) if given.backend == C else description.start(axes)
         except InputError as error:
-            raise InputError(f"{self.get_name()}: parameter backend: {error}") from None
+            raise InputError(f"{self.get_name()}: parameter {error}") from None
         controller.step(*np.zeros((3, 1, axes)))  # compiled before the first tick
         controller.pass_through(np.zeros((1, axes)))
-        watch = MeasurementWatch(
-            given.measurement_lower,
-            given.measurement_upper,
-            self._ticks_in(given.frozen_time),
-            MOTION * (given.upper - given.lower),
-        )
-        self.loop = SafeLoop(controller, watch, self._safety())
+        self.loop = SafeLoop(controller, self._watch(), self._safety())
         self._newest: tuple[int, Array, Array] | None = None
         self._ending = False
         self._reported = 0  # faults that were told
@@ -274,8 +262,25 @@ class PiFeedback(ManagedNode):
         self.command.clear()
         self.feedback.clear()
 
+    def check_change(self, values: Mapping[str, Any]) -> None:
+        """Refuse values that do not go together, and gains that are compiled in."""
+        new = {**vars(self.settings), **values}
+        self._described(new)
+        if len(new["safe_command"]) not in (1, len(self.axes)):
+            raise InputError(f"safe_command: {len(new['safe_command'])} values, {len(self.axes)} axes")
+        compiled = sorted({*LAW} & {*values}) if new["backend"] == C else []
+        if compiled:
+            raise InputError(f"{compiled[0]}: is compiled in with backend: {C}: set it at the start, or use backend: python")
+
     def changed(self, name: str, value: Any) -> None:
         self.loop.safety = self._safety()
+        self.loop.watch.judge_by(self._watch())
+        if name in LAW:
+            new = self._described(vars(self.settings))
+            if self.measurement is None:  # the gains have no effect
+                old = self.loop.controller.description
+                new = replace(new, kp=old.kp, ki=old.ki, roll_off=old.roll_off, tracking_time=old.tracking_time)
+            self.loop.change(new)
 
     def wind_down(self) -> None:
         self._ending = True
@@ -320,6 +325,14 @@ class PiFeedback(ManagedNode):
     @property
     def _rival_active(self) -> bool:
         return bool(self.settings.rival != "warn" and self._rivals.silent_for < self.settings.rival_time)
+
+    def _described(self, values: Mapping[str, Any]) -> PI:
+        return PI(sample_time=self.period, **{name: values[name] for name in LAW})
+
+    def _watch(self) -> MeasurementWatch:
+        given = self.settings
+        motion = MOTION * (given.upper - given.lower)
+        return MeasurementWatch(given.measurement_lower, given.measurement_upper, self._ticks_in(given.frozen_time), motion)
 
     def _safety(self) -> Safety:
         given = self.settings

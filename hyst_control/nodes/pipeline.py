@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 
 from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.command_line import help_text
 from hyst_control.nodes.run import main as run_main
 from hyst_control.processes.node_list import NODES
 
@@ -38,14 +39,23 @@ def main() -> int:
     arguments = sys.argv[1:]
     split = arguments.index("--ros-args") if "--ros-args" in arguments else len(arguments)
     parser = argparse.ArgumentParser(
-        prog="pipeline", description=__doc__, epilog="ROS arguments follow the nodes: --ros-args --params-file FILE.yaml"
+        prog="pipeline",
+        add_help=False,
+        description=__doc__,
+        epilog="ROS arguments follow the nodes: --ros-args --params-file FILE.yaml",
     )
     parser.add_argument("nodes", nargs="*", metavar="NODE", help=f"any of {', '.join(COMPOSABLE)}; default: {' '.join(DEFAULT)}")
-    chosen = parser.parse_args(arguments[:split]).nodes or DEFAULT
+    parser.add_argument("-h", "--help", action="store_true", help="show this, and the parameters of the nodes")
+    given = parser.parse_args(arguments[:split])
+    chosen = given.nodes or DEFAULT
     for name in chosen:
         if name not in COMPOSABLE:
             print(f"pipeline: {name!r} is not a node that can be composed: use {', '.join(COMPOSABLE)}", file=sys.stderr)
             return 2
+    if given.help:
+        print(parser.format_help())
+        print(help_text("pipeline", [node_class(name) for name in chosen]))
+        return 0
     return run_main(*(node_class(name) for name in chosen), args=[sys.argv[0], *arguments[split:]])
 
 

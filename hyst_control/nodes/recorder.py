@@ -51,6 +51,8 @@ class Recorder(SignalNode):
 
     _failure = ""
     """Error that ended the writing of the bag; "" when there is none."""
+    _said = False
+    """True once it was told how much was recorded."""
 
     def __init__(self, name: str = "recorder", **options: Any) -> None:
         super().__init__(name, **options)
@@ -135,8 +137,22 @@ class Recorder(SignalNode):
                 clock = "simulated" if self._simulated else "CLOCK_MONOTONIC"
                 self._writer.custom_data = {"clock": clock, "offset_to_ros_time": f"{self.offset_to_ros_time:.6f}"}
             self._writer.close()
+            self._say_recorded()
         except OSError as error:
             self._failed(error)
+
+    def _say_recorded(self) -> None:
+        """Log how much was recorded, once."""
+        if self._said:
+            return
+        self._said = True
+        rows = {topic.name: topic.recorded for topic in self._topics}
+        least, most = min(rows.values(), default=0), max(rows.values(), default=0)
+        count = f"{most} rows" if least == most else f"{least} to {most} rows"
+        self.get_logger().info(f"{self.settings.output}: recorded {count} of each of {len(rows)} topics")
+        silent = [name for name, recorded in rows.items() if not recorded]
+        if silent:
+            self.get_logger().warning(f"nothing has come on {', '.join(silent)}")
 
     def _drain(self) -> None:
         if not self.finished.done():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,24 +16,26 @@ from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.signal_ports import Input
+from hyst_control.nodes.signal_settings import NOT_GIVEN, signal_settings
 from hyst_control.records import excitation
 from hyst_control.records.array_files import read_array
 from hyst_control.records.foreign_rows import LARGEST_VALUE
 from hyst_control.records.row_repetition import KEPT_ROWS
+from hyst_control.records.signal_change import ChangingSignal
 from hyst_control.yaml_files import read_yaml
 
 Array = NDArray[np.float64]
-
-FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides")
 
 
 class ReferenceGenerator(SignalNode):
     """Node that publishes `reference` in messages of `block` rows, at least `lead` rows ahead of the newest `measurement`.
 
     The rows do not depend on the measurement, which only paces them. After its end the signal keeps its last value, or starts again
-    with `repeat`. Parameters that are not settings of the node describe the signal (see `excitation.build`).
+    with `repeat`. A kind of signal has parameters of its own (`hyst excite --list`), which are parameters of the node as well; when they
+    are changed while it runs, the signal goes over into the new one within `transition` without a jump (`records.signal_change`).
     """
 
+    FURTHER = "and the parameters of the kind of signal, live: hyst excite --list"
     SETTINGS = (
         Setting("signal", "rest", "", "kind of signal, a .npy file (rows by axes), or a .yaml file with its description"),
         Setting("lead", 0, "samples", "rows published ahead, for a feedforward that previews", 0, 10_000_000),
@@ -44,6 +48,15 @@ class ReferenceGenerator(SignalNode):
             "rating of the drive for this check, lower and upper; if equal, the model's valid range",
             -1e6,
             1e6,
+        ),
+        Setting(
+            "transition",
+            0.5,
+            "s",
+            "time within which the signal goes over into the new one when its parameters are changed",
+            1e-3,
+            1e4,
+            live=True,
         ),
         Setting("retry", 0.2, "s", "time after which the first rows are published again if no measurement arrives", 1e-3, 60.0),
     )
@@ -60,10 +73,12 @@ class ReferenceGenerator(SignalNode):
         **options : object
             Passed on to `rclpy.node.Node`.
         """
-        super().__init__(name, automatically_declare_parameters_from_overrides=True, **options)
-        self._signal = self._checked(self._described() if signal is None else signal)
+        self._next: Array | None = None  # signal of parameters that are being changed
+        super().__init__(name, **options)
+        self._signal = ChangingSignal(self._checked(self._described() if signal is None else signal), self.settings.repeat)
         self._end = 0
         self._origin: int | None = None
+        self._sent = 0  # rows of the signal, under the timer
         self.reference = self.output("reference", self.unit)
         self.measurement = self.input("measurement", self.unit, every_row=False)
         if self.lockstep:
@@ -83,13 +98,7 @@ class ReferenceGenerator(SignalNode):
         ndarray, shape (count, A)
             The rows.
         """
-        last = len(self._signal) - 1
-        if self.settings.repeat:
-            first %= last + 1
-        if first + count <= last + 1:
-            return self._signal[first : first + count]
-        ticks = np.arange(first, first + count)
-        return self._signal[ticks % (last + 1) if self.settings.repeat else np.minimum(ticks, last)]
+        return self._signal.rows(first, count)
 
     def advance(self) -> None:
         arrived = self.measurement.rows
@@ -112,6 +121,7 @@ class ReferenceGenerator(SignalNode):
             self._origin = tick
         lead, block = self.settings.lead, self.settings.block
         first = max(tick - self.tick_timer.missed, self._origin)
+        self._sent = tick + block - self._origin
         self.reference.send(first + lead, self.rows(first - self._origin, tick + block - first))
 
     def reset(self) -> None:
@@ -134,7 +144,32 @@ class ReferenceGenerator(SignalNode):
         self.reference.send(self._end, self.rows(self._end, block))
         self._end += block
 
-    def _described(self) -> Any:
+    def further_settings(self, given: SimpleNamespace) -> Iterable[Setting]:
+        """Parameters of the kind of signal."""
+        return signal_settings(given.signal) if given.signal in excitation.KINDS else ()
+
+    def check_change(self, values: Mapping[str, Any]) -> None:
+        """Build the signal that new values describe."""
+        self._next = self._checked(self._described(values)) if set(values) & self._names else None
+
+    def changed(self, name: str, value: Any) -> None:
+        if self._next is not None:
+            fade = max(round(self.settings.transition / self.period), 1)
+            self._signal.replace(self._next, self._sent_rows, fade)
+            self._next = None
+
+    @property
+    def _sent_rows(self) -> int:
+        """Number of the signal's rows that were sent."""
+        return self._end if self.lockstep else self._sent if self._origin is not None else 0
+
+    @property
+    def _names(self) -> set[str]:
+        """Names of the parameters of the kind of signal."""
+        return {setting.name for setting in self.further_settings(self.settings)}
+
+    def _described(self, changes: Mapping[str, Any] | None = None) -> Any:
+        """The signal of the present parameters, or of these with `changes`."""
         signal = self.settings.signal
         try:
             if signal.endswith(".npy"):
@@ -142,15 +177,11 @@ class ReferenceGenerator(SignalNode):
             if signal.endswith((".yaml", ".yml")):
                 spec = read_yaml(signal, "give an existing file")
             else:
-                own = {setting.name for setting in self.SETTINGS} | set(vars(self.settings))
+                values = {**vars(self.settings), **(changes or {})}
+                given = {name: values[name] for name in sorted(self._names) if values[name] != NOT_GIVEN}
                 spec = {
                     "signal": signal,
-                    **{
-                        name: list(value) if hasattr(value, "tolist") else value
-                        for name in self.get_parameters_by_prefix("")
-                        if name not in own and not name.startswith(FOREIGN)
-                        for value in [self.get_parameter(name).value]
-                    },
+                    **{name: list(value) if isinstance(value, tuple) else value for name, value in given.items()},
                 }
             return excitation.build(spec, self.period, len(self.axes))
         except OSError as error:

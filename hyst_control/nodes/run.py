@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
+from typing import Any
 
 import rclpy
 from rclpy.context import Context
@@ -17,9 +18,10 @@ from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
+from rclpy.utilities import remove_ros_args
 
 from hyst_control.errors import InputError
-from hyst_control.nodes import interrupts
+from hyst_control.nodes import command_line, interrupts
 from hyst_control.nodes.base import EndingNode, SignalNode
 from hyst_control.nodes.exit_watchdog import exit_within
 from hyst_control.nodes.intra_process import hand_over
@@ -192,14 +194,23 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
     int
         Exit status: 0 when the nodes ended by themselves or were interrupted, 2 on bad input, which is printed in one line.
     """
+    given = list(sys.argv if args is None else args)
+    if command_line.wants_help(given):
+        print(command_line.help_text(given[0], factories))
+        return 0
     exposed = environment.exposure()
+    try:
+        command_line.check(given)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
     if exposed:
         print(exposed, file=sys.stderr)
     environment.prepare()
     interrupts.listen()
     interrupts.end_with_parent()
     try:
-        return _body(factories, args)
+        return _body(factories, given)
     except KeyboardInterrupt:
         return 0
     except (RuntimeError, NotInitializedException):
@@ -213,14 +224,23 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
             rclpy.try_shutdown()
 
 
-def _initialize(args: Sequence[str] | None) -> None:
+def _initialize(args: Sequence[str]) -> None:
     try:
-        rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy's own exceptions: arguments or parameter files that it cannot read
         text = " ".join(str(error).split()).removeprefix("failed to initialize rcl: ").partition(", at ")[0]
         if _secured():
             raise InputError(f"security: {text}: {SECURITY_REMEDY}") from None
         raise InputError(f"ROS arguments: {text}: in a parameter file quote texts such as 'y', 'on' or 'no'") from None
+    command_line.check_rest(args[0], remove_ros_args(list(args))[1:])
+
+
+def _parameters_of(factories: Sequence[Any]) -> frozenset[str]:
+    """Names of the parameters of all nodes of a process with several, since `-p NAME:=VALUE` reaches every one of them."""
+    if len(factories) < 2:
+        return frozenset()
+    classes = [factory for factory in factories if isinstance(factory, type) and issubclass(factory, EndingNode)]
+    return frozenset(setting.name for each in classes for setting in (*each.COMMON_SETTINGS, *each.SETTINGS))
 
 
 def _secured() -> bool:
@@ -239,10 +259,11 @@ def _made(factory: Callable[[], EndingNode]) -> EndingNode:
         raise InputError(f"security: {text}: {SECURITY_REMEDY}") from None
 
 
-def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str] | None) -> int:
+def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str]) -> int:
     nodes: list[EndingNode] = []
     try:
         _initialize(args)
+        EndingNode.elsewhere = _parameters_of(factories)
         for factory in factories:
             nodes.append(_made(factory))
         if interrupts.received():  # a library has suppressed the interrupt

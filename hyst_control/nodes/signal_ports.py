@@ -69,6 +69,8 @@ class Input:
         self, owner: InputOwner, topic: str, label: str, rows: SignalRows, intake: PolledSubscription | None = None
     ) -> None:
         self.topic, self.label, self.rows = topic, label, rows
+        self.needed = True
+        """False when the node works without the signal, under the timer."""
         self._owner, self._intake = owner, intake
         self._seen_label: str | None = None
 
@@ -112,25 +114,27 @@ class Input:
         if isinstance(tick, Refusal):
             owner.drop(self.topic, tick.kind, tick.reason)
             return
-        if not owner.lockstep:
-            owner.heard(self.topic, float(block[-1, 0]))
-        if not owner.lockstep and tick + len(block) > owner.latest_tick:
-            owner.drop(
-                self.topic,
-                "far ahead",
-                "its time is ahead of the clock by more than the parameter ahead: does its source use the same clock?",
-            )
-            return
-        missed = self.rows.missed
-        receipt = self.rows.receive(tick, block[:, 1:].copy(), time.monotonic())  # the message is read-only
+        lockstep, end = owner.lockstep, tick + len(block)
+        if not lockstep:
+            owner.heard(self.topic, (end - 1) * owner.period)
+            if end > owner.latest_tick:
+                owner.drop(
+                    self.topic,
+                    "far ahead",
+                    "its time is ahead of the clock by more than the parameter ahead: does its source use the same clock?",
+                )
+                return
+        rows = self.rows
+        missed = rows.missed
+        receipt = rows.receive(tick, block[:, 1:].copy(), time.monotonic())  # the message is read-only
         if receipt is not Receipt.ACCEPTED:
             self._not_accepted(receipt, tick)
-        elif owner.lockstep:
+        elif lockstep:
             owner.advance()
         else:
-            if self.rows.missed > missed:
-                owner.counts[f"{self.topic}: lost"] += self.rows.missed - missed
-            owner.arrived(self, tick + len(block) - 1, stamp)
+            if rows.missed > missed:
+                owner.counts[f"{self.topic}: lost"] += rows.missed - missed
+            owner.arrived(self, end - 1, stamp)
 
     def forget(self) -> None:
         """Start again; the next rows may have any tick."""

@@ -23,8 +23,6 @@ MAX_ROWS = 1_000_000
 
 NOT_FINITE, OUT_OF_RANGE, OFF_THE_CLOCK, TOO_LONG = "not finite", "out of range", "off the clock", "too long"
 
-_WITHIN = LARGEST_VALUE.__ge__
-
 
 class Refusal(NamedTuple):
     """Kind of fault, under which it is counted, and the reason in words."""
@@ -51,9 +49,10 @@ def admit(block: Array, period: float) -> int | Refusal:
     rows = len(block)
     if rows > MAX_ROWS:
         return Refusal(TOO_LONG, f"it has {rows} rows, at most {MAX_ROWS} are taken")
-    values = block.ravel().tolist()
-    if not all(map(_WITHIN, map(abs, values))):  # neither is a NaN
-        return refused_values(block)
+    values = block[0].tolist() if rows == 1 else block.ravel().tolist()
+    for value in values:
+        if not -LARGEST_VALUE <= value <= LARGEST_VALUE:  # neither is a NaN
+            return refused_values(block)
     tick = tick_at(values[0], period) if rows == 1 else first_tick(block, period)
     return Refusal(OFF_THE_CLOCK, off_the_clock(period)) if tick is None else tick
 

@@ -1,0 +1,151 @@
+"""Gains, limits and signals that change while the loop runs: the step of the command at the change, against a closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hyst_control.control.pi import PI
+from hyst_control.control.safe_loop import SafeLoop, Safety
+from hyst_control.control.sensor_watch import MeasurementWatch
+from hyst_control.errors import InputError
+from hyst_control.records.signal_change import ChangingSignal
+
+PERIOD, RATE = 1e-3, 500.0  # s, V/s
+BEFORE = PI(kp=0.8, ki=40.0, sample_time=PERIOD, lower=0.0, upper=100.0)
+
+
+def loop(description=BEFORE, axes=1, rate=RATE):
+    found = SafeLoop(description.start(axes), MeasurementWatch(-1e6, 1e6, 0, 1.0), Safety(np.zeros(axes), rate))
+    found.restart(None, away=False)
+    return found
+
+
+def inputs(ticks, seed=0, level=20.0):
+    rng = np.random.default_rng(seed)
+    return rng.normal(3.0, 0.4, ticks), rng.normal(2.0, 0.4, ticks), level + rng.normal(0.0, 0.1, ticks)
+
+
+def ran(running, signals, change_at=None, change=None):
+    rows = []
+    for tick, (reference, measurement, feedforward) in enumerate(zip(*signals, strict=True)):
+        if tick == change_at:
+            running.change(change)
+        rows.append(running.closed(*(np.array([[each]]) for each in (reference, measurement, feedforward)))[0][0, 0])
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("roll_off", [0.0, 60.0])
+@pytest.mark.parametrize("new", [{"kp": 3.0}, {"kp": 0.0}, {"ki": 900.0}, {"kp": 2.0, "ki": 5.0}])
+def test_a_gain_changes_the_command_by_no_more_than_the_new_integral_of_one_tick(new, roll_off):
+    before = replace(BEFORE, roll_off=roll_off)
+    after, at = replace(before, **new), 200
+    signals = inputs(400)
+    steady, changed = ran(loop(before), signals), ran(loop(before), signals, at, after)
+    error, share = signals[0] - signals[1], before.roll_off_share
+    rolled = 0.0
+    for each in error[: at + 1]:
+        rolled += share * (each - rolled)
+    np.testing.assert_array_equal(changed[:at], steady[:at])
+    assert changed[at] - steady[at] == pytest.approx((after.ki - before.ki) * PERIOD * rolled, abs=1e-9)
+    # from then on it is the new law, from the integral that the change left
+    other = loop(after)
+    other.controller.resume(changed[at : at + 1], *(each[at : at + 1] for each in signals))
+    if not roll_off:
+        np.testing.assert_allclose(ran(other, [each[at:] for each in signals]), changed[at:], rtol=0, atol=1e-9)
+
+
+def test_a_roll_off_that_comes_or_goes_makes_no_step():
+    signals = inputs(300, seed=1)
+    for before, after in ((BEFORE, replace(BEFORE, roll_off=30.0)), (replace(BEFORE, roll_off=30.0), BEFORE)):
+        steady, changed = ran(loop(before), signals), ran(loop(before), signals, 150, after)
+        rolled = abs(signals[0] - signals[1]).max()
+        assert abs(changed[150] - steady[150]) <= BEFORE.ki * PERIOD * 2 * rolled
+
+
+def test_without_integral_action_the_command_goes_to_the_new_law_at_the_safe_rate():
+    before, after = replace(BEFORE, ki=0.0), replace(BEFORE, ki=0.0, kp=30.0)
+    constant = (np.full(200, 3.0), np.full(200, 2.0), np.full(200, 20.0))
+    commands = ran(loop(before), constant, 100, after)
+    assert commands[99] == pytest.approx(20.8) and commands[-1] == pytest.approx(50.0)
+    np.testing.assert_allclose(np.diff(commands)[99 : 99 + 58], RATE * PERIOD)
+    assert np.abs(np.diff(commands)).max() <= RATE * PERIOD + 1e-9
+
+
+@pytest.mark.parametrize(
+    "new", [{"upper": 12.0}, {"lower": 30.0}, {"lower": 25.0, "upper": 28.0}, {"lower": 100.0, "upper": 140.0}]
+)
+def test_narrower_limits_are_reached_at_the_safe_rate(new):
+    after, at, ticks = replace(BEFORE, **new), 50, 500
+    constant = (np.full(ticks, 2.0), np.full(ticks, 2.0), np.full(ticks, 20.0))
+    commands = ran(loop(), constant, at, after)
+    target = np.clip(20.0, after.lower, after.upper)
+    way = np.minimum(np.arange(1, ticks - at + 1) * RATE * PERIOD, abs(target - 20.0))
+    np.testing.assert_allclose(commands[at:], 20.0 + np.sign(target - 20.0) * way, rtol=0, atol=1e-9)
+
+
+def test_limits_beyond_the_command_hold_at_once():
+    running = loop()
+    constant = (np.full(20, 2.0), np.full(20, 2.0), np.full(20, 20.0))
+    ran(running, constant, 10, replace(BEFORE, upper=40.0))
+    command = running.closed(np.array([[2.0]]), np.array([[2.0]]), np.array([[90.0]]))[0]
+    assert command[0, 0] == 40.0
+
+
+def test_wider_limits_let_a_limited_command_go_at_the_safe_rate():
+    before = replace(BEFORE, upper=20.0, ki=0.0)
+    constant = (np.full(300, 2.0), np.full(300, 2.0), np.full(300, 60.0))
+    commands = ran(loop(before), constant, 100, replace(before, upper=100.0))
+    np.testing.assert_allclose(commands[100:180], 20.0 + RATE * PERIOD * np.arange(1, 81), rtol=0, atol=1e-9)
+    assert commands[-1] == 60.0
+
+
+def test_limits_travel_in_open_loop_and_while_stopped_whatever_the_blocks():
+    for block in (1, 7, 100):
+        running = loop()
+        rows = [running.open(np.full((1, 1), 20.0))[0]]
+        running.change(replace(BEFORE, upper=10.0))
+        rows += [running.open(np.full((min(block, 100 - begin), 1), 20.0))[0] for begin in range(0, 100, block)]
+        np.testing.assert_allclose(
+            np.concatenate(rows)[:, 0], np.maximum(20.0 - RATE * PERIOD * np.arange(101), 10.0), rtol=0, atol=1e-9
+        )
+    running = loop()
+    running.open(np.full((1, 1), 20.0))
+    running.change(replace(BEFORE, lower=15.0))
+    commands = running.stopped_by("a fault", 100)[0][:, 0]
+    assert np.abs(np.diff([20.0, *commands])).max() <= RATE * PERIOD + 1e-9 and commands[-1] == 15.0
+
+
+def test_a_description_that_makes_no_sense_is_refused():
+    with pytest.raises(InputError, match="lower"):
+        replace(BEFORE, lower=200.0)
+
+
+def test_a_signal_gives_way_to_another_without_a_jump():
+    rows = np.arange(1000)
+    old, new = np.sin(rows / 30.0)[:, None], (4.0 + 0.3 * np.sin(rows / 11.0))[:, None]
+    signal, at, fade = ChangingSignal(old, repeat=False), 400, 100
+    signal.replace(new, at, fade)
+    found = signal.rows(0, 1000)
+    np.testing.assert_array_equal(found[:at], old[:at])
+    np.testing.assert_allclose(found[at + fade :], new[at + fade :], rtol=0, atol=1e-15)
+    distance = old[at - 1, 0] - new[at - 1, 0]
+    steepest = np.abs(np.diff(new[:, 0])).max() + abs(distance) * np.pi / (2 * fade)
+    assert np.abs(np.diff(found[at - 1 : at + fade + 1, 0])).max() <= steepest
+    weight = 0.5 * (1 + np.cos(np.pi * 37 / fade))
+    assert found[at + 36, 0] == pytest.approx(new[at + 36, 0] + weight * distance)
+    for step in (1, 13, 999):  # however the rows are asked for
+        cut = [signal.rows(first, min(step, 1000 - first)) for first in range(0, 1000, step)]
+        np.testing.assert_array_equal(np.concatenate(cut), found)
+
+
+def test_a_signal_may_change_again_during_a_change_and_repeats():
+    signal = ChangingSignal(np.zeros((10, 1)), repeat=True)
+    signal.replace(np.full((10, 1), 8.0), 15, 20)
+    before = signal.rows(0, 25)
+    signal.replace(np.full((7, 1), -2.0), 25, 20)
+    found = signal.rows(0, 80)
+    np.testing.assert_array_equal(found[:25], before)
+    assert np.abs(np.diff(found[:, 0])).max() <= 10.0 * np.pi / 40 and found[-1, 0] == -2.0
