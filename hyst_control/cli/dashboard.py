@@ -39,6 +39,8 @@ def run(arguments: argparse.Namespace) -> int:
     from hyst_control.files import write_json
     from hyst_control.nodes.dashboard import LoopSettings, serve
 
+    if not 1e-3 <= arguments.rate <= 1e6:
+        raise InputError(f"--rate: rate_hz must be 1e-3 to 1e6 Hz, got {arguments.rate!r}")
     if not 0 < arguments.window <= 3600:
         raise InputError(f"--window: must be > 0 and ≤ 3600, got {arguments.window!r}")
     if not 0 <= arguments.port < 65536:

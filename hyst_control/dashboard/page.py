@@ -51,7 +51,7 @@ class Actions(Protocol):
 
     @property
     def recording(self) -> str:
-        """Bag that is being written, "" when there is none."""
+        """Sentence about the recording that runs, "" when there is none."""
 
 
 class LivePage:

@@ -8,6 +8,7 @@ import math
 import os
 import queue
 import signal
+import sys
 import tempfile
 import threading
 import time
@@ -29,6 +30,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from hyst_control.dashboard.live_state import LiveState, NodeState
 from hyst_control.errors import InputError
+from hyst_control.nodes import interrupts
 from hyst_control.nodes.base import EndingNode
 from hyst_control.nodes.live_view import LiveView
 from hyst_control.nodes.message_io import CallbackSubscription
@@ -242,13 +244,19 @@ class LoopActions:
 
     @property
     def recording(self) -> str:
-        """Bag that is being written, "" when there is none."""
+        """Sentence about the recording that runs, "" when there is none."""
         recorder = self._processes.running.get(self._name)
-        if self._bag and (recorder is None or recorder.poll() is not None):
-            status = recorder.returncode if recorder is not None else None
-            self._node.say(f"recorded: {self._bag}" if not status else f"recording failed: {self._last_line()}")
-            self._bag = ""
-        return self._bag
+        if recorder is None or not self._bag:
+            return ""
+        begun = Path(self._bag).is_dir()
+        if recorder.poll() is None:
+            return f"{'Recording' if begun else 'Starting to record'} to {self._bag}."
+        if not begun and recorder.returncode < 0:
+            self._node.say("nothing was recorded: it was ended before it had begun")
+        else:
+            self._node.say(f"recording failed: {self._last_line()}" if recorder.returncode else f"recorded: {self._bag}")
+        self._bag = ""
+        return ""
 
     def record(self) -> None:
         """Begin a recording, or end the one that runs."""
@@ -374,7 +382,10 @@ def serve(loop: LoopSettings, port: int, folder: Path, window: float, opened: Ca
         from hyst_control.dashboard.server import LiveServer
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed: pip install 'hyst_control[dashboard]'") from None
+    if exposed := environment.exposure():
+        print(exposed, file=sys.stderr)
     environment.prepare()
+    interrupts.end_with_parent()
     context = Context()
     rclpy.init(args=loop.arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
     state = LiveState(window)

@@ -107,7 +107,7 @@ class LiveView(SignalNode):
             self._published += len(kept)
             self._live.send(np.column_stack([kept * self.period, rows]))
         self._keep(np.column_stack([ticks * self.period, commands, measured]))
-        if self._polls % TURN_EVERY == 0 and self._turn.publisher.get_subscription_count():
+        if self._polls % TURN_EVERY == 1 and self._turn.publisher.get_subscription_count():
             newest = np.concatenate(self._newest)[-self._turn_rows :]
             self._turn.send(newest[:: max(-(-len(newest) // TURN_ROWS), 1)])
 
