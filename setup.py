@@ -39,6 +39,7 @@ setup(
     python_requires=">=3.10",
     install_requires=REQUIRED,
     extras_require={
+        "dashboard": ["bokeh", "tornado"],
         "fleet": ["distributed", "bokeh", "pyarrow"],
         "parquet": ["pyarrow"],
         "pi": ["pipython"],

@@ -73,7 +73,7 @@ def main() -> None:
             sys.exit(f"{wheel.name} lacks {', '.join(sorted(absent))}")
         venv.create(folder / "fresh", with_pip=True)
         bin_folder = folder / "fresh" / "bin"
-        run(bin_folder / "pip", "install", "--quiet", "--constraint", ROOT / "requirements.txt", wheel)
+        run(bin_folder / "pip", "install", "--quiet", "--constraint", ROOT / "requirements.txt", f"{wheel}[dashboard]")
         for executable in entry_points(wheel):
             if not (bin_folder / executable).exists():
                 sys.exit(f"{wheel.name} did not install {executable}")

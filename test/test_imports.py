@@ -14,6 +14,7 @@ ROOMS = (  # from the top of the house down: a room imports from itself and from
     "cli",
     "hardware",
     "nodes",
+    "dashboard",
     "fleet",
     "benchmarks",
     "blind_test",

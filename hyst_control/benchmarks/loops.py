@@ -9,11 +9,15 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from enum import Enum
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +36,9 @@ SECONDS = 6.0
 LOCKSTEP_RATE, TIMER_RATE = 5000.0, 1000.0  # Hz
 START_TIMEOUT = 90.0  # s; a first start compiles the kernels
 SETTLING = 2.0  # s, of a run before it is measured
+PAGE_LOADING = 5.0  # s
+HYST = "import sys; from hyst_control.cli import main; sys.exit(main())"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 STREAMED = 16
 """Rows of a message where the reference is streamed: 3 ms of it at 5 kHz."""
 MIB = 2.0**20
@@ -95,6 +102,14 @@ class Run:
         return int(self.values.get(node, {}).get(entry, 0))
 
 
+class Watched(Enum):
+    """Parts of a live page that run beside a measured loop."""
+
+    NOT = "not"
+    BY_NOBODY = "live view without a page"
+    ON_A_PAGE = "live view with a page open in a browser"
+
+
 def run(table: Table, seconds: float = SECONDS) -> None:
     """Measure all cases: lockstep and wall clock, composed and as processes, plain and with the recorder.
 
@@ -130,6 +145,26 @@ def run(table: Table, seconds: float = SECONDS) -> None:
                 _add_timing(table, f"{case}, recorded{way}", "hyst", measured)
                 loss, count = message_loss(Path(folder) / "bag")
                 table.add("wall clock, 1 kHz", f"{case}, recorded{way}", "hyst", "loss", "%", loss, n=count)
+    dashboard(table, seconds)
+
+
+def dashboard(table: Table, seconds: float = SECONDS) -> None:
+    """Measure what a live page costs the composed loop at 1 kHz: without a live view, with one, and with a page open in a browser.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    seconds
+        Length of every run, s.
+    """
+    _add_timing(table, "composed, no live view", "hyst", measure("composed", "hyst", "timer", seconds))
+    _add_timing(table, "composed, live view", "hyst", measure("composed", "hyst", "timer", seconds, watched=Watched.BY_NOBODY))
+    if not _browser()[0] or find_spec("bokeh") is None:
+        progress.step("no chromium or no bokeh: the cost of an open page is not measured")
+        return
+    measured = measure("composed", "hyst", "timer", seconds, watched=Watched.ON_A_PAGE)
+    _add_timing(table, "composed, live view, page open", "hyst", measured)
 
 
 def _add_timing(table: Table, case: str, subject: str, measured: Run) -> None:
@@ -196,6 +231,7 @@ def measure(
     outside: bool = False,
     backend: str = "python",
     stage: str = "plant",
+    watched: Watched = Watched.NOT,
 ) -> Run:
     """Run the loop once.
 
@@ -219,6 +255,8 @@ def measure(
         Of the feedforward and the feedback, "python" or "c".
     stage
         "plant", or the node of a stage on hardware in its place.
+    watched
+        Parts of a live page; the processor load is that of the loop with its live view, without page and browser.
 
     Returns
     -------
@@ -231,10 +269,15 @@ def measure(
         A node fails or the loop does not start.
     """
     progress.step(f"{schedule}, {case}, {subject}{', recorded' if bag else ''}{' from outside' if outside else ''}: {seconds:g} s")
-    with _running(case, subject, settings(schedule, bag, block, backend, stage), outside, stage) as (processes, plant):
+    each = settings(schedule, bag, block, backend, stage)
+    if watched is not Watched.NOT:
+        each["live_view"] = {name: each[stage][name] for name in ("schedule", "rate_hz", "axes", "unit")}
+    with _running(case, subject, each, outside, stage) as (processes, plant):
         pids = [process.pid for name, process in processes.running.items() if name != "monitor"]
         log = _Diagnostics(processes.log("monitor"))
         _until(lambda: int(log.read().get(plant, {}).get("ticks", 0)) > 0, processes, START_TIMEOUT)
+        if watched is Watched.ON_A_PAGE:
+            _open_page(processes)
         time.sleep(SETTLING)
         before, cpu_before, clock = log.read()[plant], _processor_time(pids), time.monotonic()
         memory = []
@@ -376,6 +419,23 @@ def _running(
         for group in [names] if case == "composed" else [(name,) for name in names]:
             processes.run("-".join(group), "hyst_control.nodes.plain_loop", *group, str(file))
         yield processes, "plain_plant"
+
+
+def _open_page(processes: Processes) -> None:
+    """Start the dashboard of the MHL loop and a browser that shows it."""
+    arguments = ("--rate", str(TIMER_RATE), "--axes", "x", "y", "--unit", "mrad", "--folder", str(processes.folder))
+    processes.execute("dashboard", [sys.executable, "-c", HYST, "dashboard", *arguments])
+    log = processes.log("dashboard")
+    _until(lambda: "http://" in log.read_text(encoding="utf-8"), processes, START_TIMEOUT)
+    url = next(word for word in log.read_text(encoding="utf-8").split() if word.startswith("http://"))
+    processes.execute("browser", [*_browser(), f"--user-data-dir={processes.folder / 'browser'}", url])
+    time.sleep(PAGE_LOADING)
+
+
+def _browser() -> list[str]:
+    """Command line of a browser without a window; its address comes last."""
+    path = next((path for name in BROWSERS if (path := shutil.which(name))), "")
+    return [path, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--remote-debugging-port=0"]
 
 
 class _Diagnostics:

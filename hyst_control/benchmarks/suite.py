@@ -22,7 +22,7 @@ MESSAGES, ROWS = 24_000, 50
 REPEATS = 5
 
 
-GROUPS = ("kernels", "exported", "bags", "loops", "workflows", "coverage", "round_trips")
+GROUPS = ("kernels", "exported", "bags", "loops", "dashboard", "workflows", "coverage", "round_trips")
 
 
 def run(
@@ -72,6 +72,8 @@ def run(
         bags(table)
     if only in (None, "loops"):
         loops.run(table, seconds)
+    if only == "dashboard":
+        loops.dashboard(table, seconds)
     if only in (None, "coverage"):
         progress.step("coverage of identified intervals")
         coverage.run(table)

@@ -23,6 +23,11 @@ class BoucWen(HystereticOscillator):
     """
 
     name: ClassVar[str] = "bouc_wen"
+    equation: ClassVar[str] = (
+        r"\mathrm{mass}\, \ddot{y} + \mathrm{damping}\, \dot{y} + \mathrm{stiffness}\, y + z = u, \quad \dot{z} = "
+        r"\mathrm{alpha}\, \dot{y} - \mathrm{beta}\, |\dot{y}|\, |z|^{\mathrm{exponent} - 1} z - \mathrm{gamma}\, "
+        r"\dot{y}\, |z|^{\mathrm{exponent}}"
+    )
     alpha: ScalarPerAxis = scalar("V/measurement unit", "stiffness of the hysteretic force for small motions", lower=0.0)
     beta: ScalarPerAxis = scalar("V^(1-exponent)/measurement unit", "of the term that opposes the motion: width of the loops")
     gamma: ScalarPerAxis = scalar(

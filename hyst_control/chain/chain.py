@@ -130,6 +130,7 @@ class Parallel(Stage):
     """Branches fed alike, outputs added. MHL's H_D is `madelung` in parallel with `rate_correction` (MHL paper Eq. 3)."""
 
     name: ClassVar[str] = "parallel"
+    equation: ClassVar[str] = r"y = \sum_i C_i[u], \quad C_i \text{ the chains of } \mathrm{branches}"
     branches: tuple[tuple[Stage, ...], ...] = chains("fed alike, outputs added")
 
     def check(self) -> None:

@@ -26,6 +26,9 @@ class CreepOperators(LinearStage):
     """Parts of the motion that arrive late: y = (1 - Σ shares) u + Σ shares · u behind a lag of its time each."""
 
     name: ClassVar[str] = "creep_operators"
+    equation: ClassVar[str] = (
+        r"y = \left(1 - \sum_k \mathrm{shares}_k\right) u + \sum_k \frac{\mathrm{shares}_k}{1 + \mathrm{times}_k\, s}\, u"
+    )
     place: ClassVar[str] = "piezo"
     unit_gain: ClassVar[bool] = True
     times: VectorPerAxis = vector("s", "time constants of the lags", above=0.0, scatter=Scattering.NONE)

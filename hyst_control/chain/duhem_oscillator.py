@@ -24,6 +24,10 @@ class DuhemOscillator(HystereticOscillator):
     """
 
     name: ClassVar[str] = "duhem_oscillator"
+    equation: ClassVar[str] = (
+        r"\mathrm{mass}\, \ddot{y} + \mathrm{damping}\, \dot{y} + \mathrm{stiffness}\, y + z = u, \quad \frac{dz}{dy} = "
+        r"\mathrm{rising}(z) \text{ for } \dot{y} > 0, \quad \mathrm{falling}(z) \text{ for } \dot{y} < 0"
+    )
     knots: VectorPerAxis = vector("V", "forces z at which the slopes are given, increasing", scatter=Scattering.NONE)
     rising: VectorPerAxis = vector("V/measurement unit", "slope dz/dy at the knots while y rises")
     falling: VectorPerAxis = vector("V/measurement unit", "slope dz/dy at the knots while y falls")

@@ -104,6 +104,7 @@ class Delay(Stage):
     """
 
     name: ClassVar[str] = "delay"
+    equation: ClassVar[str] = r"y(t) = u(t - \mathrm{tau})"
     place: ClassVar[str] = "drive"
     tau: ScalarPerAxis = scalar("s", "transport delay", lower=0.0)
 
@@ -123,6 +124,7 @@ class TransferFunction(LinearStage):
     """G(s) = num(s) / den(s), descending powers of s; with `coupled` matrices of polynomials, [output][input]."""
 
     name: ClassVar[str] = "transfer_function"
+    equation: ClassVar[str] = r"G(s) = \frac{\mathrm{num}(s)}{\mathrm{den}(s)}"
     num: VectorPerAxis | AllAxes = vector("descending powers of s", "numerator", scatter=Scattering.POLES)
     den: VectorPerAxis | AllAxes = vector("descending powers of s", "denominator", scatter=Scattering.POLES)
     coupled: bool = flag("whether num is [output][input] of polynomials, and den likewise or one for all")
@@ -309,6 +311,7 @@ class StateSpace(LinearStage):
     """dx/dt = A x + B u, y = C x + D u over all axes together; with `sample_time` (s) x[k+1] = A x[k] + B u[k]."""
 
     name: ClassVar[str] = "state_space"
+    equation: ClassVar[str] = r"\dot{x} = \mathrm{A}\, x + \mathrm{B}\, u, \quad y = \mathrm{C}\, x + \mathrm{D}\, u"
     A: AllAxes = all_axes("1/s, or 1 where discrete", "state from state", 2, scatter=Scattering.POLES)
     B: AllAxes = all_axes("", "state from input", 2)
     C: AllAxes = all_axes("", "output from state", 2)
@@ -425,6 +428,7 @@ class RateCorrection(LinearStage):
     """
 
     name: ClassVar[str] = "rate_correction"
+    equation: ClassVar[str] = r"\Psi = \frac{\mathrm{k1}\, \dot{v} + \mathrm{b1}}{\mathrm{k2}\, s + \mathrm{b2}}"
     k1: ScalarPerAxis = scalar("output unit s / V", "gain of the command's rate")
     k2: ScalarPerAxis = scalar("s", "lag", above=0.0)
     b1: ScalarPerAxis = scalar("output unit", "constant", default=0.0, scatter=Scattering.ABSOLUTE)
@@ -459,6 +463,10 @@ class CrossCoupling(LinearStage):
     """
 
     name: ClassVar[str] = "cross_coupling"
+    equation: ClassVar[str] = (
+        r"y_i = M_{ii} u_i + \frac{1}{1 + s / (2 \pi\, \mathrm{corner}_i)} \sum_{j \neq i} M_{ij} u_j, \quad M = "
+        r"\mathrm{matrix}"
+    )
     matrix: AllAxes = all_axes("", "share of every input in every output, [output][input]", 2)
     corner: ScalarPerAxis | None = scalar("Hz", "of the low-pass on what comes from other axes", default=None, above=0.0)
 

@@ -52,6 +52,7 @@ class Gain(Stage):
     """y = gain · u."""
 
     name: ClassVar[str] = "gain"
+    equation: ClassVar[str] = r"y = \mathrm{gain}\, u"
     gain: ScalarPerAxis = scalar("output unit / input unit", "factor")
 
     def linearized(self, axes: int) -> tuple[Stage, ...]:
@@ -69,6 +70,7 @@ class Offset(Stage):
     """y = u + offset, in the signal's own unit."""
 
     name: ClassVar[str] = "offset"
+    equation: ClassVar[str] = r"y = u + \mathrm{offset}"
     offset: ScalarPerAxis = scalar("signal unit", "constant that is added", scatter=Scattering.ABSOLUTE)
 
     def linearized(self, axes: int) -> tuple[Stage, ...]:
@@ -161,6 +163,7 @@ class Saturation(Stage):
     """
 
     name: ClassVar[str] = "saturation"
+    equation: ClassVar[str] = r"y = \min\left(\max\left(u, \mathrm{lower}\right), \mathrm{upper}\right)"
     place: ClassVar[str] = "drive"
     only_limits: ClassVar[bool] = True
     lower: ScalarPerAxis = scalar("signal unit", "least output", infinite=True)
@@ -197,6 +200,7 @@ class Quantization(Stage):
     """y = step · round(u / step), halves to even: the lattice of a converter. `step` in the signal's own unit; 0: none."""
 
     name: ClassVar[str] = "quantization"
+    equation: ClassVar[str] = r"y = \mathrm{step} \cdot \mathrm{round}\left(\frac{u}{\mathrm{step}}\right)"
     place: ClassVar[str] = "adc"
     only_limits: ClassVar[bool] = True
     step: ScalarPerAxis = scalar("signal unit", "distance of two values; 0: none", lower=0.0)

@@ -252,6 +252,7 @@ class PlayOperator(Stage):
     """One play operator of unit slope: backlash with half-width `threshold` (input unit). HAMPI paper Eq. 3."""
 
     name: ClassVar[str] = "play_operator"
+    equation: ClassVar[str] = r"y_k = \max\left(u_k - \mathrm{threshold}, \min\left(u_k + \mathrm{threshold}, y_{k-1}\right)\right)"
     threshold: ScalarPerAxis = scalar("input unit", "half-width", lower=0.0)
     one_sided: bool = flag("whether it is pulled down without play")
 
@@ -318,6 +319,10 @@ class PrandtlIshlinskii(OperatorModel):
     """
 
     name: ClassVar[str] = "prandtl_ishlinskii"
+    equation: ClassVar[str] = (
+        r"y = \mathrm{w0}\, u + \sum_i \mathrm{weights}_i\, H_i[u], \quad H_i \text{ a play operator of half-width } "
+        r"\mathrm{thresholds}_i"
+    )
     w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)
     one_sided: bool = flag("whether the operators are pulled down without play, for drives that never go negative")
 
@@ -340,6 +345,11 @@ class ModifiedPrandtlIshlinskii(OperatorModel):
     """
 
     name: ClassVar[str] = "modified_prandtl_ishlinskii"
+    equation: ClassVar[str] = (
+        r"y = \mathrm{w0}\, u + \sum_i \left(\mathrm{weights}_i + w_r + w_a\right) H_i[u], \quad w_r = -\mathrm{m1}\, "
+        r"\dot{u} \text{ for } \dot{u} > 0, \quad +\mathrm{m2}\, \dot{u} \text{ for } \dot{u} < 0, \quad w_a = "
+        r"\mathrm{k}\, u + \mathrm{b}"
+    )
     m1: ScalarPerAxis = scalar("output unit s / V²", "rotation of the loop while the command rises", default=0.0)
     m2: ScalarPerAxis = scalar("output unit s / V²", "rotation of the loop while the command falls", default=0.0)
     k: ScalarPerAxis = scalar("output unit / V²", "change of every weight with the command", default=0.0)

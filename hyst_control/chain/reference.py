@@ -15,14 +15,15 @@ HEAD = """# Stages
 
 Written by `python docs/make_stages.py` from the stages' declarations.
 
-Every stage of a model file with its parameters. *Form*: a number holds for every axis, a list where a number is due (a list of lists
-where a list is due) is per axis; what belongs to all axes together is said so. *Scatter*: whether `tolerance` and `uncertainty` of a
-model file may name the parameter, and in which way an identification knows it.
+Every stage of a model file with its equation, from input u to output y with the parameters by name, and its parameters. *Form*: a
+number holds for every axis, a list where a number is due (a list of lists where a list is due) is per axis; what belongs to all axes
+together is said so. *Scatter*: whether `tolerance` and `uncertainty` of a model file may name the parameter, and in which way an
+identification knows it.
 """
 
 
 def stages_reference() -> str:
-    """Every registered stage in alphabetical order: its first sentence and a table of its parameters.
+    """Every registered stage in alphabetical order: its first sentence, its equation and a table of its parameters.
 
     Returns
     -------
@@ -37,7 +38,8 @@ def _section(name: str, stage: type[Stage]) -> str:
     known = {found.name: found for found in fields(stage)}
     rows = [_row(key, parameter, known[key].default) for key, parameter in declared(stage).items()]
     head = "| parameter | form | unit | bounds | default | scatter | |\n|---|---|---|---|---|---|---|\n"
-    return f"\n## {name}\n\n{title}\n\n{head}{''.join(rows)}"
+    equation = f"$$\n{stage.equation}\n$$\n\n" if stage.equation else ""
+    return f"\n## {name}\n\n{title}\n\n{equation}{head}{''.join(rows)}"
 
 
 def _row(name: str, parameter: Parameter, default: Any) -> str:

@@ -119,6 +119,8 @@ class Stage:
     """
 
     name: ClassVar[str] = ""
+    equation: ClassVar[str] = ""
+    """Equation in LaTeX, from input u to output y, parameters upright by name; "" where words say it better."""
     place: ClassVar[str] = ""
     """Place of `effects.effect.PLACES` that the stage belongs to: what is inserted there goes behind it, what belongs to an
     earlier place before it. "" where it may be anywhere."""

@@ -32,6 +32,10 @@ class AddedMass(Modifier):
     """
 
     name: ClassVar[str] = "added_mass"
+    equation: ClassVar[str] = (
+        r"\frac{1}{s^2 + d s + k} \to \frac{1}{s^2 + d' s + k'}, \quad d' = \frac{1 + \mathrm{damping}}{1 + "
+        r"\mathrm{mass\_ratio}}\, d, \quad k' = \frac{k}{1 + \mathrm{mass\_ratio}}"
+    )
     place: ClassVar[str] = "mechanics"
     mass_ratio: ScalarPerAxis = scalar("", "mass that is added, in that of the mode", above=-1.0)
     damping: ScalarPerAxis = scalar("", "growth of the damping constant", default=0.0, above=-1.0)

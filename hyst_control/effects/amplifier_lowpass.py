@@ -25,6 +25,10 @@ class AmplifierLowpass(Lowpass, Averaged):
     """
 
     name: ClassVar[str] = "amplifier_lowpass"
+    equation: ClassVar[str] = (
+        r"y = \left(\frac{1}{1 + s / (2 \pi\, \mathrm{cutoff})}\right)^{\mathrm{order}} u \quad \text{for } "
+        r"\mathrm{damping} = 1"
+    )
     place: ClassVar[str] = "drive"
     last_at_place: ClassVar[bool] = True
 

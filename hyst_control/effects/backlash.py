@@ -22,6 +22,9 @@ class Backlash(Stage):
     """
 
     name: ClassVar[str] = "backlash"
+    equation: ClassVar[str] = (
+        r"y_k = \max\left(u_k - \mathrm{half\_width}, \min\left(u_k + \mathrm{half\_width}, y_{k-1}\right)\right)"
+    )
     place: ClassVar[str] = "motion"
     half_width: ScalarPerAxis = scalar("measurement unit", "half of the play", lower=0.0)
     start: ScalarPerAxis | None = scalar("half-widths", "where in the play a record begins", default=None, lower=-1.0, upper=1.0)

@@ -26,6 +26,10 @@ class CoupledModes(Modifier):
     """
 
     name: ClassVar[str] = "coupled_modes"
+    equation: ClassVar[str] = (
+        r"\Delta G(s) = S + \sum_m \frac{P_m \omega_m^2 + V_m \omega_m s}{s^2 + 2 \zeta_m \omega_m s + \omega_m^2}, \quad "
+        r"\omega_m = 2 \pi\, \mathrm{frequency}_m, \quad \zeta_m = \mathrm{damping}_m"
+    )
     place: ClassVar[str] = "mechanics"
     frequency: AllAxes = all_axes("Hz", "by mode", 1, above=0.0)
     damping: AllAxes = all_axes("", "by mode", 1, above=0.0)

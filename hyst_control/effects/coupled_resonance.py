@@ -26,6 +26,10 @@ class CoupledResonance(Modifier):
     """
 
     name: ClassVar[str] = "coupled_resonance"
+    equation: ClassVar[str] = (
+        r"\Delta G(s) = \frac{P \omega^2 + V \omega s}{s^2 + 2\, \mathrm{damping}\, \omega s + \omega^2}, \quad \omega = "
+        r"2 \pi\, \mathrm{frequency}"
+    )
     place: ClassVar[str] = "mechanics"
     frequency: float = all_axes("Hz", "of the mode", 0, above=0.0)
     damping: float = all_axes("", "of the mode", 0, above=0.0)

@@ -27,6 +27,10 @@ class Creep(LinearStage):
     """
 
     name: ClassVar[str] = "creep"
+    equation: ClassVar[str] = (
+        r"y(t) \approx \left(1 + \mathrm{gamma}\, \log_{10}\left(1 + \frac{t}{\mathrm{begin}}\right)\right) u \quad "
+        r"\text{after a step of } u \text{ at } t = 0"
+    )
     place: ClassVar[str] = "piezo"
     gamma: ScalarPerAxis = scalar("1/decade", "share of a step by which the output grows on")
     begin: ScalarPerAxis = scalar("s", "shortest time", default=0.1, above=0.0)

@@ -39,6 +39,7 @@ class GainDrift(TimedStage):
     """y = u (1 + change (initial + a(t))), t from the start of the record; a: see `arrived`; initial -1: settles at the model's gain."""
 
     name: ClassVar[str] = "gain_drift"
+    equation: ClassVar[str] = r"y(t) = u(t) \left(1 + \mathrm{change} \left(\mathrm{initial} + a(t)\right)\right)"
     change: ScalarPerAxis = scalar("", "of the gain in the end")
     tau: ScalarPerAxis = scalar("s", "time constant, the geometric mean of several", above=0.0)
     decades: ScalarPerAxis = scalar("", "over which several time constants are spread; 0: one", default=0.0, lower=0.0, upper=20.0)

@@ -44,6 +44,11 @@ class HysteresisShape(Modifier):
     """
 
     name: ClassVar[str] = "hysteresis_shape"
+    equation: ClassVar[str] = (
+        r"\frac{\Delta y}{\mathrm{stroke}} = 4\, \mathrm{amount}\, x (1 - x) + 20.78\, \mathrm{odd}\, x (1 - x) \left(x - "
+        r"\frac{1}{2}\right) + \mathrm{tilt} \left(x - \frac{1}{2}\right), \quad x = \frac{u - "
+        r"\mathrm{lower}}{\mathrm{upper} - \mathrm{lower}}"
+    )
     place: ClassVar[str] = "hysteresis"
     amount: ScalarPerAxis = scalar("", "of the stroke, midway")
     lower: ScalarPerAxis = scalar("V", "where the bend begins")

@@ -35,6 +35,7 @@ class HysteresisWidth(Modifier):
     """
 
     name: ClassVar[str] = "hysteresis_width"
+    equation: ClassVar[str] = r"y = \overline{H}[u] + (1 + \mathrm{width}) \left(H[u] - \overline{H}[u]\right)"
     place: ClassVar[str] = "hysteresis"
     adds_hysteresis: ClassVar[bool] = True
     width: ScalarPerAxis = scalar("", "growth of the loop's width")

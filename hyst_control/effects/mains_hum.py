@@ -31,6 +31,10 @@ class MainsHum(TimedStage):
     """
 
     name: ClassVar[str] = "mains_hum"
+    equation: ClassVar[str] = (
+        r"y(t) = u(t) + \mathrm{amplitude} \left(\sin \varphi + 0.3 \sin 3 \varphi + 0.1 \sin 5 \varphi\right), \quad "
+        r"\varphi = 2 \pi\, \mathrm{frequency}\, t + \mathrm{phase}"
+    )
     amplitude: ScalarPerAxis = scalar("measurement unit", "of the fundamental")
     frequency: ScalarPerAxis = scalar("Hz", "of the mains", default=50.0, above=0.0)
     phase: ScalarPerAxis = scalar("rad", "at the start of the record", default=0.0, scatter=Scattering.ABSOLUTE)

@@ -20,6 +20,7 @@ class OffsetDrift(TimedStage):
     """y = u + change (initial + a(t)), t from the start of the record; a: see `arrived`; initial -1: settles at the model's zero."""
 
     name: ClassVar[str] = "offset_drift"
+    equation: ClassVar[str] = r"y(t) = u(t) + \mathrm{change} \left(\mathrm{initial} + a(t)\right)"
     change: ScalarPerAxis = scalar("measurement unit", "of the zero in the end", scatter=Scattering.ABSOLUTE)
     tau: ScalarPerAxis = scalar("s", "time constant, the geometric mean of several", above=0.0)
     decades: ScalarPerAxis = scalar("", "over which several time constants are spread; 0: one", default=0.0, lower=0.0, upper=20.0)

@@ -27,6 +27,10 @@ class Resonance(Modifier):
     """
 
     name: ClassVar[str] = "resonance"
+    equation: ClassVar[str] = (
+        r"\Delta G(s) = G(0) \left(\frac{\mathrm{gain}\, \omega^2 + \mathrm{quadrature}\, \omega s}{s^2 + 2\, "
+        r"\mathrm{damping}\, \omega s + \omega^2} + \mathrm{static}\right), \quad \omega = 2 \pi\, \mathrm{frequency}"
+    )
     place: ClassVar[str] = "mechanics"
     frequency: ScalarPerAxis = scalar("Hz", "of the mode", above=0.0)
     damping: ScalarPerAxis = scalar("", "of the mode", above=0.0)

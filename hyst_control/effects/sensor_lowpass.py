@@ -16,6 +16,10 @@ class SensorLowpass(Lowpass):
     """A low-pass of the measurement; see `Lowpass`."""
 
     name: ClassVar[str] = "sensor_lowpass"
+    equation: ClassVar[str] = (
+        r"y = \left(\frac{1}{1 + s / (2 \pi\, \mathrm{cutoff})}\right)^{\mathrm{order}} u \quad \text{for } "
+        r"\mathrm{damping} = 1"
+    )
 
 
 EFFECT = Effect(

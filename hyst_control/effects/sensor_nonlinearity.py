@@ -45,6 +45,11 @@ class SensorNonlinearity(Stage):
     """y = u + zero + first P1(x) + … + fifth P5(x), Legendre polynomials of x = 2 (u - lower) / (upper - lower) - 1; measurement unit."""
 
     name: ClassVar[str] = "sensor_nonlinearity"
+    equation: ClassVar[str] = (
+        r"y = u + \mathrm{zero} + \mathrm{first}\, P_1(x) + \mathrm{second}\, P_2(x) + \mathrm{third}\, P_3(x) + "
+        r"\mathrm{fourth}\, P_4(x) + \mathrm{fifth}\, P_5(x), \quad x = 2\, \frac{u - \mathrm{lower}}{\mathrm{upper} - "
+        r"\mathrm{lower}} - 1"
+    )
     second: ScalarPerAxis = scalar("measurement unit", "factor of P2")
     third: ScalarPerAxis = scalar("measurement unit", "factor of P3")
     lower: ScalarPerAxis = scalar("measurement unit", "where x is -1")

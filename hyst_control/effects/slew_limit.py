@@ -24,6 +24,7 @@ class SlewLimit(Stage):
     """
 
     name: ClassVar[str] = "slew_limit"
+    equation: ClassVar[str] = r"|\dot{y}| \leq \mathrm{rate}"
     place: ClassVar[str] = "drive"
     only_limits: ClassVar[bool] = True
     rate: ScalarPerAxis = scalar("V/s", "greatest slope of the output", above=0.0, infinite=True)

@@ -39,6 +39,10 @@ class SofteningModes(Modifier):
     """
 
     name: ClassVar[str] = "softening_modes"
+    equation: ClassVar[str] = (
+        r"\lambda(a) = \mathrm{Re}\, \lambda \left(1 + \mathrm{damping}\, r\right) + j\, \mathrm{Im}\, \lambda \left(1 - "
+        r"\mathrm{softening}\, r\right), \quad r = \sqrt{\frac{a}{\mathrm{amplitude}}}"
+    )
     place: ClassVar[str] = "motion"
     softening: ScalarPerAxis = scalar("", "share of the frequencies that is lost at the amplitude")
     damping: ScalarPerAxis = scalar("", "share by which the damping grows at the amplitude")

@@ -24,6 +24,7 @@ class Vibration(TimedStage):
     """
 
     name: ClassVar[str] = "vibration"
+    equation: ClassVar[str] = r"y(t) = u(t) + \mathrm{amplitude}\, \sin\left(2 \pi\, \mathrm{frequency}\, t + \mathrm{phase}\right)"
     place: ClassVar[str] = "motion"
     amplitude: ScalarPerAxis = scalar("measurement unit", "of the fundamental")
     frequency: ScalarPerAxis = scalar("Hz", "of the disturbance", above=0.0)

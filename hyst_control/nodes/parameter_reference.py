@@ -30,6 +30,7 @@ read once at the start. The feedforward and the reference generator take further
 | `recorder` | all five | a rosbag2 MCAP bag |
 | `identification` | bags | a model file (`~/identify`) |
 | `diagnosis` | `command`, `measurement` | `residual`, `gap` with an alarm, a full diagnosis (`~/diagnose`) |
+| `live_view` | `reference`, `command`, `measurement` | `live`, `live_turn`: the same with fewer rows, for a page |
 | `pipeline` | | the five nodes in one process |
 """
 

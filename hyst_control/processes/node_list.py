@@ -31,6 +31,7 @@ NODES = {
     "recorder": NodeEntry("hyst_control.nodes.recorder", "Recorder"),
     "identification": NodeEntry("hyst_control.nodes.identification"),
     "diagnosis": NodeEntry("hyst_control.nodes.diagnosis", "DiagnosisNode"),
+    "live_view": NodeEntry("hyst_control.nodes.live_view", "LiveView"),
     "pipeline": NodeEntry("hyst_control.nodes.pipeline"),
     "monitor": NodeEntry("hyst_control.nodes.diagnostics_monitor", installed=False),
 }

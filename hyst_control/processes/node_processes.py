@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -100,9 +100,26 @@ class Processes:
         Popen
             The process.
         """
+        return self.execute(name, [sys.executable, "-m", module, *arguments])
+
+    def execute(self, name: str, command: Sequence[str]) -> subprocess.Popen[bytes]:
+        """Start a program with the environment of the nodes; its output goes to `name`.log.
+
+        Parameters
+        ----------
+        name : str
+            Name of the process.
+        command : sequence of str
+            The program and its arguments.
+
+        Returns
+        -------
+        Popen
+            The process.
+        """
         with open(self.log(name), "ab") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", module, *arguments],
+                command,
                 env=self._environment,
                 stdin=subprocess.DEVNULL,
                 stdout=log,

@@ -16,6 +16,7 @@ from hyst_control.nodes.common_parameters import COMMON
 from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.hampi_feedforward import HampiFeedforward
 from hyst_control.nodes.identification import Identification
+from hyst_control.nodes.live_view import LiveView
 from hyst_control.nodes.mhl_feedforward import MhlFeedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.pipeline import COMPOSABLE, node_class
@@ -35,6 +36,7 @@ NODES = {
     "pi_stage": PhysikInstrumenteStage,
     "iio_stage": IioStage,
     "recorder": Recorder,
+    "live_view": LiveView,
     "identification": Identification,
     "diagnosis": DiagnosisNode,
 }

@@ -1,0 +1,1 @@
+"""A live page of a running loop: what a browser shows of it, without ROS."""

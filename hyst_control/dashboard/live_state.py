@@ -1,0 +1,179 @@
+"""State of a running loop as a page shows it: written by one thread, read by others."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SETBACK = 0.5
+"""s by which a time goes back when a loop was started anew; less is a row that came twice."""
+LOST_AFTER = 5.0
+"""s after which a node that says nothing is called lost: diagnostics come once a second."""
+
+
+@dataclass(frozen=True)
+class NodeState:
+    """Newest diagnostics of a node.
+
+    Attributes
+    ----------
+    name : str
+        Name of the node.
+    warns : bool
+        True when its level is not OK.
+    message : str
+        Its message.
+    values : mapping
+        Entries by key.
+    heard : float
+        Time of the monotonic clock at which it was heard, s.
+    """
+
+    name: str
+    warns: bool
+    message: str
+    values: Mapping[str, str] = field(default_factory=dict)
+    heard: float = 0.0
+
+    @property
+    def lost(self) -> bool:
+        """True when the node has been silent for long."""
+        return time.monotonic() - self.heard > LOST_AFTER
+
+
+class Trace:
+    """Newest rows of a table that grows, for readers that ask for what came since they last looked.
+
+    Parameters
+    ----------
+    window : float
+        Time in s that is kept, by the table's column 0.
+    """
+
+    def __init__(self, window: float) -> None:
+        self.window = window
+        self.columns: tuple[str, ...] = ()
+        """Names of the columns, the time first."""
+        self.epoch = 0
+        """Number of times that the table began anew."""
+        self._lock = threading.Lock()
+        self._blocks: deque[tuple[int, Array]] = deque()  # index of the first row, rows
+        self._end = 0
+        self._newest = -np.inf
+        self._arrived = -np.inf
+
+    @property
+    def age(self) -> float:
+        """Seconds since the newest rows arrived; infinite before the first."""
+        return time.monotonic() - self._arrived
+
+    def add(self, columns: tuple[str, ...], rows: Array) -> None:
+        """Append rows; those that are not newer than the newest one are left out.
+
+        Parameters
+        ----------
+        columns : tuple of str
+            Names (C,) of the columns; others than before begin the table anew, as does a time that goes back.
+        rows : ndarray, shape (N, C)
+            Rows; column 0 is the time in s, increasing.
+        """
+        if not len(rows):
+            return
+        with self._lock:
+            if columns != self.columns or rows[-1, 0] < self._newest - SETBACK:
+                self.columns, self._newest = columns, -np.inf
+                self._blocks.clear()
+                self.epoch += 1
+            rows = rows[rows[:, 0] > self._newest].copy()
+            if len(rows):
+                self._blocks.append((self._end, rows))
+                self._end += len(rows)
+                self._newest, self._arrived = float(rows[-1, 0]), time.monotonic()
+            while self._blocks and self._blocks[0][1][-1, 0] < self._newest - self.window:
+                self._blocks.popleft()
+
+    def since(self, epoch: int, index: int) -> tuple[int, int, Array]:
+        """Rows that a reader has not seen.
+
+        Parameters
+        ----------
+        epoch, index : int
+            What the last call returned; 0, 0 at first.
+
+        Returns
+        -------
+        epoch, index : int
+            To be given to the next call.
+        rows : ndarray, shape (N, C)
+            The rows; all that are kept when the epoch has changed.
+        """
+        with self._lock:
+            first = index if epoch == self.epoch else 0
+            parts = [rows[max(first - begin, 0) :] for begin, rows in self._blocks if begin + len(rows) > first]
+            empty = np.zeros((0, max(len(self.columns), 1)))
+            return self.epoch, self._end, np.concatenate(parts) if parts else empty
+
+
+class LiveState:
+    """All that a page shows of a loop.
+
+    Parameters
+    ----------
+    window : float
+        Time in s that its curves cover.
+    """
+
+    def __init__(self, window: float = 10.0) -> None:
+        self.signals = Trace(window)
+        """Signals over time, decimated."""
+        self.gap = Trace(6.0 * window)
+        """Gap of every judged window, in % of the range, and its alarm (0 or 1)."""
+        self.answers: deque[str] = deque(maxlen=5)
+        """What was asked of the nodes and what they answered, the newest last."""
+        self._lock = threading.Lock()
+        self._turn: tuple[tuple[str, ...], Array] = ((), np.zeros((0, 1)))
+        self._nodes: dict[str, NodeState] = {}
+
+    @property
+    def turn(self) -> tuple[tuple[str, ...], Array]:
+        """Names of the columns and rows (N, C) of the newest stretch, for the loop."""
+        with self._lock:
+            return self._turn
+
+    def set_turn(self, columns: tuple[str, ...], rows: Array) -> None:
+        """Replace the newest stretch.
+
+        Parameters
+        ----------
+        columns : tuple of str
+            Names (C,).
+        rows : ndarray, shape (N, C)
+            Its rows.
+        """
+        with self._lock:
+            self._turn = columns, rows.copy()
+
+    @property
+    def nodes(self) -> list[NodeState]:
+        """Newest diagnostics of every node, by name."""
+        with self._lock:
+            return [self._nodes[name] for name in sorted(self._nodes)]
+
+    def set_node(self, node: NodeState) -> None:
+        """Replace the diagnostics of a node.
+
+        Parameters
+        ----------
+        node : NodeState
+            The newest ones.
+        """
+        with self._lock:
+            self._nodes[node.name] = node

@@ -1,0 +1,402 @@
+"""Dashboard node: what a live page shows of the loop, and the requests of its buttons; `hyst dashboard` runs it beside the web server."""
+
+from __future__ import annotations
+
+import _thread
+import json
+import math
+import os
+import queue
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from numpy import float64
+from numpy.typing import NDArray
+from rclpy.context import Context
+from rclpy.experimental import EventsExecutor
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from std_srvs.srv import SetBool, Trigger
+
+from hyst_control.dashboard.live_state import LiveState, NodeState
+from hyst_control.errors import InputError
+from hyst_control.nodes import interrupts
+from hyst_control.nodes.base import EndingNode
+from hyst_control.nodes.live_view import LiveView
+from hyst_control.nodes.message_io import CallbackSubscription
+from hyst_control.nodes.run import close, spin
+from hyst_control.processes import environment
+from hyst_control.processes.node_processes import Processes
+
+Array = NDArray[float64]
+
+POLL_INTERVAL = 0.05  # s, between two looks at what the page has asked
+ANSWER_TIMEOUT = 3.0
+"""s that a node has to answer a request."""
+DISCOVERY = 1.5
+"""s for which a loop must have run without a live view before one is run here."""
+DRIVING = ("command", "applied")
+"""Topics whose publishers drive the actuator, in the order in which they are asked: the feedback, then plant or stage."""
+ASKED = {
+    "enable": (SetBool, SetBool.Request(data=True)),
+    "stop": (Trigger, Trigger.Request()),
+    "reset": (Trigger, Trigger.Request()),
+}
+"""Type and request of the services that the buttons call."""
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """Settings of the loop that a page shows.
+
+    Attributes
+    ----------
+    rate_hz : float
+        Sample rate of its signals, Hz.
+    schedule : str
+        "timer" or "lockstep".
+    axes : tuple of str
+        Names of its axes.
+    unit : str
+        Unit of the measurement, "um" or "mrad".
+    namespace : str
+        Namespace of its topics; "" for none.
+    """
+
+    rate_hz: float = 1000.0
+    schedule: str = "timer"
+    axes: tuple[str, ...] = ("x",)
+    unit: str = "um"
+    namespace: str = ""
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Parameters that every node of the loop has."""
+        return {name: value for name, value in asdict(self).items() if name != "namespace"} | {"axes": list(self.axes)}
+
+    @property
+    def arguments(self) -> list[str]:
+        """ROS arguments that give them to nodes."""
+        space = ["-r", f"__ns:=/{self.namespace.strip('/')}"] if self.namespace.strip("/") else []
+        values = [word for name, value in self.parameters.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
+        return ["hyst", "--ros-args", *space, *values]
+
+
+class DashboardNode(EndingNode):
+    """Node that listens to `live`, `live_turn`, `gap` and `/diagnostics`, and calls services of the nodes that drive the actuator.
+
+    Everything is done on the thread that spins it; `ask` and `leave` may be called from another one.
+
+    Parameters
+    ----------
+    state : LiveState
+        Written by this node.
+    name : str
+        Name of the node.
+    **options : object
+        Passed on to `rclpy.node.Node`.
+    """
+
+    def __init__(self, state: LiveState, name: str = "dashboard", **options: Any) -> None:
+        super().__init__(name, **options)
+        self._state = state
+        self._asked: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._pending: list[tuple[float, str, Future]] = []  # deadline in s, request in words, its answer
+        self.ended = Future()
+        self.unserved: Callable[[], None] = lambda: None
+        """Called once, when the loop runs and has no live view."""
+        self._unserved_since = math.inf
+        self._served = False
+        for topic, take in (
+            ("live", state.signals.add),
+            ("live_turn", state.set_turn),
+            ("gap", state.gap.add),
+        ):
+            CallbackSubscription(self, topic, self._into(take), self._state.answers.append)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
+        self.every(POLL_INTERVAL, self._poll)
+
+    def ask(self, what: str) -> None:
+        """Ask the nodes that drive the actuator to do something.
+
+        Parameters
+        ----------
+        what : str
+            A key of `ASKED`.
+        """
+        self._asked.put(what)
+
+    def say(self, words: str) -> None:
+        """Show a line on the page.
+
+        Parameters
+        ----------
+        words : str
+            The line.
+        """
+        self._state.answers.append(words)
+
+    def leave(self) -> None:
+        """End the spinning of the node."""
+        self._asked.put("")
+
+    @staticmethod
+    def _into(take: Callable[[tuple[str, ...], Array], None]) -> Callable[[str, Array], None]:
+        def receive(label: str, block: Array) -> None:
+            take(tuple(label.split(",")), block)
+
+        return receive
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            full_name, _, what = status.name.rpartition(":")
+            if what.strip() == "loop" and full_name.startswith(self.get_namespace()):
+                values = {entry.key: entry.value for entry in status.values}
+                warns = status.level != DiagnosticStatus.OK
+                self._state.set_node(NodeState(full_name.lstrip("/"), warns, status.message, values, time.monotonic()))
+
+    def _poll(self) -> None:
+        while not self._asked.empty():
+            what = self._asked.get()
+            if what:
+                self._ask(what)
+            elif not self.ended.done():
+                self.ended.set_result(None)
+        now = time.monotonic()
+        self._look_for_a_view(now)
+        for deadline, words, answer in list(self._pending):
+            if answer.done() or now > deadline:
+                self._pending.remove((deadline, words, answer))
+                self._state.answers.append(f"{words}: {_said(answer)}")
+
+    def _look_for_a_view(self, now: float) -> None:
+        if self._served:
+            return
+        if self.count_publishers("live"):
+            self._served = True
+        elif self.count_publishers("measurement"):
+            self._unserved_since = min(self._unserved_since, now)
+            if now - self._unserved_since > DISCOVERY:
+                self._served = True
+                self.unserved()
+
+    def _ask(self, what: str) -> None:
+        kind, request = ASKED[what]
+        nodes = self.driving_nodes()
+        if not nodes:
+            self._state.answers.append(f"{what}: nobody was asked, because no node publishes command")
+        for node in nodes:
+            client = self.create_client(kind, f"{node}/{what}")
+            words = f"{time.strftime('%H:%M:%S')} {what} {node.lstrip('/')}"
+            answer = client.call_async(request)
+            answer.add_done_callback(lambda _, client=client: self.once(lambda: self.destroy_client(client)))
+            self._pending.append((time.monotonic() + ANSWER_TIMEOUT, words, answer))
+
+    def driving_nodes(self) -> list[str]:
+        """Full names of the nodes that drive the actuator, the feedback first."""
+        found = [
+            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            for topic in DRIVING
+            for info in self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
+        ]
+        return list(dict.fromkeys(found))
+
+
+class LoopActions:
+    """Requests of a page: services by the node, recordings as processes.
+
+    Parameters
+    ----------
+    node : DashboardNode
+        The node.
+    processes : Processes
+        Where the recorder is started.
+    loop : LoopSettings
+        Settings of the loop.
+    folder : Path
+        Folder of the recordings.
+    """
+
+    def __init__(self, node: DashboardNode, processes: Processes, loop: LoopSettings, folder: Path) -> None:
+        self._node, self._processes, self._loop, self._folder = node, processes, loop, folder
+        self._bag = ""
+        self._count = 0
+
+    def ask(self, what: str) -> None:
+        """Ask the nodes that drive the actuator.
+
+        Parameters
+        ----------
+        what : str
+            `enable`, `stop` or `reset`.
+        """
+        self._node.ask(what)
+
+    @property
+    def recording(self) -> str:
+        """Sentence about the recording that runs, "" when there is none."""
+        recorder = self._processes.running.get(self._name)
+        if recorder is None or not self._bag:
+            return ""
+        begun = Path(self._bag).is_dir()
+        if recorder.poll() is None:
+            return f"{'Recording' if begun else 'Starting to record'} to {self._bag}."
+        if not begun and recorder.returncode < 0:
+            self._node.say("nothing was recorded: it was ended before it had begun")
+        else:
+            self._node.say(f"recording failed: {self._last_line()}" if recorder.returncode else f"recorded: {self._bag}")
+        self._bag = ""
+        return ""
+
+    def record(self) -> None:
+        """Begin a recording, or end the one that runs."""
+        if self.recording:
+            self._processes.running[self._name].send_signal(signal.SIGINT)
+            return
+        self._count += 1
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            self._node.say(f"record: {self._folder}: {error.strerror}: start with --folder and one that can be written")
+            return
+        self._bag = str(self._folder / f"{time.strftime('%Y%m%dT%H%M%S')}-{self._count}")
+        self._processes.start("recorder", {**self._loop.parameters, "output": self._bag, "merge": 50}, self._name)
+
+    @property
+    def _name(self) -> str:
+        return f"dashboard_recorder_{self._count}"
+
+    def _last_line(self) -> str:
+        lines = self._processes.log(self._name).read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return lines[-1] if lines else "no output"
+
+
+def _said(answer: Future) -> str:
+    """Answer of a service in words."""
+    if not answer.done():
+        return f"no answer within {ANSWER_TIMEOUT:g} s"
+    if (error := answer.exception()) is not None:
+        return str(error)
+    result = answer.result()
+    return str(result.message) if result.success else f"refused: {result.message}"
+
+
+@contextmanager
+def live_loop(loop: LoopSettings, state: LiveState, folder: Path, context: Context) -> Iterator[LoopActions]:
+    """Listen to a loop on a thread within the context.
+
+    A live view that runs beside the loop is used; where there is none, one is run on this thread, and the middleware carries all signals
+    to it.
+
+    Parameters
+    ----------
+    loop : LoopSettings
+        Its settings.
+    state : LiveState
+        Kept up to date.
+    folder : Path
+        Folder of the recordings.
+    context : Context
+        ROS context, initialized with `loop.arguments`.
+
+    Returns
+    -------
+    LoopActions
+        Requests to its nodes.
+    """
+    domain = int(os.environ.get("ROS_DOMAIN_ID") or 0)
+    namespace = f"/{loop.namespace.strip('/')}" if loop.namespace.strip("/") else ""
+    with ExitStack() as stack:
+        logs = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        processes = stack.enter_context(Processes(logs, domain, namespace))
+        node = DashboardNode(state, context=context)
+        nodes: list[EndingNode] = [node]
+        stack.callback(close, nodes)
+        executor = EventsExecutor(context=context)
+        executor.add_node(node)
+
+        def view() -> None:
+            nodes.append(LiveView("dashboard_view", context=context))
+            executor.add_node(nodes[-1])
+
+        failures: list[BaseException] = []
+
+        def listen() -> None:
+            try:
+                spin(executor, node.ended)
+            except BaseException as error:
+                failures.append(error)
+                _thread.interrupt_main()  # a page that shows nothing new must not stay
+
+        node.unserved = view
+        thread = threading.Thread(target=listen, name="dashboard", daemon=True)
+        thread.start()
+        try:
+            yield LoopActions(node, processes, loop, folder)
+        finally:
+            node.leave()
+            thread.join(timeout=5.0)
+            executor.shutdown()
+            if failures:
+                raise failures[0]
+
+
+def serve(loop: LoopSettings, port: int, folder: Path, window: float, opened: Callable[[str], None]) -> int:
+    """Show a loop on a page until Ctrl-C.
+
+    Parameters
+    ----------
+    loop : LoopSettings
+        Its settings.
+    port : int
+        Port; 0 for a free one.
+    folder : Path
+        Folder of the recordings.
+    window : float
+        Time in s that the curves cover.
+    opened : callable
+        Called with the page's address once it is served.
+
+    Returns
+    -------
+    int
+        Exit status 0.
+
+    Raises
+    ------
+    InputError
+        When the extra is not installed, a setting is not allowed, or the port cannot be used.
+    """
+    try:
+        from hyst_control.dashboard.page import LivePage
+        from hyst_control.dashboard.server import LiveServer
+    except ModuleNotFoundError as error:
+        raise InputError(f"{error.name} is not installed: pip install 'hyst_control[dashboard]'") from None
+    if exposed := environment.exposure():
+        print(exposed, file=sys.stderr)
+    environment.prepare()
+    interrupts.end_with_parent()
+    context = Context()
+    rclpy.init(args=loop.arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
+    state = LiveState(window)
+    try:
+        with live_loop(loop, state, folder, context) as actions:
+            title = f"hyst dashboard: {loop.namespace.strip('/') or 'loop'}, {loop.rate_hz:g} Hz"
+            server = LiveServer(LivePage(state, actions, title), port)
+            opened(server.url)
+            server.run()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        rclpy.try_shutdown(context=context)
+    return 0
