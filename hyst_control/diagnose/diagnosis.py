@@ -369,7 +369,9 @@ def _axis(
                 findings,
                 checks,
                 configuration,
-                companions(linearised, collected.hypotheses[index], baseline.usual_zero, found.temper) if baseline else (),
+                companions(linearised, collected.hypotheses[index], baseline.usual_zero, baseline.mean_zero, found.temper)
+                if baseline
+                else (),
                 distortions(linearised, collected.hypotheses[index], found.temper),
             )
             for index in contenders(collected.evidence, thresholds)
