@@ -73,8 +73,8 @@ class Model:
     discrepancy
         What the model leaves on the records it was identified from: {"version": 1, "rms": by axis, on the worst record, measurement
         unit, each record's own zero and drift taken off, "correlation": time of that error per independent sample, s, "zero": zero, drift
-        and curvature up to which a session is usual, by axis, absent for one record, "zero_mean": their means, "learned": by axis, the error as a function of the
-        command (`identify.learned_discrepancy`), absent where the command does not predict it}.
+        and curvature up to which a session is usual, by axis, absent for one record, "zero_mean": their means, "learned": by axis, the
+        error as a function of the command (`identify.learned_discrepancy`), absent where the command does not predict it}.
     """
 
     name: str
