@@ -191,7 +191,8 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     if all(matches):
         return _carried(problem, clean, matches, spans, settings)
-    errors = [piece.measurement - _simulated(clean, index, piece) for index, piece in enumerate(clean.pieces)]
+    # A record that begins anywhere fills the memory first: what the model leaves there is no error of it.
+    errors = [(piece.measurement - _simulated(clean, i, piece))[_first_counted(piece) :] for i, piece in enumerate(clean.pieces)]
     stated = discrepancy_of([piece.command for piece in clean.pieces], errors, clean.sample_time)
     return _beside_own_error(problem, stated, clean, settings)
 
@@ -263,7 +264,8 @@ def _carried(
     differences: list[Array] = []
     zeros: list[Array] = []
     for piece, found in zip(problem.pieces, matches, strict=True):
-        begin, end = max(match.begin for match in found), min(match.end for match in found)
+        filled = [max(_first_counted(piece), _first_counted(match.clean) - match.shift) for match in found]
+        begin, end = max(*(match.begin for match in found), *filled), min(match.end for match in found)
         kept = np.zeros(len(piece.command), dtype=bool)
         kept[begin:end] = True
         whole = kept.all() and piece.keep is None
@@ -381,6 +383,11 @@ def _between_periods(command: Array, error: Array, settings: BaselineSettings) -
     count = len(command) // period
     whole = error[: count * period].reshape(count, period, -1)
     return [without_zero(later - earlier)[0] for earlier, later in zip(whole[:-1], whole[1:], strict=True)]
+
+
+def _first_counted(piece: Piece) -> int:
+    """First row of a record that counts."""
+    return 0 if piece.keep is None else int(np.argmax(piece.keep))
 
 
 def _simulated(problem: Problem, index: int, piece: Piece) -> Array:

@@ -358,7 +358,7 @@ def _axis(
     floor = _floor(problem, own, configuration)
     if baseline is not None:
         floor = max(floor, float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2))))
-    leaves = stated_energy(own, problem.sigma)
+    leaves = max(stated_energy(own, problem.sigma), 1.0 + problem.own_energy)
     found = search(linearised, members, null + thresholds.margin, floor, leaves, progress, configuration)
     collected = collect(found, null, floor, stated, record, checks, configuration)
     evidence = collected.evidence.with_residuals(

@@ -94,7 +94,10 @@ def collect(
         found.linearised.count,
         null,
         floor,
-        stated_energy(stated if problem.own_error is None else np.maximum(stated, problem.own_error), problem.sigma),
+        max(
+            stated_energy(stated if problem.own_error is None else np.maximum(stated, problem.own_error), problem.sigma),
+            1.0 + problem.own_energy,
+        ),
         tuple(float(value) for value in problem.sigma),
         tuple(float(value) for value in stated),
         rows,

@@ -19,6 +19,7 @@ from hyst_control.diagnose.predictability import predictable_share
 from hyst_control.diagnose.problem import Piece
 from hyst_control.diagnose.session import CarriedError, SessionZero
 from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.effects import EFFECTS
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal
@@ -173,6 +174,21 @@ def test_a_sensor_may_have_its_zero_anywhere(change, names):
     assert report["verdict"] in (("effect", "ambiguous") if names else ("no_gap",))
     zero = next(row for row in report["companions"] if row["name"] == "offset")
     assert abs(zero["value"]) < zero["usual"] < 2.0
+
+
+@pytest.mark.parametrize("frequencies", [(50.0, 50.0), (40.0, 50.0)])
+def test_what_fills_the_memory_of_a_clean_record_is_no_error_of_the_model(frequencies):
+    """A record that begins anywhere: its warm-up counts neither for the error of the model nor for what differs between periods."""
+    begin, command = 0.1, [80.0 * np.sin(2 * np.pi * f * np.arange(2500) / RATE) for f in frequencies]
+    transient = 3.0 * np.exp(-np.arange(2500) / RATE / 0.02)
+    found = []
+    for added in (0.0, transient):
+        clean = [record(command[0], machine(command[0], 2) + added, "clean")]
+        new = record(command[1], machine(command[1], 1), "new")
+        others = [name for name in EFFECTS if name != "gain"]
+        report, *_ = diagnosed([new], MODEL, cache=False, baseline=clean, warm_up=begin, without=others)
+        found.append(report["baseline"]["repeatability"][0])
+    assert found[1] == pytest.approx(found[0], rel=0.1)
 
 
 def test_without_a_model_a_clean_record_says_what_has_changed():
