@@ -26,6 +26,7 @@ from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.configuration import BaselineSettings
+from hyst_control.diagnose.initial_memory import initial_memory
 from hyst_control.diagnose.noise_floor import noise_between_periods
 from hyst_control.diagnose.problem import Piece, Problem, check_units
 from hyst_control.diagnose.session import CarriedError, ErrorBasis, LearnedError, SessionZero
@@ -223,10 +224,10 @@ def _beside_own_error(problem: Problem, stated: Mapping[str, Any], clean: Proble
     # Without a stated correlation that of a sine at the slowest excited frequency is assumed.
     seconds = float(stated.get("correlation", 1.0 / (np.pi * _slowest(problem))))
     learned = [LearnedDiscrepancy.from_document(one) for one in stated.get("learned", ()) if one is not None]
-    predicted: tuple[LearnedError, ...] = ()
+    predicted = _memory(problem, settings)
     rest = settings.unseen * error
     if len(learned) == len(error) == 1:  # axes that the model mixes have no features of their own
-        predicted = (_predicted(problem, learned[0]),)
+        predicted = (*predicted, _predicted(problem, learned[0]))
         rest, seconds = settings.unseen * np.array([learned[0].rest]), learned[0].correlation
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     noise = np.broadcast_to(np.atleast_1d(np.asarray(problem.model.noise.get("sigma", 0.0), dtype=float)), error.shape)
@@ -286,7 +287,8 @@ def _carried(
     usual = np.fmin(np.max(zeros, axis=0), settings.usual_share * spans[:, None])
     # Both records of a difference have noise, and the mean of n clean ones a part of it; what is carried has none.
     alone = repeatability / np.sqrt(1.0 + 1.0 / min(len(found) for found in matches))
-    stages = (*problem.model.chain.stages, CarriedError(tuple(series)))
+    memory = _memory(replace(problem, pieces=tuple(pieces)), settings)
+    stages = (*problem.model.chain.stages, CarriedError(tuple(series)), *memory)
     zero = _zero(replace(problem, model=problem.model.with_stages(stages)), spans, settings)
     model = replace(problem.model.with_stages((*stages, zero)), tolerance={}, uncertainty={}, noise={"sigma": alone.tolist()})
     beside = replace(
@@ -406,6 +408,11 @@ def _slowest(problem: Problem) -> float:
         lowest = max(int(np.argmax(share >= LOW_SHARE)), 1)
         found.append(lowest / (len(rows) * problem.sample_time))
     return min(found)
+
+
+def _memory(problem: Problem, settings: BaselineSettings) -> tuple[LearnedError, ...]:
+    found = initial_memory(problem, settings.memory_share)
+    return () if found is None else (found,)
 
 
 def _zero(problem: Problem, spans: Array, settings: BaselineSettings) -> SessionZero:

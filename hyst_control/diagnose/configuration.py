@@ -271,6 +271,9 @@ class BaselineSettings:
     same_command: float = _setting("share of the range, rms", "difference up to which two commands are the same")
     overlap: float = _setting("share of the new record", "least part of it in which they are")
     zero_share: float = _setting("share of the range", "standard deviation of the zero, drift and curvature of a session")
+    memory_share: float = _setting(
+        "share of the mean slope", "standard deviation of the weights by which the initial memory of sessions differs"
+    )
     unseen: float = _setting("own errors", "size of the model's error on a command on which it was not measured")
     usual_share: float = _setting(
         "share of the range", "zero, drift and curvature that are usual where few clean records are at hand"

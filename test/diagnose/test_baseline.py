@@ -180,7 +180,7 @@ def test_a_sensor_may_have_its_zero_anywhere(change, names):
 def test_what_fills_the_memory_of_a_clean_record_is_no_error_of_the_model(frequencies):
     """A record that begins anywhere: its warm-up counts neither for the error of the model nor for what differs between periods."""
     begin, command = 0.1, [80.0 * np.sin(2 * np.pi * f * np.arange(2500) / RATE) for f in frequencies]
-    transient = 3.0 * np.exp(-np.arange(2500) / RATE / 0.02)
+    transient = 3.0 * np.exp(-np.arange(2500) / RATE / 0.005) * np.sin(2 * np.pi * 130.0 * np.arange(2500) / RATE)
     found = []
     for added in (0.0, transient):
         clean = [record(command[0], machine(command[0], 2) + added, "clean")]
