@@ -26,7 +26,7 @@ from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.configuration import BaselineSettings
-from hyst_control.diagnose.initial_memory import initial_memory
+from hyst_control.diagnose.initial_memory import initial_memory, wiped_out
 from hyst_control.diagnose.noise_floor import noise_between_periods
 from hyst_control.diagnose.problem import Piece, Problem, check_units
 from hyst_control.diagnose.session import CarriedError, ErrorBasis, LearnedError, SessionZero
@@ -233,7 +233,7 @@ def _beside_own_error(problem: Problem, stated: Mapping[str, Any], clean: Proble
     noise = np.broadcast_to(np.atleast_1d(np.asarray(problem.model.noise.get("sigma", 0.0), dtype=float)), error.shape)
     model = problem.model.with_stages((*problem.model.chain.stages, *predicted, _zero(problem, spans, settings)))
     excess = np.sqrt(np.maximum(error**2 - noise**2, 0.0))
-    usual = np.fmin(usual, settings.usual_share * spans[:, None])
+    usual = np.fmin(usual, np.array(settings.usual_share) * spans[:, None])
     length = max(seconds / problem.sample_time, 1.0)
     beside = replace(problem, model=model, slowest=_slowest(problem), own_error=rest, own_correlation=length)
     known = learned[0] if len(learned) == len(error) == 1 else None
@@ -267,6 +267,9 @@ def _carried(
     for piece, found in zip(problem.pieces, matches, strict=True):
         filled = [max(_first_counted(piece), _first_counted(match.clean) - match.shift) for match in found]
         begin, end = max(*(match.begin for match in found), *filled), min(match.end for match in found)
+        wiped = wiped_out(piece.command[begin:end])
+        if wiped <= settings.memory_rows * len(piece.command):
+            begin += wiped
         kept = np.zeros(len(piece.command), dtype=bool)
         kept[begin:end] = True
         whole = kept.all() and piece.keep is None
@@ -284,7 +287,7 @@ def _carried(
         if len(errors) == 1:
             differences += _between_periods(piece.command[begin:end], errors[0][begin:end], settings)
     repeatability = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if differences else np.zeros(len(spans))
-    usual = np.fmin(np.max(zeros, axis=0), settings.usual_share * spans[:, None])
+    usual = np.fmin(np.max(zeros, axis=0), np.array(settings.usual_share) * spans[:, None])
     # Both records of a difference have noise, and the mean of n clean ones a part of it; what is carried has none.
     alone = repeatability / np.sqrt(1.0 + 1.0 / min(len(found) for found in matches))
     memory = _memory(replace(problem, pieces=tuple(pieces)), settings)

@@ -12,6 +12,7 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.baseline import Baseline, no_model, with_baseline, with_discrepancy
+from hyst_control.diagnose.clean_lines import beyond_clean
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.distortion import distortions
 from hyst_control.diagnose.evidence import Evidence, Finding
@@ -340,6 +341,9 @@ def _axis(
     record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
     findings = detected(record, checks, thresholds)
     suggested = lines(problem, linearised.unexplained(none.residual), configuration.checks)
+    if baseline is not None and baseline.carried and baseline.clean is not None:
+        clean_rows = np.split(_residuals(baseline.clean), np.cumsum(_counts(baseline.clean))[:-1])
+        suggested = beyond_clean(suggested, problem.rows(none.residual), clean_rows, problem.sample_time, configuration.checks)
     # The first noise estimate still contained spectral leakage from the gap.
     problem = _with_noise(problem, problem.rows(none.residual), configuration)
     repeated = [finding.axis for finding in findings if finding.check is RecordCheck.REPEATED_VALUES]
@@ -378,6 +382,11 @@ def _axis(
         }
     )
     return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decide(evidence, thresholds), baseline)
+
+
+def _counts(problem: Problem) -> list[int]:
+    """Rows that count, by record."""
+    return [len(piece.counted(piece.command)) for piece in problem.pieces]
 
 
 def _shown_clean(clean: Problem, checks: frozenset[RecordCheck], configuration: Configuration) -> frozenset[RecordCheck]:

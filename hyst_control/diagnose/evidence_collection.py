@@ -105,6 +105,7 @@ def collect(
         tuple(record),
         checks,
         problem.weight,
+        problem.slowest is not None and problem.own_error is None,
     )
     return Collected(evidence, hypotheses)
 

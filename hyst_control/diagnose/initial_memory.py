@@ -2,8 +2,9 @@
 
 A record begins anywhere in the loops, and what the machine did before is not in it. A play operator begun at one end of its play and
 one begun at the other differ until the command wipes that out: by the wiping-out property of hysteresis (Mayergoyz, Mathematical
-Models of Hysteresis, 1991), at the latest when it has met both its extremes. These differences, for operators of several widths, span
-what an unknown initial memory adds. They are free in every hypothesis where clean records are at hand, as the session's zero is.
+Models of Hysteresis, 1991), at the latest when it has met both its extremes. These differences, for operators of several widths, nearly
+span what an unknown initial memory adds. They are free in every hypothesis where clean records are at hand, as the session's zero is.
+Beside a clean record of the same command, which tells everything else to the noise, the rows before are left out if they are few.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.problem import Problem
 from hyst_control.diagnose.session import ErrorBasis, LearnedError
 
-WIDTHS = (0.03, 0.08, 0.15, 0.25, 0.35, 0.45)
+WIDTHS = (0.03, 0.08, 0.15, 0.25, 0.35, 0.45, 0.49)
 """Half widths of the operators, as shares of the command's span; an operator of half the span never moves."""
+NEARLY = 0.05
+"""Distance from an extreme, in shares of the span, at which it is nearly met: the rest of the memory is in few operators."""
 LEAST = 1e-3
 """Least size at the rows that count, in the largest one of all rows, of a direction that is kept."""
 
@@ -52,6 +55,24 @@ def initial_memory(problem: Problem, share: float) -> LearnedError | None:
     if not len(kept):
         return None
     return LearnedError(np.zeros(len(kept)), ErrorBasis(tuple(own[:, kept] for own in directions)))
+
+
+def wiped_out(command: Array) -> int:
+    """Find the row from which a record says next to nothing of the time before it: where its command has nearly met both extremes.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N, A)
+        V.
+
+    Returns
+    -------
+    int
+        0 to N - 1.
+    """
+    near = NEARLY * np.ptp(command, axis=0)
+    met = np.argmax(command >= command.max(axis=0) - near, axis=0), np.argmax(command <= command.min(axis=0) + near, axis=0)
+    return int(np.max(met))
 
 
 @njit(cache=True)
