@@ -94,7 +94,10 @@ def collect(
         found.linearised.count,
         null,
         floor,
-        stated_energy(stated if problem.own_error is None else np.maximum(stated, problem.own_error), problem.sigma),
+        max(
+            stated_energy(stated if problem.own_error is None else np.maximum(stated, problem.own_error), problem.sigma),
+            1.0 + problem.own_energy,
+        ),
         tuple(float(value) for value in problem.sigma),
         tuple(float(value) for value in stated),
         rows,
@@ -102,6 +105,7 @@ def collect(
         tuple(record),
         checks,
         problem.weight,
+        problem.slowest is not None and problem.own_error is None,
     )
     return Collected(evidence, hypotheses)
 
@@ -157,7 +161,7 @@ def residual_evidence(
     )
 
 
-def companions(linearised: Linearised, scored: Scored, usual: Array, temper: float) -> tuple[CompanionEvidence, ...]:
+def companions(linearised: Linearised, scored: Scored, usual: Array, mean: Array, temper: float) -> tuple[CompanionEvidence, ...]:
     """Measure the zero and the drift of a session as a hypothesis has them.
 
     Parameters
@@ -167,7 +171,9 @@ def companions(linearised: Linearised, scored: Scored, usual: Array, temper: flo
     scored : Scored
         Fit of the hypothesis.
     usual : ndarray, shape (A, 3)
-        Zero, drift and curvature up to which a session is usual, measurement unit; NaN where nothing says what is.
+        Departure from the clean sessions up to which one is usual, measurement unit; NaN where nothing says what is.
+    mean : ndarray, shape (A, 3)
+        Zero, drift and curvature of the clean sessions, measurement unit.
     temper : float
         Weight of a sample.
 
@@ -187,15 +193,16 @@ def companions(linearised: Linearised, scored: Scored, usual: Array, temper: flo
         companion = effects[degree].companion
         assert companion is not None
         size = linearised.scatter.size(coefficient)
+        departure = size * float(z) - float(mean[axis, degree])
         found.append(
             CompanionEvidence(
                 effects[degree].name,
                 companion.parameter,
                 axis,
-                companion.factor * size * float(z),
+                companion.factor * departure,
                 abs(companion.factor) * size * float(np.sqrt(variance)),
                 abs(companion.factor) * float(usual[axis, degree]),
-                size * abs(float(z)) / float(np.sqrt(2.0 * degree + 1.0)),
+                abs(departure) / float(np.sqrt(2.0 * degree + 1.0)),
             )
         )
     return tuple(found)

@@ -54,10 +54,18 @@ RATE_TOLERANCE = 0.01
 
 BLOCK = 50
 
+ENCODING_SAMPLE = 2**12
+"""Bytes of a text from which its encoding is judged."""
+
+PREAMBLE_LINES = 100
+"""Lines among which the header is looked for, where an instrument writes its settings above it."""
+
 _ASSIGNMENT = re.compile(r"(?P<topic>\w+)=(?P<columns>[^\[\]=]+)\[(?P<unit>[^\]]+)\]")
 
 
 _MATRIX_COLUMN = re.compile(r"(?P<name>.+)\(:,(?P<number>\d{1,6})\)")
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
+_UNIT_CELL = re.compile(r"\([^()]*\)|\[[^\[\]]*\]")
 _DECIMAL_COMMAS = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?(\s+[-+]?\d+,\d+([eE][-+]?\d+)?)+")
 
 
@@ -121,7 +129,8 @@ def import_table(
     Parameters
     ----------
     path
-        The file. A text table may have a header, a byte-order mark, and decimal commas where its columns are not separated by commas.
+        The file. A text table may have a header, settings of an instrument above it, a line of units in brackets below it, a byte-order
+        mark, and decimal commas where its columns are not separated by commas.
     columns
         By number from 1 (from 0 where a column 0 is named), by the header's name, or by the name of an array of an .npz or .mat file: a
         vector, a matrix (its columns are the axes, its rows the samples), or one column of a matrix as ``name(:,2)``. The topic
@@ -260,14 +269,24 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
     budget = Budget(path.stat().st_size)
     with open(path, "rb") as plain:
         file: IO[bytes] = gzip.open(plain) if path.suffix.lower() == ".gz" else plain  # type: ignore[assignment]
-        start = file.read(2)
-        encoding = "utf-16" if start in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
+        encoding = _encoding(file.read(ENCODING_SAMPLE))
         file.seek(0)
         for number, line in enumerate(codecs.getreader(encoding)(file), start=1):
             budget.take(len(line))
             line = line.strip()
             if line and not line.startswith(("#", "%")):
                 yield number, line
+
+
+def _encoding(start: bytes) -> str:
+    """Encoding of a text that begins with these bytes: Unicode, else the one in which western instruments write their µ."""
+    if start[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        return "utf-16"
+    try:
+        codecs.getincrementaldecoder("utf-8-sig")().decode(start)
+    except UnicodeDecodeError:
+        return "utf-8-sig" if _CONTROL.search(start) else "cp1252"
+    return "utf-8-sig"
 
 
 TEXT_ROWS = 2**14
@@ -281,14 +300,15 @@ def _read_text(path: Path) -> tuple[Array, list[str]]:
     with foreign_reader(path, "text", "give a CSV or white-space table, .npy, .npz or .mat"):
         for _, line in _lines(path):
             count += 1
-            if len(first) < 2:
+            if len(first) < PREAMBLE_LINES:
                 first.append(line)
             if count > 1 and not commas:
                 commas = "," in line
     if not count:
         raise InputError(f"{path}: holds no rows")
-    separator, comma = _form(first, commas)
-    head = [cell.strip().strip('"') for cell in first[0].split(separator)]
+    header, above = _header(first, commas)
+    separator, comma = _form(first[header : header + 1] + first[above : above + 1], commas)
+    head = _cells(first[header], separator)
     names: list[str] = []
     if any(not _numeric(cell.replace(",", ".") if comma else cell) for cell in head):
         names = [name if name not in head[:index] else "" for index, name in enumerate(head)]
@@ -296,7 +316,7 @@ def _read_text(path: Path) -> tuple[Array, list[str]]:
             raise InputError(f"{path}: holds no rows below its first line ({head[0][:40]!r}, … are taken as names): repair it")
     width = len(head)
     store, lines = RowStore(width), _lines(path)
-    if names:
+    for _ in range(above if names else 0):
         next(lines)
     while piece := list(islice(lines, TEXT_ROWS)):
         table = np.empty((len(piece), width))
@@ -314,6 +334,46 @@ def _read_text(path: Path) -> tuple[Array, list[str]]:
                 ) from None
         store.append(table)
     return store.array(), names
+
+
+def _cells(line: str, separator: str | None) -> list[str]:
+    return [cell.strip().strip('"').strip() for cell in line.split(separator)]
+
+
+def _header(first: Sequence[str], commas: bool) -> tuple[int, int]:
+    """Index of the header among the first lines, and that of the first row of numbers.
+
+    An instrument may write its settings above the names, in lines of words, and units in brackets below them. What stands between a
+    header and the numbers otherwise is left to the reader of the rows, which refuses it.
+    """
+    for number in range(2, len(first)):
+        above = number - 1
+        separator, comma = _form(first[above : number + 1], commas)
+        row, words = (_cells(line, separator) for line in (first[number], first[above]))
+        following = [_cells(line, separator) for line in first[number + 1 : number + 2]]
+        if not all(len(cells) == len(row) and _numbers(cells, comma) for cells in (row, *following)):
+            continue
+        earlier = [_cells(line, separator) for line in first[:above]]
+        if (
+            len(words) != len(row)
+            or not _wordy(words, comma)
+            or any(len(cells) == len(row) and _numbers(cells, comma) for cells in earlier)
+        ):
+            break
+        units = all(not cell or _UNIT_CELL.fullmatch(cell) for cell in words)
+        if units and len(earlier[-1]) == len(row) and _wordy(earlier[-1], comma):
+            above -= 1
+        return above, number
+    return 0, 1
+
+
+def _numbers(cells: Sequence[str], comma: bool) -> bool:
+    return all(_numeric(cell.replace(",", ".") if comma else cell) for cell in cells)
+
+
+def _wordy(cells: Sequence[str], comma: bool) -> bool:
+    """Whether cells are names or units: there are some, and none is a number."""
+    return any(cells) and not any(cell and _numeric(cell.replace(",", ".") if comma else cell) for cell in cells)
 
 
 def _form(first: Sequence[str], commas: bool) -> tuple[str | None, bool]:

@@ -33,6 +33,13 @@ def test_a_sample_counts_as_much_as_noise_and_own_error_let_it():
     assert replace(base, own_error=np.array([0.1]), own_correlation=20.0).weight == pytest.approx(1.0 / (1.0 + 20.0 * 99.0))
 
 
+def test_a_noisier_record_does_not_make_the_model_better():
+    """An own error of 0.1 with 0.01 of noise in it: beside a noise of 0.2 its samples still hang together."""
+    base = replace(problem(Chain((Gain(1.0),)), COMMAND), own_error=np.array([0.1]), own_correlation=20.0)
+    noisy = replace(base, model=replace(base.model, noise={"sigma": 0.01}), sigma=np.array([0.2]))
+    assert noisy.weight == pytest.approx(1.0 / (1.0 + 20.0 * (0.1**2 - 0.01**2) / 0.2**2))
+
+
 def test_the_posterior_of_a_coefficient_is_that_of_independent_samples():
     """A static gain g with prior N(1, t²) and N / n independent samples of an error e: the usual formula of a conjugate normal."""
     error, length, tolerance = 0.1, 20.0, 0.3

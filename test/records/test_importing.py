@@ -42,6 +42,25 @@ def test_every_format_gives_the_same_record(tmp_path, kind):
     assert record.signals["measurement"].unit == "um" and record.signals["command"].time[-1] == pytest.approx(0.039)
 
 
+@pytest.mark.parametrize(
+    "text, encoding",
+    [
+        ("Model,XYZ\nSample Interval,0.001\nPoints\n1000\n\nTIME,CH1,CH2\n0,1,2\n1,3,4\n", "utf-8"),
+        ("TIME,CH1,CH2\n(s),(V),(um)\n\n0,1,2\n1,3,4\n", "utf-8"),
+        ("TIME;CH1;CH2\n[s];[V];[µm]\n0,0;1,0;2,0\n1,0;3,0;4,0\n", "cp1252"),
+        ("Stage 4, second unit\nTIME\tCH1\tCH2\n0\t1\t2\n1\t3\t4\n", "utf-8"),
+    ],
+    ids=["settings", "units", "decimal commas", "title"],
+)
+def test_what_instruments_write_around_the_names(tmp_path, text, encoding):
+    path = tmp_path / "scope.csv"
+    path.write_bytes(text.encode(encoding))
+    record = import_table(path, parse_columns("time=TIME[s],command=CH1[V],measurement=CH2[um]"), None)
+    np.testing.assert_array_equal(record.signals["command"].values[:, 0], [1, 3])
+    np.testing.assert_array_equal(record.signals["measurement"].values[:, 0], [2, 4])
+    np.testing.assert_array_equal(record.signals["measurement"].time, [0, 1])
+
+
 def test_several_axes_and_rows(tmp_path):
     np.save(tmp_path / "fsm.npy", np.arange(120.0).reshape(10, 3, 4))
     record = import_table(tmp_path / "fsm.npy", parse_columns("measurement=1+5[rad]"), 10.0, (2, 6))
@@ -57,6 +76,9 @@ def test_several_axes_and_rows(tmp_path):
         ("command=drive[V]", 10.0, "u,y\n3,4", "no column 'drive': u, y"),
         ("command=1[V]", 10.0, "1,2\n3,four", "line 2, column 2: 'four' is no number"),
         ("command=1[V]", 10.0, "1,2\n3", "line 2 has 1 columns, the first has 2"),
+        ("command=1[V]", 10.0, "1,2\na,b\n3,4\n5,6", "line 2, column 1: 'a' is no number"),
+        ("command=1[V]", 10.0, "u,y\n1,2\na,b\n3,4\n5,6", "line 3, column 1: 'a' is no number"),
+        ("command=1[V]", 10.0, "u,y\nx,2\n3,4\n5,6", "line 2, column 1: 'x' is no number"),
         ("command=1[V]", 10.0, "1,2\nnan,4", "row 1 and 0 more hold no finite number"),
         ("command=1[V]", 0.0, "1,2", "rate: 0.0 Hz"),
         ("command=1[V]", 10.0, "", "holds no rows"),
