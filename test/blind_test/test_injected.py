@@ -7,7 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from hyst_control.blind_test.injected import OPEN_SET, SINGLES, Clean, make, named_right, quiet, score, strength_of
+from hyst_control.blind_test.injected import make
+from hyst_control.blind_test.injected_machines import Clean
+from hyst_control.blind_test.injected_scores import named_right, quiet, score
+from hyst_control.blind_test.injections import OPEN_SET, SINGLES, strength_of
 from hyst_control.errors import InputError
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.reproduction.measured_data import data_folder
