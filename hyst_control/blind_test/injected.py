@@ -1,7 +1,7 @@
 """Injected cases: known effects put into measured records, so that the physics is real and the truth exact.
 
 Every size is a multiple of what the identified model leaves on clean records that it was not identified from. `injections` has the effects,
-`injected_machines` the records.
+`injected_machines` the records, `injected_plan` which is put into which.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.blind_test.injected_machines import Machine, mirror_machine, stack_machine
-from hyst_control.blind_test.injected_scores import MODES, SIZES, score, write_page
-from hyst_control.blind_test.injections import OPEN_SET, SINGLES, Injection, strength_of
+from hyst_control.blind_test.injected_machines import SIMULATED, Clean, Machine, mirror_machine, simulated_machine, stack_machine
+from hyst_control.blind_test.injected_plan import planned
+from hyst_control.blind_test.injected_scores import injected_metrics
+from hyst_control.blind_test.injections import apply_all, size_of, strength_of, structural_rms
 from hyst_control.blind_test.published_labels import rounded
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
 from hyst_control.parallel import mapped
 from hyst_control.records.record import Record, Signal
-from hyst_control.records.session_zero import without_zero
 from hyst_control.reporting.tables import Table
 
 Array = NDArray[np.float64]
 
 SCORING = 1000
 """First seed that is drawn from the records set apart for scoring."""
-PLANTS = ("stack", "mirror")
+PLANTS = ("stack", "mirror", "simulated")
 
 
 def make(out: str, seed: int, count: int, plants: Sequence[str] | None = None, note: Callable[[str], None] = print) -> Path:
@@ -61,8 +61,7 @@ def make(out: str, seed: int, count: int, plants: Sequence[str] | None = None, n
     InputError
         A plant does not exist, the measurements are absent, or the folder is that of another run.
     """
-    from hyst_control.model_file import save_model, simulate
-    from hyst_control.records.importing import write_bag
+    from hyst_control.model_file import simulate
 
     for name in plants or ():
         if name not in PLANTS:
@@ -77,65 +76,76 @@ def make(out: str, seed: int, count: int, plants: Sequence[str] | None = None, n
         return labels
     if folder.exists() and any(folder.iterdir()) and not (folder / "cases").is_dir():
         raise InputError(f"{folder}: holds files that are not of a blind test: choose another folder")
-    scoring = seed >= SCORING
-    machines: list[Machine] = []
-    if "stack" in given["plants"]:
-        machines.append(stack_machine(scoring))
-    if "mirror" in given["plants"]:
-        machines += [mirror_machine(scoring, level) for level in range(3)]
-    models = []
-    for machine in machines:
-        models.append(machine.model())
-        note(f"{machine.name}: model {models[-1].name}")
+    machines = _machines(given["plants"], seed >= SCORING)
+    models: dict[str, Any] = {}
     documents = []
-    for index in range(count):
-        random = np.random.default_rng([seed, index])
-        which = index % len(machines)
-        machine, model = machines[which], models[which]
-        kind = str(random.choice(["single", "pair", "none", "open_set"], p=[0.65, 0.1, 0.15, 0.1]))
-        mode = MODES[index // len(machines) % len(MODES)]
-        at = int(random.integers(len(machine.cases)))
-        if mode == "same_command":
-            at = int(random.choice(sorted(machine.same)))
-        clean = machine.cases[at]
-        rest = without_zero(clean.measurement - simulate(model, clean.command))[0][
-            len(clean.command) // 2 if machine.warm_up else 0 :
-        ]
-        own = float(np.sqrt(np.mean(rest**2)))
-        multiple = float(random.choice(SIZES))
-        chosen = _drawn(kind, random)
-        strength, command, measurement = 0.0, clean.command, clean.measurement
-        if chosen:
-            strength, command, measurement = strength_of(chosen, clean, machine.sample_time, multiple * own, (seed, index, 1))
+    for index, cell in enumerate(planned(machines, seed, count)):
+        machine = cell.machine
+        if machine.name not in models:
+            models[machine.name] = machine.model()
+            note(f"{machine.name}: model {models[machine.name].name}")
+        model = models[machine.name]
+        clean, seeds = machine.cases[cell.record], (seed, index, 1)
+        first = round(machine.warm_up / machine.sample_time)
+        own = structural_rms(clean.measurement - simulate(model, clean.command), first)
+        strengths = [strength_of(one, clean, machine.sample_time, cell.multiple * own, seeds, first) for one in cell.injections]
+        command, measurement = apply_all(cell.injections, strengths, clean, machine.sample_time, seeds)
         name = f"case_{index:04d}"
-        place = folder / "cases" / name
-        shutil.rmtree(place, ignore_errors=True)
-        place.mkdir(parents=True)
-        write_bag(place / "bag", _record(machine, command, measurement, name))
-        beside = {"none": (), "other_command": machine.others, "same_command": (machine.same.get(at),)}[mode]
-        for number, other in enumerate(one for one in beside if one is not None):
-            write_bag(place / f"clean_{number}", _record(machine, other.command, other.measurement, f"clean {number}"))
-        save_model(model, place / "model.yaml")
-        write_json(place / "case.json", {"warm_up": machine.warm_up})
+        beside = {"none": (), "other_command": machine.others, "same_command": (machine.same.get(cell.record),)}[cell.mode]
+        _write(folder / "cases" / name, machine, model, name, (command, measurement), [one for one in beside if one is not None])
+        gap = structural_rms(measurement - simulate(model, command), first)
         documents.append(
             {
                 "name": name,
                 "plant": machine.name,
                 "record": clean.name,
-                "mode": mode,
-                "kind": kind,
-                "names": [one.name for one in chosen],
-                "realizations": [one.realization for one in chosen],
-                "multiple": multiple if chosen else 0.0,
-                "strength": strength,
+                "mode": cell.mode,
+                "kind": cell.kind,
+                "names": [one.name for one in cell.injections],
+                "realizations": [one.realization for one in cell.injections],
+                "multiple": cell.multiple,
+                "strengths": strengths,
+                "truth": [
+                    {parameter: np.broadcast_to(value, len(machine.axes)).tolist() for parameter, value in known.items()}
+                    for one, strength in zip(cell.injections, strengths, strict=True)
+                    for known in [one.truth(strength, clean.command, clean.measurement, machine.sample_time)]
+                ],
+                "axes": list(machine.axes),
                 "own_error_rms": own,
-                "gap_rms": float(np.sqrt(np.mean((measurement - clean.measurement) ** 2))),
+                "effect_rms": size_of(command, measurement, clean, first),
+                "gap_rms": gap,
+                "shrink": 1.0 - (own / gap) ** 2,
                 "one_frequency": machine.name == "stack",
             }
         )
     write_json(labels, {**given, "cases": rounded(documents)})
     note(f"labels: SHA-256 {_digest(labels)}")
     return labels
+
+
+def _machines(plants: Sequence[str], scoring: bool) -> list[Machine]:
+    machines: list[Machine] = []
+    if "stack" in plants:
+        machines.append(stack_machine(scoring))
+    if "mirror" in plants:
+        machines += [mirror_machine(scoring, level) for level in range(3)]
+    if "simulated" in plants:
+        machines += [simulated_machine(name, scoring) for name in SIMULATED[: 2 if scoring else 1]]
+    return machines
+
+
+def _write(place: Path, machine: Machine, model: Any, name: str, rows: tuple[Array, Array], beside: Sequence[Clean]) -> None:
+    """Write all that the diagnosis of a case sees."""
+    from hyst_control.model_file import save_model
+    from hyst_control.records.importing import write_bag
+
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir(parents=True)
+    write_bag(place / "bag", _record(machine, *rows, name))
+    for number, other in enumerate(beside):
+        write_bag(place / f"clean_{number}", _record(machine, other.command, other.measurement, f"clean {number}"))
+    save_model(model, place / "model.yaml")
+    write_json(place / "case.json", {"warm_up": machine.warm_up})
 
 
 def run(
@@ -173,32 +183,52 @@ def run(
     InputError
         As `make`.
     """
+    from hyst_control.blind_test.page import write_injected_page
+    from hyst_control.blind_test.scores import table
+
     labels = make(out, seed, count, plants, note)
-    reports = Path(out) / "reports"
-    reports.mkdir(exist_ok=True)
-    documents = json.loads(labels.read_text(encoding="utf-8"))["cases"]
-    waiting = [one["name"] for one in documents if not (reports / f"{one['name']}.json").exists()]
-    for done, name in enumerate(mapped(_diagnose_one, [(str(out), name) for name in waiting]), 1):
-        note(f"{done} of {len(waiting)} diagnosed ({name})")
-    rows = [(one, json.loads((reports / f"{one['name']}.json").read_text(encoding="utf-8"))) for one in documents]
-    table = score(rows)
+    diagnose_all(Path(out), note)
+    rows = load(Path(out))
+    command = f"blind-test --injected --seed {seed} --count {count}" + (f" --plants {' '.join(plants)}" if plants else "")
+    found = injected_metrics(rows)
     if page is not None:
-        write_page(Path(page), rows, table, seed, count, _digest(labels))
-    return table
+        write_injected_page(Path(page), found, rows, command, _digest(labels))
+    return table(found, command)
 
 
-def _drawn(kind: str, random: np.random.Generator) -> list[Injection]:
-    if kind == "none":
-        return []
-    if kind == "open_set":
-        return [OPEN_SET[int(random.integers(len(OPEN_SET)))]]
-    names = sorted({one.name for one in SINGLES})
-    chosen = random.choice(names, 2 if kind == "pair" else 1, replace=False)
-    found = []
-    for name in chosen:
-        realizations = [one for one in SINGLES if one.name == name]
-        found.append(realizations[int(random.integers(len(realizations)))])
-    return found
+def diagnose_all(folder: Path, note: Callable[[str], None] = print) -> None:
+    """Diagnose every case that has no report yet, each from its bags and a model alone.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+    note
+        Called with every line of progress.
+    """
+    reports = folder / "reports"
+    reports.mkdir(exist_ok=True)
+    waiting = [case.name for case in sorted((folder / "cases").iterdir()) if not (reports / f"{case.name}.json").exists()]
+    for done, name in enumerate(mapped(_diagnose_one, [(str(folder), name) for name in waiting]), 1):
+        note(f"{done} of {len(waiting)} diagnosed ({name})")
+
+
+def load(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """Read the cases that were diagnosed.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+
+    Returns
+    -------
+    list[tuple[dict[str, Any], dict[str, Any]]]
+        Label and report of each.
+    """
+    documents = json.loads((folder / "labels.json").read_text(encoding="utf-8"))["cases"]
+    found = [(one, folder / "reports" / f"{one['name']}.json") for one in documents]
+    return [(one, json.loads(path.read_text(encoding="utf-8"))) for one, path in found if path.exists()]
 
 
 def _record(machine: Machine, command: Array, measurement: Array, name: str) -> Record:
@@ -214,11 +244,11 @@ def _diagnose_one(job: tuple[str, str]) -> str:
 
     out, name = job
     place = Path(out) / "cases" / name
-    begin = time.monotonic()
+    begin, worked = time.monotonic(), time.process_time()
     warm_up = float(json.loads((place / "case.json").read_text(encoding="utf-8"))["warm_up"])
     clean = [read_bag(path) for path in sorted(place.glob("clean_*"))]
     document, *_ = diagnosed([read_bag(place / "bag")], load_model(place / "model.yaml"), warm_up=warm_up, baseline=clean)
-    document["seconds"] = time.monotonic() - begin
+    document["seconds"], document["processor_seconds"] = time.monotonic() - begin, time.process_time() - worked
     write_json(Path(out) / "reports" / f"{name}.json", document)
     return name
 

@@ -1,4 +1,4 @@
-"""Measured machines into whose records effects are put: their records for models and for cases.
+"""Machines into whose records effects are put, measured and simulated: their records for models and for cases.
 
 - stack (`pea_p885`): eight cycles each, the first two of which fill the memory. Models are identified from full cycles of the first file
   and from two stretches of the second, cases come from other stretches; tuning seeds see stretches of the second file's
@@ -6,6 +6,8 @@
   of the same command.
 - mirror (`fsm_cubespec`): three levels; models from realizations 1-4, tuning seeds see the fifth, scoring seeds the sixth. The period of
   a record is repeated, that of its clean record is the other measured one.
+- `third` (`hyst_plant_sim/physics`) and a Bouc-Wen stage, both simulated with noise: machines that no family of models here matches. Their
+  models are identified from two clean records as a user would, cases are other records. Only scoring seeds see the Bouc-Wen stage.
 """
 
 from __future__ import annotations
@@ -21,11 +23,18 @@ Array = NDArray[np.float64]
 
 ROWS, FILLING, PERIOD = 1600, 400, 200
 """Rows of the stack's records, of their begin, in which the memory fills, and of a cycle."""
+DURATION = 0.8
+"""Length of a simulated record, s."""
+NOISE = 5e-4
+"""Noise of the simulated `third`, rms / stroke."""
+MODEL_SEEDS, TUNING_SEEDS, SCORING_SEEDS = (5000, 5001), (5100, 5101, 5102, 5103), (5200, 5201, 5202, 5203, 5204, 5205)
+"""Of the simulated records' commands and noise."""
+SIMULATED = ("third", "bouc_wen")
 
 
 @dataclass(frozen=True)
 class Clean:
-    """Clean record: command and measurement (N, A), and whether it is periodic, so that its first half does not count."""
+    """Clean record: command and measurement (N, A)."""
 
     name: str
     command: Array
@@ -84,8 +93,8 @@ def stack_machine(scoring: bool) -> Machine:
 
     full, nested = stack.load()
 
-    def stretches(record: Any, first: int, last: int) -> list[Clean]:
-        begins = range(first, last - ROWS + 1, ROWS)
+    def stretches(record: Any, first: int, last: int, apart: int = ROWS) -> list[Clean]:
+        begins = range(first, last - ROWS + 1, apart)
         return [
             Clean(f"{record.name}, row {row}", record.command[row : row + ROWS], record.measurement[row : row + ROWS])
             for row in begins
@@ -94,8 +103,13 @@ def stack_machine(scoring: bool) -> Machine:
     begin = int(np.argmin(full.command[:PERIOD, 0]))  # the same phase in every record: 1 Hz, 200 rows a cycle
     loops, plain, shaped = stretches(full, begin, len(full.command)), stretches(nested, 0, 7300), stretches(nested, 7400, 14155)
     training = (loops[0], plain[0], shaped[0])
-    cases = (loops[1], *shaped[1:-1]) if scoring else (loops[2], *plain[1:-1])
-    same = {0: loops[3]}
+    if scoring:
+        # The end of the full cycles, and the shaped loops' middle a cycle apart: what overlaps differs in its memory's filling and phase.
+        last = begin + (len(full.command) - begin - ROWS) // PERIOD * PERIOD
+        cases = (loops[1], *stretches(full, last, len(full.command)), *stretches(nested, 9000, 12200, PERIOD))
+        same = {0: loops[3], 1: loops[3]}
+    else:
+        cases, same = (loops[2], *plain[1:-1]), {0: loops[3]}
 
     def model() -> Any:
         datasets = [
@@ -149,3 +163,45 @@ def mirror_machine(scoring: bool, level: int) -> Machine:
         (twice(other, 0),),
         model,
     )
+
+
+def simulated_machine(name: str, scoring: bool) -> Machine:
+    """Construct `third` or the Bouc-Wen stage.
+
+    Parameters
+    ----------
+    name
+        One of `SIMULATED`.
+    scoring
+        Cases from the records set apart for scoring.
+
+    Returns
+    -------
+    Machine
+        The machine.
+    """
+    from hyst_control.blind_test.plant_setups import SETUPS
+    from hyst_control.identify.dataset import Dataset
+    from hyst_control.identify.workflow import identified
+    from hyst_control.records.excitation import build
+    from hyst_plant_sim.physics import bouc_wen_stage, load_plant
+
+    third = SETUPS["third"]
+    step, (low, high) = (
+        (third.sample_time, third.command) if name == "third" else (bouc_wen_stage.SAMPLE_TIME, bouc_wen_stage.COMMAND)
+    )
+
+    def record(seed: int) -> Clean:
+        excitation = {"signal": "diagnostic", "lowest": low, "highest": high, "duration": DURATION, "seed": seed}
+        rows = np.clip(build(excitation, step, 1), low, high)
+        if name != "third":
+            return Clean(f"{name}, seed {seed}", rows, bouc_wen_stage.respond(rows, seed))
+        plant = load_plant({"plant": name, "rating": [low, high]}, seed=seed, sample_time=step, noise=NOISE * third.stroke)
+        return Clean(f"{name}, seed {seed}", rows, np.concatenate([plant.reset(rows[0])[None], plant.step(rows)[:-1]]))
+
+    def model() -> Any:
+        records = [record(seed) for seed in MODEL_SEEDS]
+        return identified([Dataset(each.name, each.command, each.measurement, step, ("x",), "um") for each in records]).model
+
+    cases = tuple(record(seed) for seed in (SCORING_SEEDS if scoring else TUNING_SEEDS))
+    return Machine(name, ("x",), step, 0.0, cases, {}, (), model)

@@ -1,43 +1,29 @@
-"""Scores and page of the cases that are injected into measured records."""
+"""Scores of the cases that are injected into records of machines."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from hyst_control.reporting.tables import Table
+from hyst_control.blind_test.injected_machines import SIMULATED
+from hyst_control.blind_test.injections import COMPANIONS
+from hyst_control.blind_test.metric import Metric, proportion
 
-MODES = ("none", "other_command", "same_command")
-"""Clean records beside the new one."""
-SIZES = (1.0, 3.0, 10.0)
-"""Sizes of the effects, as multiples of the model's own error."""
-COMPANIONS = ("offset", "offset_drift")
 LAGS = ("delay", "sensor_lowpass", "amplifier_lowpass")
 """Effects that count as one name where the record has one frequency."""
+QUASI_STATIC = ("gain", "resonance")
+"""A further mode far above the one frequency of a record is a gain there."""
 EQUAL = {"gain": ("hysteresis_width",), "dac_hold": ("sensor_noise",), "sensor_noise": ("flicker_noise",)}
 """Names that an engineer would accept as well."""
-ABOUT = """Injected cases: known effects put into measured records, so that the physics is real and the truth exact.
 
-Effects of the sensor act on the measurement; effects of the drive that can be inverted act backwards on the command: the recorded command
-u is what the effect made of another one, c, and c takes its place. Every size is a multiple of what the identified model leaves on clean
-records that it was not identified from. The records:
-
-- stack (`pea_p885`): eight cycles each, the first two of which fill the memory. Models are identified from full cycles of the first file
-and from two stretches of the second, cases come from other stretches; tuning seeds see stretches of the second file's first half, scoring
-seeds of its second half, where an inverse operator shaped the command. The repeated full cycles have clean records of the same command.
-- mirror (`fsm_cubespec`): three levels; models from realizations 1-4, tuning seeds see the fifth, scoring seeds the sixth. The period of
-a record is repeated, that of its clean record is the other measured one.
-
-The effects are written with numpy and scipy alone: nothing is shared with the catalogue that is tested.
-"""
-TITLE = "Injected into measured records"
+Row = tuple[Mapping[str, Any], Mapping[str, Any]]
+"""Label and report of a case."""
 
 
-def score(rows: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> Table:
-    """Score reports against their labels.
+def injected_metrics(rows: Sequence[Row]) -> list[Metric]:
+    """Compute every figure of the table that injected cases allow.
 
     Parameters
     ----------
@@ -46,35 +32,70 @@ def score(rows: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> Table:
 
     Returns
     -------
-    Table
-        Fractions with their numbers, by clean records and size.
+    list[Metric]
+        The metrics.
     """
-    from hyst_control.blind_test.scores import wilson
+    found: list[Metric] = []
 
-    table = Table("blind-test --injected")
+    def share(name: str, target: float, cases: Iterable[Row], right: Callable[..., bool], at_least: bool = True) -> None:
+        hits = [right(*row) for row in cases]
+        if hits:
+            found.append(proportion(name, sum(hits), len(hits), target, at_least))
 
-    def add(case: str, subject: str, quantity: str, hits: Sequence[bool]) -> None:
-        right = sum(hits)
-        table.add(TITLE, case, subject, quantity, "", right / len(hits), n=len(hits), ci95=wilson(right, len(hits)))
+    singles = [row for row in rows if row[0]["kind"] == "single"]
+    measured = [row for row in singles if row[0]["plant"] not in SIMULATED]
+    share(
+        "`third` and Bouc-Wen stage, model identified, no clean record: top-1 at >= 3 x its own error",
+        0.85,
+        [row for row in singles if row[0]["plant"] in SIMULATED],
+        named_right,
+    )
+    for mode, words, sizes in (
+        ("none", "no clean record", {3.0: 0.70, 10.0: 0.90}),
+        ("other_command", "clean record of another command", {3.0: 0.85, 10.0: 0.95}),
+        ("same_command", "clean record of the same command", {1.0: 0.85, 3.0: 0.97}),
+    ):
+        for size, target in sizes.items():
+            cases = [row for row in measured if row[0]["mode"] == mode and row[0]["multiple"] == size]
+            share(f"injected, {words}: top-1 at {size:g} x", target, cases, named_right)
+    pairs = [row for row in rows if row[0]["kind"] == "pair"]
+    share("injected, clean record of the same command: pairs exact", 0.85, pairs, named_exactly)
+    share("injected, clean record of the same command: pairs, at least one", 0.97, pairs, named_right)
+    opened = [row for row in rows if row[0]["kind"] == "open_set"]
+    share("injected, open set: called unknown", 0.90, opened, lambda label, report: report["verdict"] == "unknown")
+    share("injected, single effects called unknown", 0.04, singles, lambda _, report: report["verdict"] == "unknown", False)
+    clean = [row for row in rows if row[0]["kind"] == "none"]
+    for name, chosen, target in (
+        ("clean measured records", [row for row in clean if row[0]["plant"] not in SIMULATED], 0.03),
+        ("clean records of `third` and the Bouc-Wen stage", [row for row in clean if row[0]["plant"] in SIMULATED], 0.02),
+    ):
+        share(f"{name}: anything but no_gap, parameters or a companion", target, chosen, lambda _, report: not quiet(report), False)
+    covered = [inside for row in singles if (inside := is_covered(*row)) is not None]
+    if covered:
+        found.append(proportion("injected: true parameter within its 90 % interval", sum(covered), len(covered), 0.85))
+    return found
 
-    for mode in MODES:
-        ours = [(label, report) for label, report in rows if label["mode"] == mode]
-        for size in SIZES:
-            singles = [pair for pair in ours if pair[0]["kind"] == "single" and pair[0]["multiple"] == size]
-            if singles:
-                add(mode, f"{size:g} x own error", "top_1", [named_right(*pair) for pair in singles])
-        for kind, quantity, judge in (
-            ("pair", "at_least_one", named_right),
-            ("open_set", "unknown", lambda label, report: report["verdict"] == "unknown"),
-            ("none", "false_alarm", lambda label, report: not quiet(report)),
-        ):
-            some = [pair for pair in ours if pair[0]["kind"] == kind]
-            if some:
-                add(mode, kind, quantity, [judge(*pair) for pair in some])
-    if rows:
-        seconds = [report["seconds"] for _, report in rows]
-        table.add(TITLE, "all", "diagnosis", "seconds_median", "s", float(np.median(seconds)), n=len(seconds))
-    return table
+
+def accepted(name: str, label: Mapping[str, Any]) -> set[str]:
+    """Names that are right for an injected effect.
+
+    Parameters
+    ----------
+    name
+        Of the effect.
+    label
+        Label of the case.
+
+    Returns
+    -------
+    set[str]
+        Names in the gap report.
+    """
+    names = {name, *EQUAL.get(name, ())}
+    if label["one_frequency"]:
+        for alike in (LAGS, QUASI_STATIC):
+            names |= {right for other in alike for right in (other, *EQUAL.get(other, ()))} if name in alike else set()
+    return names
 
 
 def named_right(label: Mapping[str, Any], report: Mapping[str, Any]) -> bool:
@@ -92,13 +113,34 @@ def named_right(label: Mapping[str, Any], report: Mapping[str, Any]) -> bool:
     bool
         True if so.
     """
-    named = [effect["name"] for effect in report["effects"]]
-    accepted = {name for one in label["names"] for name in (one, *EQUAL.get(one, ()))}
-    if label["one_frequency"] and accepted & set(LAGS):
-        accepted |= set(LAGS)
-    companion = bool(accepted & set(COMPANIONS))
-    first = next((name for name in named if companion or name not in COMPANIONS), None)
-    return report["verdict"] in ("effect", "ambiguous") and first in accepted
+    right = {name for one in label["names"] for name in accepted(one, label)}
+    named = _named(report, bool(right & set(COMPANIONS)))
+    return report["verdict"] in ("effect", "ambiguous") and bool(named) and named[0] in right
+
+
+def named_exactly(label: Mapping[str, Any], report: Mapping[str, Any]) -> bool:
+    """Report whether the injected effects, and nothing but them and companions, are named.
+
+    Parameters
+    ----------
+    label
+        Label of the case.
+    report
+        Report on it.
+
+    Returns
+    -------
+    bool
+        True if so.
+    """
+    right = [accepted(one, label) for one in label["names"]]
+    named = set(_named(report, False))
+    return report["verdict"] in ("effect", "ambiguous") and all(named & one for one in right) and named <= set().union(*right)
+
+
+def _named(report: Mapping[str, Any], companions: bool) -> list[str]:
+    names = [effect["name"] for effect in report["effects"]]
+    return [name for name in names if companions or name not in COMPANIONS]
 
 
 def quiet(report: Mapping[str, Any]) -> bool:
@@ -116,50 +158,31 @@ def quiet(report: Mapping[str, Any]) -> bool:
     """
     if report["verdict"] in ("no_gap", "parameters"):
         return True
-    return report["verdict"] == "effect" and all(effect["name"] in COMPANIONS for effect in report["effects"])
+    return report["verdict"] == "effect" and not _named(report, False)
 
 
-def write_page(
-    path: Path, rows: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]], table: Table, seed: int, count: int, digest: str
-) -> None:
-    """Write the page of a run.
+def is_covered(label: Mapping[str, Any], report: Mapping[str, Any]) -> bool | None:
+    """Report whether the true value of the injected effect's main parameter lies in its 90 % interval.
 
     Parameters
     ----------
-    path
-        File to write.
-    rows
-        Label and report by case.
-    table
-        The figures.
-    seed, count
-        Seed and number of the cases.
-    digest
-        SHA-256 of the labels.
-    """
-    from hyst_control.files import write_text
+    label
+        Label of a case with one effect.
+    report
+        Report on it.
 
-    lines = [
-        "# The diagnosis on measurements, an effect injected",
-        "",
-        f"Generated by `hyst blind-test --injected --seed {seed} --count {count} --page`; labels: SHA-256 `{digest}`.",
-        "",
-        *ABOUT.strip().splitlines(),
-        "",
-        "| clean records | cases | figure | value | number |",
-        "|---|---|---|---|---|",
-        *(f"| {row.case} | {row.subject} | {row.quantity} | {row.value:.2f} | {row.n} |" for row in table.rows),
-        "",
-        "| case | plant | clean records | injected | size | verdict | named |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for label, report in rows:
-        injected = ", ".join(
-            f"{name} ({how})" if how else name for name, how in zip(label["names"], label["realizations"], strict=True)
-        )
-        named = ", ".join(effect["name"] for effect in report["effects"])
-        lines.append(
-            f"| {label['name']} | {label['plant']} | {label['mode']} | {injected or 'nothing'} | {label['multiple']:g} | "
-            f"{report['verdict']} | {named} |"
-        )
-    write_text(path, "\n".join(lines) + "\n")
+    Returns
+    -------
+    bool or None
+        None where the effect was not named, or its parameter has another definition.
+    """
+    if report["verdict"] not in ("effect", "ambiguous"):
+        return None
+    for effect in report["effects"]:
+        for parameter, truth in label["truth"][0].items():
+            row = effect["parameters"].get(parameter)
+            if effect["name"] != label["names"][0] or row is None or row["ci90"][0] is None:
+                continue
+            true = np.mean([truth[label["axes"].index(axis)] for axis in effect["axis"]] or truth)
+            return bool(row["ci90"][0] <= true <= row["ci90"][1])
+    return None

@@ -47,6 +47,7 @@ def run_all(
     json_path: str | None = None,
     note: Callable[[str], None] = print,
     so_far: bool = False,
+    injected_count: int = 0,
 ) -> Table:
     """Run the whole test: draw, diagnose, leave out, compare the predictions with fresh records, score, write.
 
@@ -68,6 +69,8 @@ def run_all(
         Called with every line of progress.
     so_far
         Score the cases that an earlier call has diagnosed, and diagnose no more.
+    injected_count
+        Number of cases that are injected into records of machines, in the folder `injected` of the run; the measurements are needed.
 
     Returns
     -------
@@ -79,11 +82,17 @@ def run_all(
     InputError
         The folder is that of another run, or there is no diagnosed case.
     """
+    from hyst_control.blind_test import injected
+    from hyst_control.blind_test.injected_scores import injected_metrics
     from hyst_control.blind_test.scores import metrics, table
 
     folder = _folder(out, count)
-    labels = make(folder, seed, count, note)
+    digests = [_digest(make(folder, seed, count, note))]
+    if injected_count:
+        digests.append(_digest(injected.make(str(folder / "injected"), seed, injected_count, note=note)))
     if not so_far:
+        if injected_count:
+            injected.diagnose_all(folder / "injected", note)
         diagnose_all(folder, note=note)
         if left_out:
             leave_out(folder, left_out, note)
@@ -92,14 +101,17 @@ def run_all(
     if not pairs:
         raise InputError(f"{folder}: no case has been diagnosed yet: call without --so-far")
     others = list(load(folder, "reports_left_out")) if left_out else []
-    found = metrics(pairs, others)
-    result = table(found, f"blind-test --seed {seed} --count {count}")
+    rows = injected.load(folder / "injected") if injected_count else []
+    found = [*metrics(pairs, others), *injected_metrics(rows)]
+    command = f"blind-test --seed {seed} --count {count} --left-out {left_out}"
+    command += f" --with-injected {injected_count}" if injected_count else ""
+    result = table(found, command)
     if json_path is not None:
         result.write(json_path)
     if page is not None:
         from hyst_control.blind_test.page import write_page
 
-        write_page(Path(page), found, pairs, seed, count, _digest(labels), len(others))
+        write_page(Path(page), found, pairs, rows, command, (count, injected_count), digests, len(others))
     return result
 
 
@@ -361,9 +373,9 @@ def _diagnose_one(job: tuple[str, str, tuple[str, ...]]) -> str:
     from hyst_control.records.bag_reader import read_bag
 
     case, report, without = job
-    begin = time.monotonic()
+    begin, worked = time.monotonic(), time.process_time()
     document, diagnosis, better = diagnosed([read_bag(Path(case) / "bag")], load_model(Path(case) / "model.yaml"), without=without)
-    document["seconds"] = time.monotonic() - begin
+    document["seconds"], document["processor_seconds"] = time.monotonic() - begin, time.process_time() - worked
     document["foreseen"] = foresee(diagnosis, np.load(Path(case) / "next.npy")).document()
     if better is not None:
         save_model(better, Path(report).with_suffix(".yaml"))
@@ -391,6 +403,7 @@ def _add_realized_shrink(job: tuple[dict[str, Any], str, str]) -> None:
             document["seed"],
             tuple(document["effects"]),
             document["off"],
+            duration=document["duration"],
         )
     )
     signals = run_case(case)

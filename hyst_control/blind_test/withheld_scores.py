@@ -94,7 +94,7 @@ def add_summary(table: Table, rows: Sequence[tuple[Withheld, dict[str, Any]]]) -
     rows
         Cases with their reports.
     """
-    from hyst_control.blind_test.scores import wilson
+    from hyst_control.blind_test.metric import wilson
 
     solved = sum(is_solved(case, report) for case, report in rows)
     table.add(TITLE, "all", "all cases", "solved", "", solved / max(len(rows), 1), n=len(rows), ci95=wilson(solved, len(rows)))

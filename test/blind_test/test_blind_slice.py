@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from hyst_control.blind_test.metric import wilson
 from hyst_control.blind_test.run import diagnose_all, load, make
-from hyst_control.blind_test.scores import wilson
 
 SEED, COUNT = 11, 14
 
