@@ -12,6 +12,7 @@ from hyst_control.blind_test.injected_machines import Clean, Machine
 from hyst_control.blind_test.injected_plan import planned
 from hyst_control.blind_test.injected_scores import injected_metrics, is_covered, named_exactly, named_right, quiet
 from hyst_control.blind_test.injections import OPEN_SET, SINGLES, apply_all, strength_of
+from hyst_control.blind_test.page import write_injected_page, write_page
 from hyst_control.errors import InputError
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.reproduction.measured_data import data_folder
@@ -148,3 +149,19 @@ def test_cases_of_the_stack_keep_their_labels_apart(tmp_path):
         make(str(tmp_path / "run"), 6, 3, ["stack"])
     with pytest.raises(InputError, match="--plants"):
         make(str(tmp_path / "other"), 5, 3, ["pea"])
+
+
+def test_one_page_shows_both_tests(tmp_path):
+    label = {**LABEL, "name": "case_0000", "record": "full, row 0", "realizations": ["sensor"]}
+    said = {**report("effect", "delay"), "unexplained_share": 0.0}
+    rows = [(label, said)]
+    path = tmp_path / "page.md"
+    pairs = [({"name": "case_0000", "label": {"kind": "none", "names": [], "gap_rms": 0.0, "noise_rms": 1.0}}, report("no_gap"))]
+    write_page(path, injected_metrics(rows), pairs, rows, "blind-test --seed 7", (1, 2), ["a" * 64, "b" * 64], 0)
+    text = path.read_text()
+    assert text.index("b" * 64) < text.index("injected, no clean record: top-1 at 3 x | 1.000")
+    assert "1 of the 1 simulated and 1 of the 2 injected cases" in text
+    assert "| stack | none | 3 | 1 | 1 |" in text
+    assert "| case_0000 | stack: full, row 0 | none | delay (sensor) | 3 | effect | delay | yes |" in text
+    write_injected_page(path, injected_metrics(rows), rows, "blind-test --injected --seed 7", "c" * 64)
+    assert "c" * 64 in path.read_text()
