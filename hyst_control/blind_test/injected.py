@@ -24,7 +24,6 @@ from hyst_control.blind_test.injections import apply_all, size_of, strength_of, 
 from hyst_control.blind_test.published_labels import rounded
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
-from hyst_control.parallel import mapped
 from hyst_control.records.record import Record, Signal
 from hyst_control.reporting.tables import Table
 
@@ -206,11 +205,28 @@ def diagnose_all(folder: Path, note: Callable[[str], None] = print) -> None:
     note
         Called with every line of progress.
     """
+    from hyst_control.blind_test.run import work
+
+    work(jobs_of(folder), None, note)
+
+
+def jobs_of(folder: Path) -> list[tuple[Callable[[Any], str], tuple[Any, ...]]]:
+    """List the diagnoses that have no report yet.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+
+    Returns
+    -------
+    list
+        Function and arguments of each.
+    """
     reports = folder / "reports"
     reports.mkdir(exist_ok=True)
     waiting = [case.name for case in sorted((folder / "cases").iterdir()) if not (reports / f"{case.name}.json").exists()]
-    for done, name in enumerate(mapped(_diagnose_one, [(str(folder), name) for name in waiting]), 1):
-        note(f"{done} of {len(waiting)} diagnosed ({name})")
+    return [(_diagnose_one, (str(folder), name)) for name in waiting]
 
 
 def load(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:

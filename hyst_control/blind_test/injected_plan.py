@@ -51,7 +51,7 @@ MIRROR: tuple[Step, ...] = (
     ("mirror", "single", "other_command", 3.0),
     ("mirror", "open_set", "same_command", 10.0),
 )
-"""Of these a round has one: a diagnosis of the mirror's three coupled axes takes as long as thirty of the stack."""
+"""Of these every second round has one: a diagnosis of the mirror's three coupled axes takes as long as thirty of the stack."""
 CLEAN = 2
 """Clean records in a round."""
 
@@ -107,7 +107,8 @@ def planned(machines: Sequence[Machine], seed: int, count: int) -> Iterator[Cell
     waiting: dict[str, list[str]] = {}
     made = turn = 0
     while made < count:
-        steps = [*STACK, *STACK, *OPEN[turn % len(OPEN)], *SIMULATIONS, *SIMULATIONS, MIRROR[turn % len(MIRROR)]]
+        steps = [*STACK, *STACK, *OPEN[turn % len(OPEN)], *SIMULATIONS, *SIMULATIONS]
+        steps += [MIRROR[turn // 2 % len(MIRROR)]] if turn % 2 == 0 else []
         cells = [
             _cell(group[(turn + number) % len(group)], step, waiting, random)
             for number, step in enumerate(steps)
@@ -124,9 +125,12 @@ def _group(machine: Machine) -> str:
 
 
 def _clean_cells(machines: Sequence[Machine], random: np.random.Generator) -> list[Cell]:
-    """Every clean record with every set of clean records beside it, in random order."""
+    """Every clean record with every set of clean records beside it, in random order; of each of the mirror's levels one set."""
     cells = []
-    for machine in machines:
+    mirrors = [machine for machine in machines if _group(machine) == "mirror"]
+    for machine in mirrors:
+        cells.append(Cell(machine, 0, "none", MODES[mirrors.index(machine) % len(MODES)], 0.0, ()))
+    for machine in [machine for machine in machines if machine not in mirrors]:
         for record in range(len(machine.cases)):
             modes = ["none", *(["other_command"] if machine.others else []), *(["same_command"] if record in machine.same else [])]
             cells += [Cell(machine, record, "none", mode, 0.0, ()) for mode in modes]

@@ -69,6 +69,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--output", default="blind_out", metavar="FOLDER", help="folder to write: cases, labels and reports (default blind_out)"
     )
     parser.add_argument(
+        "--stop-after",
+        type=float,
+        metavar="SECONDS",
+        help="with --seed: begin no further diagnosis after this time, and score what is done; the same call continues",
+    )
+    parser.add_argument(
         "--so-far", action="store_true", help="score the cases that an interrupted run has diagnosed, without diagnosing more"
     )
     parser.add_argument("--page", metavar="OUT.md", help="page to write, with its figure")
@@ -96,4 +102,5 @@ def run(arguments: argparse.Namespace) -> Table:
         arguments.page,
         so_far=arguments.so_far,
         injected_count=arguments.with_injected,
+        stop_after=arguments.stop_after,
     )
