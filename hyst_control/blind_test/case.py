@@ -40,6 +40,8 @@ class Case:
         The answer: kind, effects, true gap.
     untuned
         True with an effect in a realization that tuning seeds never draw.
+    duration
+        Length of the rich record, s.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Case:
     off: float = 1.0
     label: Mapping[str, Any] = field(default_factory=dict)
     untuned: bool = False
+    duration: float = 1.5
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -36,6 +36,7 @@ def draw(
     kinds: Mapping[str, float] | Sequence[str] | None = None,
     excitations: Sequence[str] = EXCITATIONS,
     switched: float = 0.0,
+    duration: float = 1.5,
 ) -> list[Case]:
     """Draw a balanced set of cases: every effect on every plant in turn, half of it on the rich record.
 
@@ -53,6 +54,8 @@ def draw(
         Excitations.
     switched
         Fraction of the cases with effects in which every effect begins within the record, each at its own time.
+    duration
+        Length of the rich record, s.
 
     Returns
     -------
@@ -77,7 +80,7 @@ def draw(
         names = _names(kind, plant, cycles, random)
         noise = NOISES[(index // 4) % 2]
         off = float(random.uniform(*COEFFICIENT_DEVIATION)) if kind == "parameters" else 1.0
-        case = Case("", plant, kind, excitation, noise, int(random.integers(1 << 31)), off=off)
+        case = Case("", plant, kind, excitation, noise, int(random.integers(1 << 31)), off=off, duration=duration)
         realized = [draw_realization(name, plant, seed, realizations) for name in names]
         effects = tuple({**draw_effect(name, plant, noise, random), **own} for name, (own, _) in zip(names, realized, strict=True))
         cases.append(replace(case, effects=effects, untuned=any(untuned for _, untuned in realized)))

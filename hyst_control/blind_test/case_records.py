@@ -36,6 +36,7 @@ def commands(case: Case) -> Array:
     span, center, random = high - low, 0.5 * (high + low), np.random.default_rng([case.seed, 1])
     if case.excitation == "rich":
         spec: dict[str, Any] = {"signal": "diagnostic", "lowest": low, "highest": high, "seed": int(random.integers(3))}
+        spec["duration"] = case.duration
     elif case.excitation == "multisine":
         spec = {
             "signal": "multisine",

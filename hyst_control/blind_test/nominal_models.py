@@ -14,17 +14,22 @@ from hyst_control.chain.stage import Array
 from hyst_control.config_files import config_path
 from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.initial_memory import with_beginning
+from hyst_control.identify.workflow import discrepancy
 from hyst_control.model_file import Model, load_model, simulate
 from hyst_control.records.excitation import build
 from hyst_plant_sim.physics import load_plant
+
+CLEAN_SEEDS = (5000, 5001, 5002, 5003)
+"""Of the diagnostic records that an identified model states its error on; it is fitted to the first of them."""
 
 
 @cache
 def nominal(plant: str, noise: float) -> Model:
     """Return the model against which a case is diagnosed.
 
-    It is the published model, or one identified from a clean record of the nominal plant. Its tolerance is the scatter of the
-    plants; its noise is that of the sensor and the residual of the identification.
+    It is the published model, or one identified from clean records of the nominal plant, which says what it leaves on such records. Its
+    tolerance is the scatter of the plants; its noise is that of the sensor.
 
     Parameters
     ----------
@@ -40,16 +45,13 @@ def nominal(plant: str, noise: float) -> Model:
     """
     setup = SETUPS[plant]
     sigma = noise * setup.stroke
-    if setup.model is not None:
-        model = load_model(config_path(setup.model))
-    else:
-        model, left = _identified(plant)
-        sigma = float(np.hypot(sigma, left))
+    model = load_model(config_path(setup.model)) if setup.model is not None else _identified(plant)[0]
     return replace(
         model,
         sample_time=setup.sample_time,
         noise={"sigma": sigma},
         tolerance={name: SCATTER for name in TOLERANCE},
+        uncertainty={},  # that of one unit, smaller than the scatter between units
         valid={**model.valid, "command": list(setup.command)},
     )
 
@@ -66,20 +68,19 @@ def _identified(plant: str) -> tuple[Model, float]:
         return rows, np.concatenate([truth.reset(rows[0])[None], truth.step(rows)[:-1]])
 
     diagnostic = {"signal": "diagnostic", "lowest": low, "highest": high}
-    records = [clean({**spec, "peak": high}), clean({**diagnostic, "seed": 5000})]
-    model = identify(
-        [
-            Dataset(f"clean {index}", *record, setup.sample_time, truth.axes, truth.units["measurement"])
-            for index, record in enumerate(records)
-        ],
-        family,
-    ).model
+    records = [clean({**spec, "peak": high}), *(clean({**diagnostic, "seed": seed}) for seed in CLEAN_SEEDS)]
+    datasets = [
+        Dataset(f"clean {index}", *record, setup.sample_time, truth.axes, truth.units["measurement"])
+        for index, record in enumerate(records)
+    ]
+    model = identify(datasets[:2], family).model
+    model = replace(model, discrepancy=discrepancy(model, [with_beginning(data) for data in datasets]))
     rows, measured = clean({**diagnostic, "seed": 6000})
     return model, float(np.sqrt(np.mean((measured - simulate(model, rows, setup.sample_time)) ** 2)))
 
 
 def stated_noise(plant: str, noise: float) -> float:
-    """Noise that the nominal model of a plant states.
+    """Noise that the nominal model of a plant states, with what an identified model leaves on a record that it was not fitted to.
 
     Parameters
     ----------
@@ -93,4 +94,5 @@ def stated_noise(plant: str, noise: float) -> float:
     float
         Noise, rms in the measurement unit.
     """
-    return float(np.max(nominal(plant, noise).noise["sigma"]))
+    sigma = float(np.max(nominal(plant, noise).noise["sigma"]))
+    return sigma if SETUPS[plant].model is not None else float(np.hypot(sigma, _identified(plant)[1]))

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.blind_test.scores import Metric, Pair, confusion, worst
+from hyst_control.blind_test.injected_scores import Row, named_exactly, named_right, quiet
+from hyst_control.blind_test.metric import Metric
+from hyst_control.blind_test.scores import Pair, confusion, worst
 from hyst_control.diagnose.gap_report import sentence
 from hyst_control.files import write_text
 from hyst_control.reporting.templates import render
@@ -17,7 +19,14 @@ KINDS = ("single", "pair", "none", "parameters", "open_set")
 
 
 def write_page(
-    path: Path, found: Sequence[Metric], pairs: Sequence[Pair], seed: int, count: int, digest: str, left_out: int
+    path: Path,
+    found: Sequence[Metric],
+    pairs: Sequence[Pair],
+    rows: Sequence[Row],
+    command: str,
+    counts: tuple[int, int],
+    digests: Sequence[str],
+    left_out: int,
 ) -> None:
     """Write the page, and blind_confusion.svg in `figures` beside it.
 
@@ -28,10 +37,14 @@ def write_page(
     found
         Metrics of the test.
     pairs
-        Every case that was diagnosed, with its report.
-    seed, count
-        Of the test, as they were asked for.
-    digest
+        Every simulated case that was diagnosed, with its report.
+    rows
+        Every injected one.
+    command
+        Command of the run.
+    counts
+        Numbers of simulated and injected cases, as they were asked for.
+    digests
         SHA-256 of the labels.
     left_out
         Number of cases that were diagnosed once more with their effect out of the catalogue.
@@ -39,21 +52,97 @@ def write_page(
     figure = path.parent / "figures" / "blind_confusion.svg"
     figure.parent.mkdir(parents=True, exist_ok=True)
     _draw(figure, pairs)
-    interrupted = f" and interrupted: {len(pairs)} of the {count} cases, in the order in which they were drawn"
+    done = (len(pairs), len(rows))
+    interrupted = (
+        f" and stopped: {done[0]} of the {counts[0]} simulated and {done[1]} of the {counts[1]} injected cases, in their order"
+    )
     text = render(
         "blind_test/templates/blind_test.md",
-        seed=seed,
-        count=count,
-        interrupted="" if len(pairs) == count else interrupted,
-        digest=digest,
+        command=command,
+        interrupted="" if done == counts else interrupted,
+        digests=digests,
         diagnosed=len(pairs),
         kinds={kind: sum(pair[0]["label"]["kind"] == kind for pair in pairs) for kind in KINDS},
         hidden=sum(bool(pair[0]["label"].get("hidden")) for pair in pairs),
         left_out=left_out,
         metrics=found,
         worst=[_row(*pair) for pair in worst(pairs)],
+        injected=len(rows),
+        machines=by_machine(rows),
+        cases=[_injected_row(*row) for row in rows],
     )
     write_text(path, text)
+
+
+def write_injected_page(path: Path, found: Sequence[Metric], rows: Sequence[Row], command: str, digest: str) -> None:
+    """Write the page of injected cases alone.
+
+    Parameters
+    ----------
+    path
+        Markdown file to write.
+    found
+        Metrics of the test.
+    rows
+        Every case that was diagnosed.
+    command
+        Command of the run.
+    digest
+        SHA-256 of the labels.
+    """
+    text = render(
+        "blind_test/templates/injected.md",
+        command=command,
+        digest=digest,
+        metrics=found,
+        machines=by_machine(rows),
+        cases=[_injected_row(*row) for row in rows],
+    )
+    write_text(path, text)
+
+
+def by_machine(rows: Sequence[Row]) -> list[dict[str, object]]:
+    """Count the right first names by machine, clean records and size.
+
+    Parameters
+    ----------
+    rows
+        Injected cases.
+
+    Returns
+    -------
+    list[dict[str, object]]
+        Values of each row of the table.
+    """
+    groups: dict[tuple[str, str, float], list[bool]] = {}
+    for label, report in rows:
+        if label["kind"] == "single":
+            key = (label["plant"].split(",")[0], label["mode"].replace("_", " "), label["multiple"])
+            groups.setdefault(key, []).append(named_right(label, report))
+    return [
+        {"machine": machine, "mode": mode, "size": size, "right": sum(hits), "n": len(hits)}
+        for (machine, mode, size), hits in sorted(groups.items())
+    ]
+
+
+def _injected_row(label: Mapping[str, Any], report: dict[str, Any]) -> dict[str, object]:
+    """Values of a row of the injected cases."""
+    put_in = [f"{name} ({how})" if how else name for name, how in zip(label["names"], label["realizations"], strict=True)]
+    judge = {"single": named_right, "pair": named_exactly}.get(label["kind"])
+    if judge is not None:
+        right = judge(label, report)
+    else:
+        right = quiet(report) if label["kind"] == "none" else report["verdict"] == "unknown"
+    return {
+        "name": label["name"],
+        "record": label["record"] if label["plant"] in label["record"] else f"{label['plant']}: {label['record']}",
+        "mode": label["mode"].replace("_", " "),
+        "injected": ", ".join(put_in) or "nothing",
+        "size": label["multiple"],
+        "verdict": report["verdict"],
+        "named": ", ".join(effect["name"] for effect in report["effects"]),
+        "right": "yes" if right else "no",
+    }
 
 
 def _row(case: Mapping[str, Any], report: dict[str, Any]) -> dict[str, object]:

@@ -25,6 +25,9 @@ from hyst_control.reporting.tables import Table
 if TYPE_CHECKING:
     from hyst_control.blind_test.case import Case
 
+Job = tuple[Callable[[Any], str], tuple[Any, ...]]
+"""Function that makes a report, and what it takes; it returns the name of the case."""
+
 CONFUSABLE = {
     "amplifier_lowpass": ("sensor_lowpass", "delay"),
     "sensor_lowpass": ("amplifier_lowpass", "delay"),
@@ -47,6 +50,8 @@ def run_all(
     json_path: str | None = None,
     note: Callable[[str], None] = print,
     so_far: bool = False,
+    injected_count: int = 0,
+    stop_after: float | None = None,
 ) -> Table:
     """Run the whole test: draw, diagnose, leave out, compare the predictions with fresh records, score, write.
 
@@ -68,6 +73,10 @@ def run_all(
         Called with every line of progress.
     so_far
         Score the cases that an earlier call has diagnosed, and diagnose no more.
+    injected_count
+        Number of cases that are injected into records of machines, in the folder `injected` of the run; the measurements are needed.
+    stop_after
+        Time after which no further diagnosis begins, s.
 
     Returns
     -------
@@ -79,27 +88,35 @@ def run_all(
     InputError
         The folder is that of another run, or there is no diagnosed case.
     """
+    from hyst_control.blind_test import injected
+    from hyst_control.blind_test.injected_scores import injected_metrics
     from hyst_control.blind_test.scores import metrics, table
 
     folder = _folder(out, count)
-    labels = make(folder, seed, count, note)
+    digests = [_digest(make(folder, seed, count, note))]
+    if injected_count:
+        digests.append(_digest(injected.make(str(folder / "injected"), seed, injected_count, note=note)))
     if not so_far:
-        diagnose_all(folder, note=note)
-        if left_out:
-            leave_out(folder, left_out, note)
+        simulated = jobs_of(folder, left_out)
+        put_in = injected.jobs_of(folder / "injected") if injected_count else []
+        until = None if stop_after is None else time.time() + stop_after
+        work(interleaved(simulated, put_in), until, note)
     add_realized_shrinks(folder, note)
     pairs = list(load(folder))
     if not pairs:
         raise InputError(f"{folder}: no case has been diagnosed yet: call without --so-far")
     others = list(load(folder, "reports_left_out")) if left_out else []
-    found = metrics(pairs, others)
-    result = table(found, f"blind-test --seed {seed} --count {count}")
+    rows = injected.load(folder / "injected") if injected_count else []
+    found = [*metrics(pairs, others), *injected_metrics(rows)]
+    command = f"blind-test --seed {seed} --count {count} --left-out {left_out}"
+    command += f" --with-injected {injected_count}" if injected_count else ""
+    result = table(found, command)
     if json_path is not None:
         result.write(json_path)
     if page is not None:
         from hyst_control.blind_test.page import write_page
 
-        write_page(Path(page), found, pairs, seed, count, _digest(labels), len(others))
+        write_page(Path(page), found, pairs, rows, command, (count, injected_count), digests, len(others))
     return result
 
 
@@ -231,61 +248,91 @@ def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = prin
     return labels
 
 
-def diagnose_all(
-    folder: Path, without: dict[str, Sequence[str]] | None = None, reports: str = "reports", note: Callable[[str], None] = print
-) -> None:
+def diagnose_all(folder: Path, note: Callable[[str], None] = print) -> None:
     """Diagnose every case that has no report yet, one process per core, each from a bag and a model alone.
 
     Parameters
     ----------
     folder
         Folder of the run.
-    without
-        Effects to leave out of the catalogue, by case; only these cases are diagnosed. None: all cases.
-    reports
-        Name of the folder of reports.
     note
         Called with every line of progress.
     """
-    (folder / reports).mkdir(exist_ok=True)
-    waiting = [
-        case
-        for case in sorted((folder / "cases").iterdir())
-        if not (folder / reports / f"{case.name}.json").exists() and (without is None or case.name in without)
-    ]
-    begin = time.monotonic()
-    jobs = [(str(case), str(folder / reports / f"{case.name}.json"), tuple((without or {}).get(case.name, ()))) for case in waiting]
-    for done, name in enumerate(mapped(_diagnose_one, jobs), 1):
-        if done % 20 == 0 or done == len(jobs):
-            spent = time.monotonic() - begin
-            note(f"{done} of {len(jobs)} diagnosed ({name}), {spent:.0f} s, {spent / done * (len(jobs) - done):.0f} s to go")
+    work(jobs_of(folder), None, note)
 
 
-def leave_out(folder: Path, count: int, note: Callable[[str], None] = print) -> None:
-    """Diagnose single effects on the rich record again, without the effect and those nearly equal to it in the catalogue.
+def jobs_of(folder: Path, left_out: int = 0) -> list[Job]:
+    """List the diagnoses that have no report yet, in the order of the cases.
 
     Parameters
     ----------
     folder
         Folder of the run.
-    count
-        Largest number of cases.
-    note
-        Called with every line of progress.
+    left_out
+        Largest number of cases, single effects on the rich record, that are diagnosed again, without the effect and those nearly equal
+        to it in the catalogue.
+
+    Returns
+    -------
+    list[Job]
+        The diagnoses.
     """
     from hyst_control.effects import EFFECTS
 
-    without: dict[str, Sequence[str]] = {}
-    for case, _ in load(folder):
-        name = (case["label"]["names"] or [""])[0]
-        if (
-            len(without) < count
-            and case["label"]["kind"] == "single"
-            and case["label"]["excitation"] == "rich"
-            and EFFECTS[name].waveform
-        ):
-            without[case["name"]] = (name, *CONFUSABLE.get(name, ()))
-    diagnose_all(folder, without, "reports_left_out", note)
+    jobs: list[Job] = []
+    for name in ("reports", "reports_left_out"):
+        (folder / name).mkdir(exist_ok=True)
+    for case in json.loads((folder / "labels.json").read_text(encoding="utf-8"))["cases"]:
+        place, label = str(folder / "cases" / case["name"]), case["label"]
+        jobs.append((_diagnose_one, (place, str(folder / "reports" / f"{case['name']}.json"), ())))
+        name = (label["names"] or [""])[0]
+        if left_out and label["kind"] == "single" and label["excitation"] == "rich" and EFFECTS[name].waveform:
+            left_out -= 1
+            without = (name, *CONFUSABLE.get(name, ()))
+            jobs.append((_diagnose_one, (place, str(folder / "reports_left_out" / f"{case['name']}.json"), without)))
+    return [job for job in jobs if not Path(job[1][1]).exists()]
+
+
+def interleaved(first: Sequence[Job], second: Sequence[Job]) -> list[Job]:
+    """Mix two lists evenly, so that a run that is stopped has done the same part of both.
+
+    Parameters
+    ----------
+    first, second
+        Two lists.
+
+    Returns
+    -------
+    list[Job]
+        All of them, each list's in its order.
+    """
+    placed = [((index + 0.5) / len(jobs), job) for jobs in (first, second) for index, job in enumerate(jobs)]
+    return [job for _, job in sorted(placed, key=lambda each: each[0])]
+
+
+def work(jobs: Sequence[Job], until: float | None = None, note: Callable[[str], None] = print) -> None:
+    """Do diagnoses, one process per core.
+
+    Parameters
+    ----------
+    jobs
+        The diagnoses.
+    until
+        Time of the clock at which no further one begins, s; None: all are done.
+    note
+        Called with every line of progress.
+    """
+    begin = time.monotonic()
+    for done, name in enumerate(mapped(_in_time, [(job, until) for job in jobs]), 1):
+        if name and (done % 20 == 0 or done == len(jobs)):
+            spent = time.monotonic() - begin
+            note(f"{done} of {len(jobs)} diagnosed ({name}), {spent:.0f} s, {spent / done * (len(jobs) - done):.0f} s to go")
+
+
+def _in_time(due: tuple[Job, float | None]) -> str:
+    """The name of the case that was diagnosed, "" after the time."""
+    (diagnose, arguments), until = due
+    return "" if until is not None and time.time() > until else diagnose(arguments)
 
 
 def add_realized_shrinks(folder: Path, note: Callable[[str], None] = print) -> None:
@@ -362,9 +409,9 @@ def _diagnose_one(job: tuple[str, str, tuple[str, ...]]) -> str:
     from hyst_control.records.bag_reader import read_bag
 
     case, report, without = job
-    begin = time.monotonic()
+    begin, worked = time.monotonic(), time.process_time()
     document, diagnosis, better = diagnosed([read_bag(Path(case) / "bag")], load_model(Path(case) / "model.yaml"), without=without)
-    document["seconds"] = time.monotonic() - begin
+    document["seconds"], document["processor_seconds"] = time.monotonic() - begin, time.process_time() - worked
     document["foreseen"] = foresee(diagnosis, np.load(Path(case) / "next.npy")).document()
     if better is not None:
         save_model(better, Path(report).with_suffix(".yaml"))
@@ -392,6 +439,7 @@ def _add_realized_shrink(job: tuple[dict[str, Any], str, str]) -> None:
             document["seed"],
             tuple(document["effects"]),
             document["off"],
+            duration=document["duration"],
         )
     )
     signals = run_case(case)

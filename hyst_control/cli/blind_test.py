@@ -6,7 +6,8 @@ called again with the same folder.
 example:
   hyst blind-test --seed 100000 --count 800 --output blind --page docs/blind-test.md
   hyst blind-test --measured --page docs/blind-test-measured.md     models of measured plants with one element removed
-  hyst blind-test --injected --seed 7 --count 60 --output injected   # known effects put into measured records
+  hyst blind-test --injected --seed 7 --count 60 --output injected   # known effects put into records of machines
+  hyst blind-test --seed 100000 --count 300 --with-injected 200 --output blind --page docs/blind-test.md     both on one page
 """
 
 from __future__ import annotations
@@ -31,13 +32,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--measured", action="store_true", help="diagnose measured records with models from which one element was removed"
     )
     parser.add_argument(
-        "--injected", action="store_true", help="with --seed: put known effects into measured records of the stack and the mirror"
+        "--injected",
+        action="store_true",
+        help="with --seed: only put known effects into records of the stack, the mirror and simulated machines",
     )
     parser.add_argument(
         "--plants",
         nargs="+",
         metavar="PLANT",
-        help="with --injected or --measured: measured plants, stack and mirror (default: both)",
+        help="with --injected or --measured: plants, stack and mirror, and simulated with --injected (default: all)",
     )
     parser.add_argument(
         "--levels",
@@ -54,6 +57,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--count", type=int, default=800, help="number of cases (default 800)")
     parser.add_argument(
+        "--with-injected", type=int, default=0, metavar="COUNT", help="with --seed: number of injected cases beside the others"
+    )
+    parser.add_argument(
         "--left-out",
         type=int,
         default=100,
@@ -61,6 +67,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--output", default="blind_out", metavar="FOLDER", help="folder to write: cases, labels and reports (default blind_out)"
+    )
+    parser.add_argument(
+        "--stop-after",
+        type=float,
+        metavar="SECONDS",
+        help="with --seed: begin no further diagnosis after this time, and score what is done; the same call continues",
     )
     parser.add_argument(
         "--so-far", action="store_true", help="score the cases that an interrupted run has diagnosed, without diagnosing more"
@@ -82,4 +94,13 @@ def run(arguments: argparse.Namespace) -> Table:
         return injected.run(arguments.output, arguments.seed, arguments.count, arguments.plants, arguments.page)
     from hyst_control.blind_test.run import run_all
 
-    return run_all(arguments.output, arguments.seed, arguments.count, arguments.left_out, arguments.page, so_far=arguments.so_far)
+    return run_all(
+        arguments.output,
+        arguments.seed,
+        arguments.count,
+        arguments.left_out,
+        arguments.page,
+        so_far=arguments.so_far,
+        injected_count=arguments.with_injected,
+        stop_after=arguments.stop_after,
+    )

@@ -35,7 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder to write: cases/ and labels.json (make), effects.md and figures/effects/ (figures)",
     )
     parser.add_argument(
-        "--measured", action="store_true", help="put known effects into measured records of the stack and the mirror (make)"
+        "--measured",
+        action="store_true",
+        help="put known effects into records of the stack, the mirror and simulated machines (make)",
     )
     parser.add_argument(
         "--fleet", nargs=2, type=int, metavar=("UNITS", "NIGHTS"), help="record a simulated fleet with its manifest (make)"

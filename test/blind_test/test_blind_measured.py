@@ -9,7 +9,10 @@ import pytest
 from scipy.linalg import block_diag
 
 from hyst_control.blind_test import measured
-from hyst_control.blind_test.measured import Withheld, oscillating, report_on, uncoupled, without_states
+from hyst_control.blind_test.measured import report_on
+from hyst_control.blind_test.mirror_models import oscillating, uncoupled, without_states
+from hyst_control.blind_test.withheld_cases import Withheld, stack_cases
+from hyst_control.blind_test.withheld_scores import is_solved, named_right
 from hyst_control.chain import Chain
 from hyst_control.chain.linear import StateSpace
 from hyst_control.errors import InputError
@@ -93,7 +96,7 @@ def test_a_case_that_has_its_report_is_not_diagnosed_again(tmp_path, monkeypatch
 )
 def test_a_case_is_solved_by_name_and_verdict(element, verdict, names, solved):
     case = Withheld("mirror", element, ("delay",) if element != "nothing" else (), None, None, 0.0, 0.1)  # type: ignore[arg-type]
-    assert measured.is_solved(case, {"verdict": verdict, "effects": [{"name": name} for name in names]}) == solved
+    assert is_solved(case, {"verdict": verdict, "effects": [{"name": name} for name in names]}) == solved
 
 
 @pytest.mark.parametrize(("given", "said"), [({"plants": ["stuck"]}, "--plants stuck"), ({"levels": [250]}, "--levels 250")])
@@ -106,13 +109,13 @@ def test_what_was_not_measured_is_refused(tmp_path, given, said):
 def test_the_measured_stack_without_its_elements():
     """The whole model has no gap on loops that it was not fitted to; without hysteresis, or with few operators, that is named first."""
     try:
-        cases = list(measured.stack_cases())
+        cases = list(stack_cases())
     except InputError as error:
         pytest.skip(str(error))
     for case in cases:
         report, *_ = measured.diagnosed([case.record], case.model, warm_up=case.warm_up)
         if case.right:
             assert report["verdict"] in ("effect", "parameters"), case.element
-            assert measured.named_right(case, report), case.element
+            assert named_right(case, report), case.element
         else:
             assert report["verdict"] == "no_gap"
