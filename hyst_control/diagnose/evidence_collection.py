@@ -193,7 +193,8 @@ def companions(linearised: Linearised, scored: Scored, usual: Array, mean: Array
         companion = effects[degree].companion
         assert companion is not None
         size = linearised.scatter.size(coefficient)
-        departure = size * float(z) - float(mean[axis, degree])
+        # From the clean sessions, or from the model itself: a record may have had its zero taken off.
+        departure = min(size * float(z), size * float(z) - float(mean[axis, degree]), key=abs)
         found.append(
             CompanionEvidence(
                 effects[degree].name,
