@@ -24,7 +24,7 @@ from hyst_control.diagnose.hypothesis_fit import Linearised
 from hyst_control.diagnose.hypothesis_search import Found, Scored, strain
 from hyst_control.diagnose.noise_floor import noise_between_periods, noise_of
 from hyst_control.diagnose.predictability import predictable_share
-from hyst_control.diagnose.problem import Problem
+from hyst_control.diagnose.problem import Piece, Problem
 from hyst_control.diagnose.record_checks import outliers
 from hyst_control.diagnose.session import CarriedError, SessionZero
 from hyst_control.diagnose.unexplained_residual import leftover
@@ -193,7 +193,8 @@ def companions(linearised: Linearised, scored: Scored, usual: Array, mean: Array
         companion = effects[degree].companion
         assert companion is not None
         size = linearised.scatter.size(coefficient)
-        departure = size * float(z) - float(mean[axis, degree])
+        # From the clean sessions, or from the model itself: a record may have had its zero taken off.
+        departure = min(size * float(z), size * float(z) - float(mean[axis, degree]), key=abs)
         found.append(
             CompanionEvidence(
                 effects[degree].name,
@@ -304,10 +305,15 @@ def _hypothesis(scored: Scored, size: int) -> HypothesisEvidence:
     )
 
 
+def _has_holes(piece: Piece) -> bool:
+    """True where the rows that count are not one stretch: a warm-up is none that is missed."""
+    return piece.keep is not None and np.count_nonzero(np.diff(np.concatenate([[False], piece.keep, [False]]).astype(int))) > 2
+
+
 def _flicker(problem: Problem, scored: Scored, configuration: Configuration) -> FlickerEvidence | None:
-    """1/f noise in what a hypothesis leaves; not of several axes at once, nor where rows are missing."""
-    if len(problem.model.axes) > 1 or any(piece.keep is not None for piece in problem.pieces):
+    """1/f noise in what a hypothesis leaves; not of several axes at once, nor where rows are missing in between."""
+    if len(problem.model.axes) > 1 or any(_has_holes(piece) for piece in problem.pieces):
         return None
-    command = np.concatenate([piece.command[:, 0] for piece in problem.pieces])
+    command = np.concatenate([piece.counted(piece.command)[:, 0] for piece in problem.pieces])
     seen = flicker(scored.solution.residual, command, configuration.flicker)
     return None if seen is None else replace(seen, gain=problem.weight * seen.gain)

@@ -164,12 +164,16 @@ def test_a_new_clean_record_of_another_command_is_no_gap():
     assert {effect["name"] for effect in report["effects"]} <= {"offset", "offset_drift"}
 
 
-@pytest.mark.parametrize(("change", "names"), [({}, set()), ({"sensor": late(8e-3)}, {"delay"})])
-def test_a_sensor_may_have_its_zero_anywhere(change, names):
-    """Many times the range away in every session: that says nothing of an effect, and is usual."""
+@pytest.mark.parametrize(
+    ("change", "names", "taken_off"), [({}, set(), 0.0), ({"sensor": late(8e-3)}, {"delay"}, 0.0), ({}, set(), 40.0)]
+)
+def test_a_sensor_may_have_its_zero_anywhere(change, names, taken_off):
+    """Many times the range away in every session: that says nothing of an effect, and is usual, and so is no zero at all."""
     away, command, others = 40.0, sines(25.0), [sines(20.0), sines(35.0)]
     clean = [record(other, machine(other, seed) + away, "clean") for seed, other in enumerate(others)]
-    report, *_ = diagnosed([record(command, machine(command, 7, **change) + away, "new")], MODEL, cache=False, baseline=clean)
+    report, *_ = diagnosed(
+        [record(command, machine(command, 7, **change) + away - taken_off, "new")], MODEL, cache=False, baseline=clean
+    )
     assert {effect["name"] for effect in report["effects"]} >= names
     assert report["verdict"] in (("effect", "ambiguous") if names else ("no_gap",))
     zero = next(row for row in report["companions"] if row["name"] == "offset")
