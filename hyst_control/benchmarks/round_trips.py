@@ -125,7 +125,7 @@ def identified(name: str) -> Fit:
     Fit
         Model and report.
     """
-    return identify([taught(name)], name, **PLANTS[name].options)
+    return identify([taught(name)], name, "joint", **PLANTS[name].options)
 
 
 def sines(sample_time: float, seconds: float, *cycles: tuple[float, float]) -> Array:
