@@ -73,7 +73,7 @@ _PLAYS = {"thresholds": _THRESHOLDS}
 _OSCILLATOR = 10.0 / _W**2, 6.0 / _W, 6.0
 
 PLANTS = {
-    "bouc_wen": Plant((BoucWen(*_OSCILLATOR, 4.0, 0.5, -0.2),), 1e-4, seconds=0.05),
+    "bouc_wen": Plant((BoucWen(*_OSCILLATOR, 4.0, 0.5, -0.2),), 1e-4),
     "duhem": Plant((_DELAY, Duhem(0.1, -0.03, 0.03, -0.008, 1.3, 4e-3), _MODE), 1e-4, {"creep": False}),
     "duhem_oscillator": Plant(
         (DuhemOscillator(*_OSCILLATOR, [-3.0, 0.0, 3.0], [4.5, 4.0, 2.5], [2.5, 4.0, 4.5]),), 1e-4, seconds=0.05
@@ -125,7 +125,7 @@ def identified(name: str) -> Fit:
     Fit
         Model and report.
     """
-    return identify([taught(name)], name, **PLANTS[name].options)
+    return identify([taught(name)], name, "joint", **PLANTS[name].options)
 
 
 def sines(sample_time: float, seconds: float, *cycles: tuple[float, float]) -> Array:

@@ -182,7 +182,7 @@ class Problem:
 
     @property
     def alike(self) -> bool:
-        """Whether all records are periodic and all commands equally late, so that all inputs of a mode have one response."""
+        """True if all records are periodic and all commands equally late, so that all inputs of a mode have one response."""
         return self.records == 0 and not self.free_delay and bool(np.all(self.model.delay == self.model.delay[0]))
 
     def _gram(self) -> tuple[np.ndarray, np.ndarray, float]:
