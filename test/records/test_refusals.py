@@ -183,7 +183,6 @@ def test_rows_that_share_their_bytes_are_no_more_than_the_file_holds(tmp_path):
         list(sqlite_messages(path, True, {}))
 
 
-
 def test_a_file_that_is_no_database_and_one_that_computes(tmp_path):
     (tmp_path / "none.db3").write_bytes(b"no database" * 100)
     with pytest.raises(Damage, match="is no SQLite3 bag .file is not a database"):
