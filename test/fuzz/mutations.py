@@ -8,7 +8,8 @@ All of it runs in one process, which has collected the tests once. In a fork of 
 them reach which check. Each mutant is then put into a fork of its own, in place of the functions that it changes, with the tests that
 reach it, the shortest first, until one fails. Programs that a test starts see the mutant too: they import a copy of the sources.
 
-Arguments: parts of module names, to mutate only those; `--write` puts the table into docs/safety.md (all modules).
+Arguments: parts of module names, to mutate only those; `--write` puts their rows into the table of
+docs/safety.md.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import gc
 import importlib
 import os
 import pickle
+import re
 import shutil
 import signal
 import sys
@@ -129,7 +131,7 @@ def _refuses(body: list[ast.stmt], checks: str) -> bool:
         return True
     text, last = "".join(ast.unparse(each) for each in body), ast.unparse(body[-1])
     return checks == "drop" and (
-        "drop(" in text or last in ("return", "continue") or any(word in last for word in ("Refusal", "refused", "Receipt."))
+        "drop(" in text or last in ("return", "continue") or any(word in last for word in ("Refusal", "refused_values", "Receipt."))
     )
 
 
@@ -346,20 +348,22 @@ def copy_of_sources(folder: Path) -> None:
             shutil.copy(source, folder / part)
 
 
-def table(results: dict[str, tuple[int, list[str]]]) -> str:
-    """The result as a table in Markdown."""
+def table(counts: dict[str, tuple[int, int]]) -> str:
+    """Numbers of mutants and of those noticed, by module, as a table in Markdown."""
     rows = ["| module | checks taken out | noticed |", "|---|---|---|"]
-    for path, (total, survivors) in results.items():
-        rows.append(f"| `{path}` | {total} | {total - len(survivors)} |")
-    total, noticed = sums(results)
-    rows.append(f"| all | {total} | {noticed} ({100 * noticed / max(total, 1):.0f} %) |")
+    rows += [f"| `{path}` | {total} | {noticed} |" for path, (total, noticed) in counts.items()]
+    total, noticed = (sum(each) for each in zip(*counts.values()))
+    rows.append(f"| all | {total} | {noticed} ({100 * noticed / max(total, 1):.1f} %) |")
     return "\n".join(rows) + "\n"
 
 
-def sums(results: dict[str, tuple[int, list[str]]]) -> tuple[int, int]:
-    """Number of mutants, and of those that are noticed."""
-    total = sum(number for number, _ in results.values())
-    return total, total - sum(len(survivors) for _, survivors in results.values())
+def written(text: str, counts: dict[str, tuple[int, int]]) -> str:
+    """Text of the page with the rows of these modules in its table; those of others stay."""
+    before, rest = text.split(BEGIN)
+    old, after = rest.split(END)
+    known = {path: (int(total), int(noticed)) for path, total, noticed in re.findall(r"\| `(\S+)` \| (\d+) \| (\d+) \|", old)}
+    merged = {path: (known | counts)[path] for path in MODULES if path in known or path in counts}
+    return before + BEGIN + (table(merged) if merged else "") + END + after
 
 
 def main() -> int:
@@ -381,10 +385,10 @@ def main() -> int:
         os.chdir(ROOT)
     if status not in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED):
         return 1
+    counts = {path: (total, total - len(survivors)) for path, (total, survivors) in plugin.results.items()}
     if write:
-        before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
-        PAGE.write_text(before + BEGIN + table(plugin.results) + END + rest.split(END)[1], encoding="utf-8")
-    total, noticed = sums(plugin.results)
+        PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), counts), encoding="utf-8")
+    total, noticed = (sum(each) for each in zip(*counts.values()))
     say(f"{noticed} of {total} mutants noticed, {100 * noticed / max(total, 1):.1f} %")
     return 1 if plugin.runs.failed else 0
 
