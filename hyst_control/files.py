@@ -106,7 +106,7 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def read_json(path: str | Path) -> dict[str, Any]:
-    """Document of a JSON file that was written earlier. Raises `InputError` where it cannot be read, or is no mapping of names."""
+    """JSON object in the file at `path`. Raises `InputError` where the file cannot be read, or holds anything else."""
     try:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:

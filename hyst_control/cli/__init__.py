@@ -86,6 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     int
         Exit status: 0 when the subcommand finished, 2 on unusable input (one line names fault, place and remedy), 130 when interrupted.
     """
+    _open_what_is_closed()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a terminal that knows no µ, a file's name that is no text
@@ -124,6 +125,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"hyst {arguments.command}: interrupted", file=sys.stderr)
         return 130
+
+
+def _open_what_is_closed() -> None:
+    """Stand in for streams that were closed by who started this process: else the next file that is opened would take their place."""
+    if sys.stdin is None or sys.stdout is None or sys.stderr is None:
+        while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+            os.set_inheritable(number, True)
+        os.close(number)
+        sys.stdin, sys.stdout, sys.stderr = (
+            stream or os.fdopen(number, mode)
+            for number, (stream, mode) in enumerate(((sys.stdin, "r"), (sys.stdout, "w"), (sys.stderr, "w")))
+        )
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -246,8 +246,7 @@ def _known(trial: Trial, moving: Sequence[int]) -> bool:
 
 def _against_a_lagging_model(trial: Trial, moving: Sequence[int]) -> list[Finding]:
     """Axes that lead their command though the model that explains them does not: their time runs backwards."""
-    if trial.simulated is None:
-        return []
+    assert trial.simulated is not None  # it explains the axes
     length = _segment(len(trial.command))
     measured = Spectra.of(trial.command, trial.measurement, length)
     leads = {index: -measured.lag(index) for index in moving}

@@ -8,7 +8,8 @@ All of it runs in one process, which has collected the tests once. In a fork of 
 them reach which check. Each mutant is then put into a fork of its own, in place of the functions that it changes, with the tests that
 reach it, the shortest first, until one fails. Programs that a test starts see the mutant too: they import a copy of the sources.
 
-Arguments: parts of module names, to mutate only those; `--write` puts the table into docs/safety.md (all modules).
+Arguments: parts of module names, to mutate only those; `--write` puts their rows into the table of
+docs/safety.md.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import gc
 import importlib
 import os
 import pickle
+import re
 import shutil
 import signal
 import sys
@@ -79,8 +81,6 @@ MODULES: dict[str, Module] = {
     "hyst_control/control/safe_loop.py": Module(LOOP, "every"),
     "hyst_control/control/sensor_watch.py": Module(LOOP, "every"),
     "hyst_control/control/command_watchdog.py": Module(LOOP, "every"),
-    "hyst_control/records/record_validity.py": Module(VALIDITY, "every"),
-    "hyst_control/diagnose/invalid_records.py": Module(VALIDITY, "every"),
     "hyst_control/yaml_files.py": Module(("test/test_yaml_files.py",)),
     "hyst_control/files.py": Module(("test/test_files.py",)),
     "hyst_control/foreign_readers.py": Module(TABLES),
@@ -90,6 +90,8 @@ MODULES: dict[str, Module] = {
     "hyst_control/records/mcap_stream.py": Module(BAGS),
     "hyst_control/records/sqlite_bag.py": Module(BAGS),
     "hyst_control/records/decompression.py": Module(BAGS),
+    "hyst_control/records/record_validity.py": Module(VALIDITY, "every"),
+    "hyst_control/diagnose/invalid_records.py": Module(VALIDITY, "every"),
 }
 """Modules in which foreign numbers and files enter, or are judged."""
 
@@ -129,7 +131,7 @@ def _refuses(body: list[ast.stmt], checks: str) -> bool:
         return True
     text, last = "".join(ast.unparse(each) for each in body), ast.unparse(body[-1])
     return checks == "drop" and (
-        "drop(" in text or last in ("return", "continue") or any(word in last for word in ("Refusal", "refused", "Receipt."))
+        "drop(" in text or last in ("return", "continue") or any(word in last for word in ("Refusal", "refused_values", "Receipt."))
     )
 
 
@@ -206,6 +208,7 @@ class Mutation:
     def __init__(self, folder: Path, modules: dict[str, Module]) -> None:
         self.folder, self.modules = folder, modules
         self.failed = False
+        self.runs = Runs()
         self.results: dict[str, tuple[int, list[str]]] = {}
         """Of each module: number of mutants, and those that survive."""
 
@@ -224,20 +227,17 @@ class Mutation:
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """Run the mutants."""
         session.config.pluginmanager.unregister(name="terminalreporter")
-        begin = time.monotonic()
-        runs = self._without_mutant(session.items)
-        if runs.failed:
-            raise pytest.UsageError(f"fail without any mutant: {', '.join(runs.failed)}")
-        say(f"{len(session.items)} tests without any mutant: {time.monotonic() - begin:.0f} s")
         for path, module in self.modules.items():
-            self._module(path, module, session.items, runs)
+            self._module(path, module, session.items)
         return True
 
-    def _module(self, path: str, module: Module, items: Sequence[pytest.Item], runs: Runs) -> None:
-        begin, place = time.monotonic(), self.folder / path
+    def _module(self, path: str, module: Module, items: Sequence[pytest.Item]) -> None:
+        begin, place, runs = time.monotonic(), self.folder / path, self.runs
         source = place.read_text(encoding="utf-8")
         found = sorted(mutants(source, module.checks), key=lambda mutant: (mutant.line, mutant.column))
         own = [item for item in items if item.nodeid.split("::")[0] in module.tests]
+        self._without_mutant([item for item in own if item.nodeid not in runs.seconds])
+        own = [item for item in own if item.nodeid not in runs.failed]
         survivors = []
         for mutant in found:
             reached = [item for item in own if (path, mutant.body) in runs.lines[item.nodeid]]
@@ -253,13 +253,17 @@ class Mutation:
         for each in survivors:
             say(f"  survives: {each}")
 
-    def _without_mutant(self, items: Sequence[pytest.Item]) -> Runs:
-        """Run all tests in a fork, with every line of the modules traced."""
+    def _without_mutant(self, items: Sequence[pytest.Item]) -> None:
+        """Run tests in a fork, with every line of the modules traced, and note what they do."""
         file = self.folder / "runs.pickle"
-        forked(lambda: file.write_bytes(pickle.dumps(self._traced(items))) * 0, 3600.0)
-        runs = pickle.loads(file.read_bytes())
-        assert isinstance(runs, Runs)
-        return runs
+        if items:
+            forked(lambda: file.write_bytes(pickle.dumps(self._traced(items))) * 0, 3600.0)
+            found = pickle.loads(file.read_bytes())
+            self.runs.seconds |= found.seconds
+            self.runs.lines |= found.lines
+            self.runs.failed += found.failed
+            for each in found.failed:
+                say(f"fails without any mutant, and is left out: {each}")
 
     def _traced(self, items: Sequence[pytest.Item]) -> Runs:
         runs, places = Runs(), {str(self.folder / path): path for path in self.modules}
@@ -344,20 +348,22 @@ def copy_of_sources(folder: Path) -> None:
             shutil.copy(source, folder / part)
 
 
-def table(results: dict[str, tuple[int, list[str]]]) -> str:
-    """The result as a table in Markdown."""
+def table(counts: dict[str, tuple[int, int]]) -> str:
+    """Numbers of mutants and of those noticed, by module, as a table in Markdown."""
     rows = ["| module | checks taken out | noticed |", "|---|---|---|"]
-    for path, (total, survivors) in results.items():
-        rows.append(f"| `{path}` | {total} | {total - len(survivors)} |")
-    total, noticed = sums(results)
-    rows.append(f"| all | {total} | {noticed} ({100 * noticed / max(total, 1):.0f} %) |")
+    rows += [f"| `{path}` | {total} | {noticed} |" for path, (total, noticed) in counts.items()]
+    total, noticed = (sum(each) for each in zip(*counts.values()))
+    rows.append(f"| all | {total} | {noticed} ({100 * noticed / max(total, 1):.1f} %) |")
     return "\n".join(rows) + "\n"
 
 
-def sums(results: dict[str, tuple[int, list[str]]]) -> tuple[int, int]:
-    """Number of mutants, and of those that are noticed."""
-    total = sum(number for number, _ in results.values())
-    return total, total - sum(len(survivors) for _, survivors in results.values())
+def written(text: str, counts: dict[str, tuple[int, int]]) -> str:
+    """Text of the page with the rows of these modules in its table; those of others stay."""
+    before, rest = text.split(BEGIN)
+    old, after = rest.split(END)
+    known = {path: (int(total), int(noticed)) for path, total, noticed in re.findall(r"\| `(\S+)` \| (\d+) \| (\d+) \|", old)}
+    merged = {path: (known | counts)[path] for path in MODULES if path in known or path in counts}
+    return before + BEGIN + (table(merged) if merged else "") + END + after
 
 
 def main() -> int:
@@ -379,12 +385,12 @@ def main() -> int:
         os.chdir(ROOT)
     if status not in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED):
         return 1
+    counts = {path: (total, total - len(survivors)) for path, (total, survivors) in plugin.results.items()}
     if write:
-        before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
-        PAGE.write_text(before + BEGIN + table(plugin.results) + END + rest.split(END)[1], encoding="utf-8")
-    total, noticed = sums(plugin.results)
+        PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), counts), encoding="utf-8")
+    total, noticed = (sum(each) for each in zip(*counts.values()))
     say(f"{noticed} of {total} mutants noticed, {100 * noticed / max(total, 1):.1f} %")
-    return 0
+    return 1 if plugin.runs.failed else 0
 
 
 if __name__ == "__main__":

@@ -19,7 +19,6 @@ from hyst_control.hardware.linux_iio import IioStage
 from hyst_control.hardware.physik_instrumente import PhysikInstrumenteStage
 from hyst_control.model_file import Simulator, load_model, simulate
 from hyst_control.nodes.pi_feedback import PiFeedback
-from hyst_control.records.signal_rows import Missing, Receipt, SignalRows
 
 RATE = 200.0
 PERIOD = 1 / RATE
@@ -244,22 +243,6 @@ def test_feedback_follows_the_managed_states(bench):
     bench.until(commands(20.0))
     steps = np.abs(np.diff(bench.rows("command")[:, 1]))
     assert steps.max() <= 1000.0 * PERIOD * (1 + 1e-9)  # safe_rate, both ways
-
-
-def test_second_measurement_of_a_tick_replaces_the_first_and_one_in_every_tick_is_a_second_source():
-    rows = SignalRows(Missing.SKIP, 100, 0.0, replace=True)
-    for tick in range(3):
-        assert rows.receive(tick, np.full((1, 1), 1.0), 0.0) is Receipt.ACCEPTED
-    assert rows.receive(2, np.full((1, 1), 5.0), 0.0) is Receipt.REPLACED
-    assert rows.newest(2).tolist() == [5.0] and rows.newest(9).tolist() == [5.0] and rows.conflicted == -np.inf
-    found = []
-    for tick in range(3, 8):
-        rows.receive(tick, np.full((1, 1), 1.0), 1.0)
-        found.append(rows.receive(tick, np.full((1, 1), float(tick)), 1.0))
-    assert found == [Receipt.REPLACED] + [Receipt.CONFLICT] * 4 and rows.conflicted == 1.0
-    rows.receive(8, np.full((1, 1), 1.0), 2.0)
-    rows.receive(9, np.full((1, 1), 1.0), 2.0)
-    assert rows.receive(9, np.full((1, 1), 2.0), 2.0) is Receipt.REPLACED
 
 
 def test_second_measurement_of_a_tick_does_not_stop_the_feedback(bench):

@@ -21,6 +21,13 @@ def test_once_writes_the_model_that_the_function_writes(tmp_path, ros_context):
     assert (tmp_path / "node.yaml").read_text() == (tmp_path / "function.yaml").read_text()
 
 
+def test_once_ends_with_the_status_of_unusable_input(tmp_path, ros_context):
+    settings = {"bags": [str(tmp_path / "nowhere")], "output": str(tmp_path / "model.yaml"), "once": True}
+    node = Identification(context=ros_context, parameter_overrides=[Parameter(key, value=value) for key, value in settings.items()])
+    assert run([node], ros_context, timeout=60) == 2
+    assert not (tmp_path / "model.yaml").exists()
+
+
 def test_service_answers_with_the_reason(ros_context):
     node = Identification(context=ros_context)
     try:
@@ -53,6 +60,7 @@ def test_it_writes_within_its_folder_only(tmp_path, ros_context):
             ("output", str(tmp_path / "inside" / "file")),
             ("output", str(tmp_path / "inside")),
             ("json", str(tmp_path / "victim")),
+            ("output", str(tmp_path / "inside" / "a\0b")),
         ]:
             right = {"output": str(tmp_path / "inside" / "model.yaml"), "json": "", name: text}
             assert all(each.successful for each in node.set_parameters(common + [Parameter(*each) for each in made(right)]))

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from hyst_control.errors import InputError
 from hyst_control.records.excitation import build
-from hyst_control.records.record_validity import NAMES, Finding, Trial, check_records
+from hyst_control.records.record_validity import NAMES, Finding, Trial, check_records, refuse_invalid
 from hyst_plant_sim.physics import load_plant
 
 RATES = {"pea": 5e-5, "pea_published": 5e-5, "third": 5e-5, "fsm": 1e-4, "fsm_published": 1e-4}
@@ -350,3 +351,44 @@ def test_measured_records_that_contradict_a_model_or_another_record_are_named(pl
     assert names(without_model(other), without_model(broken)) == {expected}
     if sound.simulated is not None and expected != "different_plants":  # a gain of 1.7 is what a diagnosis is to find
         assert names(broken) == {expected} and names(sound) == set()
+
+
+def linear(name, frequencies, sample_time=1e-3, axes=1, count=4096):
+    """Sines of some frequencies on every axis, and what a gain of 0.1 with a delay of a sample makes of them."""
+    time = np.arange(count + 1)[:, None] * sample_time
+    signal = np.zeros((count + 1, axes))
+    for number, frequency in enumerate(frequencies):
+        signal += np.sin(2 * np.pi * frequency * (1 + 0.013 * np.arange(axes)) * time + number**2 + np.arange(axes) ** 3)
+    return Trial(name, signal[1:], 0.1 * signal[:-1], sample_time, AXES[:axes])
+
+
+AXES = ("a", "b", "c", "d", "e")
+MANY = tuple(np.geomspace(3.0, 200.0, 25))
+
+
+def test_axes_are_told_apart_up_to_four_of_them():
+    for count, expected in ((4, {"swapped_axes"}), (5, set())):
+        sound = linear("sound", MANY, axes=count)
+        swapped = changed(sound, measurement=np.roll(sound.measurement, 1, axis=1))
+        assert names(sound) == set()
+        assert names(swapped) == expected
+        assert names(changed(swapped, simulated=sound.measurement)) == expected
+        assert names(sound, changed(swapped, name="swapped")) >= expected
+
+
+def test_records_that_have_nothing_in_common_are_not_compared():
+    sound, rest = linear("sound", MANY), linear("rest", MANY)
+    rest = changed(rest, command=np.ones_like(rest.command), measurement=np.random.default_rng(0).normal(size=rest.command.shape))
+    assert names(sound, rest) == set()  # one of them does not move
+    assert names(linear("low", [5.0, 6.0]), linear("high", [200.0, 260.0])) == set()  # no frequency of the other
+    assert names(sound, linear("slow", [0.001 * each for each in MANY], 10.0)) == set()  # no length of a segment fits both
+
+
+def test_findings_of_several_records_are_told_as_the_first_and_their_number():
+    sound = linear("sound", MANY)
+    dead = changed(sound, measurement=np.zeros_like(sound.measurement))
+    refuse_invalid([sound])
+    with pytest.raises(InputError, match=r"dead: a: the measurement stands still.*sensor and its cable$"):
+        refuse_invalid([sound, changed(dead, name="dead")])
+    with pytest.raises(InputError, match=r"one: a: .* \(and 1 more findings\)$"):
+        refuse_invalid([changed(dead, name="one"), changed(dead, name="two")])

@@ -363,3 +363,19 @@ def test_repetitions_become_rare_and_progress_makes_them_quick_again():
     np.testing.assert_allclose(np.diff(times)[5:], LONGEST_INTERVAL, atol=2e-3)
     backoff.progress(now)
     assert not backoff.due(now + 0.9 * REPEAT_INTERVAL) and backoff.due(now + 1.1 * REPEAT_INTERVAL)
+
+
+def test_second_measurement_of_a_tick_replaces_the_first_and_one_in_every_tick_is_a_second_source():
+    rows = SignalRows(Missing.SKIP, 100, 0.0, replace=True)
+    for tick in range(3):
+        assert rows.receive(tick, np.full((1, 1), 1.0), 0.0) is Receipt.ACCEPTED
+    assert rows.receive(2, np.full((1, 1), 5.0), 0.0) is Receipt.REPLACED
+    assert rows.newest(2).tolist() == [5.0] and rows.newest(9).tolist() == [5.0] and rows.conflicted == -np.inf
+    found = []
+    for tick in range(3, 8):
+        rows.receive(tick, np.full((1, 1), 1.0), 1.0)
+        found.append(rows.receive(tick, np.full((1, 1), float(tick)), 1.0))
+    assert found == [Receipt.REPLACED] + [Receipt.CONFLICT] * 4 and rows.conflicted == 1.0
+    rows.receive(8, np.full((1, 1), 1.0), 2.0)
+    rows.receive(9, np.full((1, 1), 1.0), 2.0)
+    assert rows.receive(9, np.full((1, 1), 2.0), 2.0) is Receipt.REPLACED
