@@ -44,7 +44,7 @@ class Actions(Protocol):
     """Requests of a page to the nodes; none of them waits for the answer, which comes to `LiveState.answers`."""
 
     def ask(self, what: str) -> None:
-        """Ask the nodes that drive the actuator: `enable`, `stop` or `reset`."""
+        """Ask the nodes that drive the actuator for `what`: `enable`, `stop` or `reset`."""
 
     def record(self) -> None:
         """Begin a recording, or end the one that runs."""
