@@ -99,7 +99,7 @@ LIVE = {
     "reference_generator": {"signal": "sine", "frequency": 2.0, "amplitude": 2.0, "offset": 3.0, "duration": 1.0, "repeat": True},
     "hampi_feedforward": {"kind": "proportional", "gain": [8.0]},
     "pi_feedback": {"kp": 0.2, "ki": 20.0, "upper": 150.0, "slew_limit": 2e4, "safe_rate": 500.0, "recovery": "manual"},
-    "plant": {"model": "pea_hampi"},
+    "plant": {"plant": "pea_published", "safe_rate": 500.0},
     "diagnosis": {"model": "pea_hampi", "window": 0.1, "calibrate": 0.5},
     "live_view": {"turn": 0.5},
 }

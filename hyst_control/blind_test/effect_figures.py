@@ -255,10 +255,10 @@ def page() -> str:
 
 def described_record() -> str:
     """Record whose ranges the page states, in words."""
-    command, measured = RECORD.command, RECORD.measurement
+    command, measured = (f"{low:g} to {high:g}" for low, high in (RECORD.command, RECORD.measurement))
     return (
-        f"a record of {RECORD.duration:g} s at {1 / RECORD.sample_time:g} Hz, "
-        f"{command[0]:g} to {command[1]:g} V at up to {RECORD.slew:g} V/s, whose measurement goes from {measured[0]:g} to {measured[1]:g} um"
+        f"a record of {RECORD.duration:g} s at {1 / RECORD.sample_time:g} Hz, {command} V at up to {RECORD.slew:g} V/s, whose measurement "
+        f"goes from {measured} um"
     )
 
 

@@ -237,6 +237,7 @@ class _Window:
     def _draw_gap(self) -> None:
         drawn = _figure("time (s)", "gap (% of the range)", 380)
         drawn.name = "gap"
+        drawn.y_range = DataRange1d(start=0.0)
         drawn.line("t", "nrmse[%]", source=self._gap.source, color=SUBJECTS["gap"], line_width=1.5)
         drawn.scatter("t", "nrmse[%]", source=self._alarm, color=ALARM, size=7)
         self._beside.children = [*self._beside.children[:1], drawn]
