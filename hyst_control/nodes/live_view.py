@@ -113,7 +113,7 @@ class LiveView(SignalNode):
 
     @property
     def _turn_rows(self) -> int:
-        return max(round(self.settings.turn / self.period), 2)
+        return max(int(round(self.settings.turn / self.period)), 2)
 
     def _keep(self, rows: Array) -> None:
         self._newest.append(rows)
