@@ -1,20 +1,26 @@
 """Draw the figures of README and documents: `make figures`.
 
-Without a folder the chain; with FOLDER=the tour's folder the loops and the tracking of its bags, and pictures of the page `gap.html` and
-`report.html` in it (the tutorial leaves a `gap.html` in build/tutorial, `make demo` a `report.html` in demo_out), taken by Chromium.
+Without a folder the chain and, where Chromium is, the live page of a loop that runs meanwhile. With FOLDER=the tour's folder also the
+loops and the tracking of its bags, and with any folder pictures of the pages `gap.html` and `report.html` in it, light and dark, taken by
+Chromium; `make demo` leaves both in demo_out.
 """
 
 from __future__ import annotations
 
+import io
 import shutil
 import sys
+import tempfile
+import time
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
 matplotlib.use("agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from PIL import Image
 
 from hyst_control.records.bag_reader import read_bag
 
@@ -87,7 +93,18 @@ PICTURES = {
     "report_tracking.png": ("report.html", "h1", "figure.chart >> nth=0"),
     "report_loops.png": ("report.html", "h2:has-text('Hysteresis at each')", "figure.chart >> nth=1"),
 }
-"""By file: the page, and the first and last element in the picture."""
+"""By file: the page, and the first and last element in the picture. A file X_dark.png beside each is of the page in dark colors."""
+SCHEMES = {"light": "", "dark": "_dark"}
+LIVE = {
+    "reference_generator": {"signal": "sine", "frequency": 2.0, "amplitude": 2.0, "offset": 3.0, "duration": 1.0, "repeat": True},
+    "hampi_feedforward": {"kind": "proportional", "gain": [8.0]},
+    "pi_feedback": {"kp": 0.2, "ki": 20.0, "upper": 150.0, "slew_limit": 2e4, "safe_rate": 500.0, "recovery": "manual"},
+    "plant": {"plant": "pea_published", "safe_rate": 500.0},
+    "diagnosis": {"model": "pea_hampi", "window": 0.1, "calibrate": 0.5},
+    "live_view": {"turn": 0.5},
+}
+"""Nodes of the loop that the picture of the live page shows, with their parameters."""
+LIVE_RATE = 200.0  # Hz
 
 
 def screenshots(folder: Path) -> None:
@@ -98,20 +115,71 @@ def screenshots(folder: Path) -> None:
         browser = play.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"])
         for name, (page, first, last) in PICTURES.items():
             if (folder / page).is_file():
-                view = browser.new_page(viewport={"width": 1000, "height": 800}, color_scheme="light")
-                view.goto((folder / page).resolve().as_uri())
-                view.wait_for_selector("body[data-drawn]", timeout=240_000)
-                boxes = [view.locator(selector).first.bounding_box() for selector in (first, last)]
-                top, bottom = boxes[0]["y"] - 8, boxes[1]["y"] + boxes[1]["height"] + 8
-                clip = {"x": 0, "y": top, "width": 1000, "height": bottom - top}
-                view.screenshot(path=str(FIGURES / name), full_page=True, clip=clip)
-                view.close()
-                print(f"written: {FIGURES / name}")
+                for scheme, ending in SCHEMES.items():
+                    view = browser.new_page(viewport={"width": 1000, "height": 800}, color_scheme=scheme)
+                    view.goto((folder / page).resolve().as_uri())
+                    view.wait_for_selector("body[data-drawn]", timeout=240_000)
+                    boxes = [view.locator(selector).first.bounding_box() for selector in (first, last)]
+                    top, bottom = boxes[0]["y"] - 8, boxes[1]["y"] + boxes[1]["height"] + 8
+                    clip = {"x": 0, "y": top, "width": 1000, "height": bottom - top}
+                    _shoot(view, name.replace(".png", f"{ending}.png"), clip=clip)
+                    view.close()
         browser.close()
+
+
+def dashboard() -> None:
+    """Pictures of the live page beside a loop that runs for that."""
+    from playwright.sync_api import sync_playwright
+
+    from hyst_control.config_files import config_path
+    from hyst_control.processes.node_processes import Processes
+    from hyst_control.processes.ros_domain import own_domain
+
+    common = {"schedule": "timer", "rate_hz": LIVE_RATE, "timeout": 5.0, "axes": ["x"], "unit": "um"}
+    models = {name: str(config_path(f"models/{own['model']}.yaml")) for name, own in LIVE.items() if "model" in own}
+    each = {name: {**common, **own, **({"model": models[name]} if name in models else {})} for name, own in LIVE.items()}
+    with tempfile.TemporaryDirectory() as folder, own_domain() as domain, Processes(Path(folder), domain) as processes:
+        each["diagnosis"]["output"] = f"{folder}/diagnosis"
+        processes.compose(each)
+        program = "import sys; from hyst_control.cli import main; sys.exit(main())"
+        processes.execute("dashboard", [sys.executable, "-c", program, "dashboard", "--rate", str(LIVE_RATE), "--folder", folder])
+        said = processes.log("dashboard")
+        while "http://" not in said.read_text(encoding="utf-8"):
+            processes.check()
+            time.sleep(0.2)
+        url = next(word for word in said.read_text(encoding="utf-8").split() if word.startswith("http://"))
+        with sync_playwright() as play:
+            browser = play.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"])
+            for scheme, ending in SCHEMES.items():
+                view = browser.new_page(viewport={"width": 1000, "height": 900}, color_scheme=scheme)
+                view.goto(url)
+                view.wait_for_function(SHOWS_ALL, timeout=240_000)
+                _shoot(view, f"dashboard{ending}.png")
+                view.close()
+            browser.close()
+
+
+SHOWS_ALL = """() => {
+  const page = window.Bokeh && Bokeh.documents[0], named = name => page && page.get_model_by_name(name);
+  const gap = named("gap"), error = named("error");
+  if (!gap || !error) return false;
+  const time = error.renderers[0].data_source.data.t;
+  return gap.renderers[0].data_source.data.t.length > 50 && time[time.length - 1] - time[0] > 9;
+}"""
+"""Condition under which the live page shows curves over its whole window, and a gap."""
+
+
+def _shoot(view: Any, name: str, **how: Any) -> None:
+    """Write a picture of a page with 256 colors, a third of the size."""
+    with Image.open(io.BytesIO(view.screenshot(full_page=True, **how))) as picture:
+        picture.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(FIGURES / name, optimize=True)
+    print(f"written: {FIGURES / name}")
 
 
 if __name__ == "__main__":
     signal_chain()
+    if shutil.which("chromium"):
+        dashboard()
     if len(sys.argv) > 1:
         given = Path(sys.argv[1])
         if (given / "tracking").exists():

@@ -159,12 +159,20 @@ def dashboard(table: Table, seconds: float = SECONDS) -> None:
         Length of every run, s.
     """
     _add_timing(table, "composed, no live view", "hyst", measure("composed", "hyst", "timer", seconds))
-    _add_timing(table, "composed, live view", "hyst", measure("composed", "hyst", "timer", seconds, watched=Watched.BY_NOBODY))
+    _add_view(table, "composed, live view", measure("composed", "hyst", "timer", seconds, watched=Watched.BY_NOBODY))
     if not _browser()[0] or find_spec("bokeh") is None:
         progress.step("no chromium or no bokeh: the cost of an open page is not measured")
         return
     measured = measure("composed", "hyst", "timer", seconds, watched=Watched.ON_A_PAGE)
-    _add_timing(table, "composed, live view, page open", "hyst", measured)
+    _add_view(table, "composed, live view, page open", measured)
+
+
+def _add_view(table: Table, case: str, measured: Run) -> None:
+    """Timing of the loop, and the processor time of a poll of its live view, which comes 20 times a second."""
+    _add_timing(table, case, "hyst", measured)
+    for label in ("p50", "p99"):
+        value = float(measured.values["live_view"][f"poll {label} [us]"])
+        table.add("wall clock, 1 kHz", case, "hyst", f"poll_{label}", "us", value)
 
 
 def _add_timing(table: Table, case: str, subject: str, measured: Run) -> None:

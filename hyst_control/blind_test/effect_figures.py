@@ -7,7 +7,7 @@ need two axes: of the truth mirror) without its own noise, and the effects are s
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.effects import EFFECTS as CATALOGUE
+from hyst_control.effects.effect import Surroundings
 from hyst_control.files import write_text
 from hyst_control.reporting.templates import render
 from hyst_plant_sim.physics import EFFECTS, Plant, load_plant
@@ -27,6 +28,8 @@ Array = NDArray[np.float64]
 
 COMMAND = "hyst cases figures --output docs"
 SAMPLE_TIME = 5e-5
+RECORD = Surroundings(SAMPLE_TIME, 1.0, (0.0, 100.0), 2e4, (0.0, 10.0), 1)
+"""Record for which the page states the ranges of the diagnosis."""
 UPPER_FREQUENCY = 4000.0
 """Hz, of the multisine whose response is drawn."""
 
@@ -240,7 +243,22 @@ def page() -> str:
         known=known,
         unknown=len(EFFECTS) - known,
         upper_frequency=UPPER_FREQUENCY,
+        record=described_record(),
+        without_truth=[
+            {"name": name, "meaning": effect.meaning, "ranges": searched(name)}
+            for name, effect in CATALOGUE.items()
+            if name not in EFFECTS
+        ],
         places=places,
+    )
+
+
+def described_record() -> str:
+    """Record whose ranges the page states, in words."""
+    command, measured = (f"{low:g} to {high:g}" for low, high in (RECORD.command, RECORD.measurement))
+    return (
+        f"a record of {RECORD.duration:g} s at {1 / RECORD.sample_time:g} Hz, {command} V at up to {RECORD.slew:g} V/s, whose measurement "
+        f"goes from {measured} um"
     )
 
 
@@ -256,10 +274,38 @@ def _described(name: str) -> dict[str, object]:
         "known": name in CATALOGUE,
         "meaning": effect.meaning,
         "sign": example.sign,
+        "ranges": searched(name) if name in CATALOGUE else [],
         "parameters": [{"name": key, "unit": units[key], "text": text} for key, text in texts],
         "shown": ", ".join(shown),
         "frequency": example.frequency,
     }
+
+
+def searched(name: str) -> list[dict[str, str]]:
+    """Parameters that the gap report has of an effect, with the range in which the diagnosis of `RECORD` looks for them.
+
+    Parameters
+    ----------
+    name
+        Name of an effect of the catalogue.
+
+    Returns
+    -------
+    list of dict
+        `name`, `unit`, `lower` and `upper` as texts.
+    """
+    effect = CATALOGUE[name]
+    record = replace(RECORD, axes=2) if effect.couples else RECORD
+    return [
+        {
+            "name": each.name,
+            "unit": each.unit.replace("unit", "um") or "-",
+            "lower": f"{each.lower:.3g}",
+            "upper": f"{each.upper:.3g}",
+        }
+        for each in effect.parameters(record)
+        if each.told
+    ]
 
 
 def _unit(unit: str, plant: str) -> str:

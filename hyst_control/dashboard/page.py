@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from bokeh.document import Document
-from bokeh.events import DocumentReady
+from bokeh.events import DocumentReady, Event
 from bokeh.layouts import column, row
-from bokeh.models import Button, ColumnDataSource, CustomJS, CustomJSTickFormatter, DataRange1d, Div, LinearAxis
+from bokeh.models import ColumnDataSource, CustomJS, CustomJSTickFormatter, DataRange1d, LinearAxis
+from bokeh.models.widgets import Button, Div
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
@@ -44,7 +45,7 @@ class Actions(Protocol):
     """Requests of a page to the nodes; none of them waits for the answer, which comes to `LiveState.answers`."""
 
     def ask(self, what: str) -> None:
-        """Ask the nodes that drive the actuator: `enable`, `stop` or `reset`."""
+        """Ask the nodes that drive the actuator for `what`: `enable`, `stop` or `reset`."""
 
     def record(self) -> None:
         """Begin a recording, or end the one that runs."""
@@ -73,7 +74,7 @@ class LivePage:
     def __call__(self, document: Document) -> None:
         """Fill a document that was just opened, and keep it up to date until it is closed."""
         document.title = self._title
-        document.template = TEMPLATE.read_text(encoding="utf-8")
+        cast(Any, document).template = TEMPLATE.read_text(encoding="utf-8")
         _Window(document, self._state, self._actions)
 
 
@@ -92,7 +93,7 @@ class _Curve:
         if not len(rows):
             return False
         columns = self._trace.columns
-        data = {"t" if index == 0 else name: rows[:, index] for index, name in enumerate(columns)}
+        data: dict[str, Any] = {"t" if index == 0 else name: rows[:, index] for index, name in enumerate(columns)}
         if self._epoch != before:
             changed, self.columns = columns != self.columns, columns
             self.source.data = data
@@ -164,7 +165,7 @@ class _Window:
         if self._record.label != label:
             self._record.label = label
 
-    def _ready(self, _event: DocumentReady) -> None:
+    def _ready(self, _event: Event) -> None:
         self._drawn = self._sent
 
     def _confirmed(self, _attribute: str, _before: Any, now: list[int]) -> None:
@@ -181,13 +182,13 @@ class _Window:
             "recording": self._actions.recording,
         }
 
-    def _button(self, what: str, kind: str) -> Button:
+    def _button(self, what: str, kind: Any) -> Button:
         button = Button(label=what, button_type=kind, name=what, width=110)
         button.on_click(lambda: self._actions.ask(what))
         return button
 
     def _draw_signals(self) -> None:
-        figures = []
+        figures: list[Any] = []
         for subjects in PANELS:
             names = [name for name in self._signals.columns[1:] if name.partition("_")[0] in subjects]
             if not names:
@@ -237,6 +238,7 @@ class _Window:
     def _draw_gap(self) -> None:
         drawn = _figure("time (s)", "gap (% of the range)", 380)
         drawn.name = "gap"
+        drawn.y_range = DataRange1d(start=0.0)
         drawn.line("t", "nrmse[%]", source=self._gap.source, color=SUBJECTS["gap"], line_width=1.5)
         drawn.scatter("t", "nrmse[%]", source=self._alarm, color=ALARM, size=7)
         self._beside.children = [*self._beside.children[:1], drawn]
@@ -259,7 +261,7 @@ def _unit(column: str) -> str:
 
 def _figure(x: str, y: str, height: int) -> Any:
     """An empty figure that is legible on a light and on a dark ground."""
-    drawn = figure(height=height, sizing_mode="stretch_width", toolbar_location=None, x_axis_label=x, y_axis_label=y, tools="")
+    drawn: Any = figure(height=height, sizing_mode="stretch_width", toolbar_location=None, x_axis_label=x, y_axis_label=y, tools="")
     drawn.background_fill_alpha = drawn.border_fill_alpha = 0.0
     drawn.outline_line_color = None
     drawn.grid.grid_line_color, drawn.grid.grid_line_alpha = NEUTRAL, 0.3

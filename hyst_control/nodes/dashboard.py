@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from numpy import float64
 from numpy.typing import NDArray
+from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
@@ -199,8 +201,11 @@ class DashboardNode(EndingNode):
             client = self.create_client(kind, f"{node}/{what}")
             words = f"{time.strftime('%H:%M:%S')} {what} {node.lstrip('/')}"
             answer = client.call_async(request)
-            answer.add_done_callback(lambda _, client=client: self.once(lambda: self.destroy_client(client)))
+            answer.add_done_callback(lambda _, client=client: self.once(partial(self._forget, client)))
             self._pending.append((time.monotonic() + ANSWER_TIMEOUT, words, answer))
+
+    def _forget(self, client: Client) -> None:
+        self.destroy_client(client)
 
     def driving_nodes(self) -> list[str]:
         """Full names of the nodes that drive the actuator, the feedback first."""

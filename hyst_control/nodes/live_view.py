@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.duration_histogram import Durations
 from hyst_control.nodes.message_io import Sender
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
@@ -59,8 +60,10 @@ class LiveView(SignalNode):
             WatchedSignal(self, topic, units[topic], self.reset) for topic in ("reference", "command", "measurement")
         )
         self._extremes = ExtremeRows(max(round(self.settings.bin / self.period), 1))
+        self._poll_times = Durations()
+        """Processor time of each poll, which a loop in the same process has to wait for."""
         self._forget()
-        self.every(DRAIN_INTERVAL, self._drain)
+        self.every(DRAIN_INTERVAL, self._poll)
 
     def reset(self) -> None:
         for signal in (self._reference, self._command, self._measurement):
@@ -68,12 +71,17 @@ class LiveView(SignalNode):
         self._forget()
 
     def status(self) -> dict[str, Any]:
-        return {"rows seen": self._seen, "rows published": self._published}
+        return {"rows seen": self._seen, "rows published": self._published, **self._poll_times.entries("poll")}
 
     def _forget(self) -> None:
         self._extremes.reset()
         self._newest: deque[Array] = deque()  # blocks (N, 1 + 2 A) of time, command and measurement
         self._newest_rows = self._polls = self._seen = self._published = 0
+
+    def _poll(self) -> None:
+        begun = time.thread_time()
+        self._drain()
+        self._poll_times.add(time.thread_time() - begun)
 
     def _drain(self) -> None:
         for signal in (self._reference, self._command, self._measurement):
@@ -113,7 +121,7 @@ class LiveView(SignalNode):
 
     @property
     def _turn_rows(self) -> int:
-        return max(round(self.settings.turn / self.period), 2)
+        return max(int(round(self.settings.turn / self.period)), 2)
 
     def _keep(self, rows: Array) -> None:
         self._newest.append(rows)

@@ -170,6 +170,10 @@ def discovery() -> Check:
     """Reach of the nodes on the network: every computer in it can command the actuator."""
     reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
     domain = os.environ.get("ROS_DOMAIN_ID", "0")
+    if not {"ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"} & set(os.environ):  # what `environment.prepare` goes by
+        return Check(
+            "discovery", Verdict.GOOD, f"domain {domain}, this computer alone: nothing is set, and the nodes take LOCALHOST"
+        )
     alone = reach in ("LOCALHOST", "OFF") or os.environ.get("ROS_LOCALHOST_ONLY") == "1"
     if alone:
         return Check("discovery", Verdict.GOOD, f"domain {domain}, this computer alone")

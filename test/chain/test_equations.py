@@ -45,6 +45,6 @@ def test_the_site_shows_every_equation_of_the_reference():
     assert "$$" not in page and page.count("<math") == page.count("</math>") == len(WITH_EQUATION) == text.count("$$") / 2
 
 
-def test_the_site_fetches_no_library_for_them():
+def test_the_site_fetches_neither_libraries_nor_fonts():
     site = (DOCS.parent / "mkdocs.yml").read_text(encoding="utf-8")
-    assert "extra_javascript" not in site and "arithmatex" not in site
+    assert "extra_javascript" not in site and "arithmatex" not in site and "font: false" in site

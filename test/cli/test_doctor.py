@@ -9,6 +9,7 @@ from importlib.metadata import version
 import pytest
 
 from hyst_control.cli import main, parser
+from hyst_control.processes.installation import Verdict, discovery
 
 
 def checks(capsys, *words):
@@ -51,3 +52,12 @@ def test_the_first_steps_are_commands_with_their_options(capsys):
     assert len(lines) == 5
     for line in lines:
         parser().parse_args(line.split())
+
+
+def test_where_nothing_is_set_the_nodes_keep_to_this_computer(monkeypatch):
+    """As `environment.prepare` sees to it; and another choice is told."""
+    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"):
+        monkeypatch.delenv(name, raising=False)
+    assert discovery().verdict is Verdict.GOOD and "LOCALHOST" in discovery().found
+    monkeypatch.setenv("ROS_LOCALHOST_ONLY", "0")
+    assert discovery().verdict is Verdict.NOTE
