@@ -25,7 +25,7 @@ def wants_help(arguments: Sequence[str]) -> bool:
 
 
 def help_text(program: str, node_classes: Sequence[Any]) -> str:
-    """What the nodes of an executable do, and their parameters with unit, range and default.
+    """Help of an executable: its nodes, and their parameters with unit, range and default.
 
     Parameters
     ----------
