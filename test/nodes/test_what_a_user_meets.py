@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import logging
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -23,6 +26,8 @@ from hyst_control.nodes.pipeline import COMPOSABLE, node_class
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_control.nodes.run import main
+from hyst_control.processes import executables
+from hyst_control.processes.node_list import NODES
 from hyst_control.records.signal_rows import Wait
 from hyst_plant_sim.node import PlantNode
 
@@ -254,3 +259,26 @@ def test_a_recorder_says_how_much_it_has_recorded(bench, tmp_path):
         (logging.INFO, f"{tmp_path / 'bag'}: recorded 0 to 7 rows of each of 2 topics"),
         (logging.WARNING, "nothing has come on /measurement"),
     ]
+
+
+@pytest.mark.parametrize("module", ["hyst_control.nodes.pi_feedback", "rclpy", "hyst_control.nodes.interrupts"])
+def test_an_interrupt_while_a_node_is_being_loaded_prints_nothing(module):
+    program = f"""
+import os, signal, sys
+class Interrupt:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupt())
+from hyst_control.processes import executables
+executables.pi_feedback()
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert ended.returncode == -signal.SIGINT and ended.stderr == ""
+
+
+def test_every_installed_node_has_its_executable():
+    for name, entry in NODES.items():
+        assert getattr(executables, name).args == (name,) and entry.module
+    with pytest.raises(AttributeError):
+        executables.no_such_node
