@@ -281,4 +281,4 @@ def test_every_installed_node_has_its_executable():
     for name, entry in NODES.items():
         assert getattr(executables, name).args == (name,) and entry.module
     with pytest.raises(AttributeError):
-        executables.no_such_node
+        executables.no_such_node()
