@@ -65,7 +65,7 @@ setup(
     entry_points={
         "console_scripts": [
             "hyst = hyst_control.cli:main",
-            *(f"{name} = {node.module}:main" for name, node in NODES.items() if node.installed),
+            *(f"{name} = hyst_control.processes.executables:{name}" for name, node in NODES.items() if node.installed),
         ]
     },
 )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rclpy.timer import Timer
 from std_msgs.msg import Int64
 
 from hyst_control.config_files import config_path
@@ -28,6 +30,8 @@ from hyst_control.yaml_files import parse_yaml
 
 Array = NDArray[np.float64]
 
+CONFIRMATION = 0.1
+"""Share of `retry` for which the executor must have served events, without progress, before a standstill is believed."""
 REPETITIONS_BEFORE_JOINING = 5
 """Successive repetitions without an answer after which a plant restarted during a run continues at the tick of that run."""
 
@@ -95,6 +99,9 @@ class PlantNode(ManagedNode):
         self._recorded = -1
         self._recorded_at = time.monotonic()  # s: time of the recorder's last progress
         self._standstill = Standstill()
+        self._stood_at: tuple[int | None, int | None] | None = None  # progress at the last look, while it is to be confirmed
+        self._confirmation: Timer | None = None
+        self._looked = -math.inf  # s
         self._latency = LoopLatency()
         self.measurement = self.output("measurement", self.unit)
         self._actuator = Actuator(self)
@@ -103,6 +110,8 @@ class PlantNode(ManagedNode):
             self.create_subscription(Int64, "recorded", self._on_recorded, QUEUE)
         self.begin()
         if self.lockstep:
+            self._confirmation = self.every(CONFIRMATION * self.settings.retry, self._confirm)
+            self._confirmation.cancel()
             self.every(self.settings.retry, self._retry)
         self.start_timer(0.1)
 
@@ -212,11 +221,32 @@ class PlantNode(ManagedNode):
         if not self.settings.wait_for_recorder or self._recorded >= self.settings.ticks - 1:
             self.finish(self.measurement.publisher)
 
+    @property
+    def _progress(self) -> tuple[int | None, int | None]:
+        """Ends of the commands and of the measurements, which stay as they are when the run stands still."""
+        return self.command.rows.end, self._tick
+
     def _retry(self) -> None:
-        if self.finished.done() or not self.active:
+        """Look whether the run stands still; if so, look again once everything that has arrived was served, and repeat.
+
+        On a busy machine the process itself may have stood still: then nothing is lost, and what is repeated would only cost more.
+        """
+        now = time.monotonic()
+        if now - self._looked < 0.5 * self.settings.retry:  # a timer that was late makes up for it by several calls
             return
-        looks = self._standstill.look((self.command.rows.end, self._tick))
-        if looks and self._tick:
+        self._looked = now
+        if self._standstill.look(self._progress) and self._confirmation is not None:
+            self._stood_at = self._progress
+            self._confirmation.reset()
+
+    def _confirm(self) -> None:
+        """Repeat what was sent, unless the run has gone on since the last look."""
+        assert self._confirmation is not None
+        self._confirmation.cancel()
+        if self.finished.done() or not self.active or self._stood_at != self._progress:
+            return
+        looks = self._standstill.looks
+        if self._tick:
             self.applied.send(self._tick - 1, self._held[None])
         if looks == 1:
             self.measurement.repeat_newest()

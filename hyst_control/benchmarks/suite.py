@@ -24,6 +24,9 @@ REPEATS = 5
 
 GROUPS = ("kernels", "exported", "bags", "loops", "dashboard", "workflows", "coverage", "round_trips")
 
+LONG_RUNS = {"lockstep": loops.soak_lockstep, "wall-clock": loops.soak_wall_clock}
+"""Long runs by name, which are run only when they are asked for."""
+
 
 def run(
     only: str | None = None, seconds: float = loops.SECONDS, soak: float | None = None, minutes: Sequence[float] | None = None
@@ -33,11 +36,11 @@ def run(
     Parameters
     ----------
     only
-        The group; None: all.
+        The group, or one of `LONG_RUNS`; None: all groups.
     seconds
         Length of every run of the loop, s.
     soak
-        Length of the long run, which replaces the groups, min.
+        Length of the long run, which replaces the groups, or of the one of `LONG_RUNS` that is named in `only`, min.
     minutes
         Lengths of the records on which commands are measured, which replaces the groups, min.
 
@@ -55,6 +58,9 @@ def run(
     for name, value in (("seconds", seconds), ("soak", soak), *(("minutes", length) for length in minutes or ())):
         if value is not None and not 0 < value < 1e6:
             raise InputError(f"{name}: must be > 0 and < 1e6, got {value!r}")
+    if only in LONG_RUNS:
+        LONG_RUNS[only](table, **({} if soak is None else {"minutes": soak}))
+        return table
     if soak is not None:
         loops.soak(table, soak)
         return table

@@ -8,6 +8,8 @@ The figures hold for this machine at this moment; the table names the machine.
 
 examples:
   hyst bench --only loops --json suite.json
+  hyst bench --only lockstep                an hour in lockstep at full speed: lost rows, repetitions, load
+  hyst bench --only wall-clock              ten minutes at 1 kHz against a stage: lost rows, missed ticks, load
   hyst bench --soak 60                      long runs, to check that memory does not grow
   hyst bench --minutes 1 4 16               commands on long records, to check that time is linear and memory stays
 """
@@ -29,15 +31,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
     parser.add_argument(
         "--only",
-        choices=("kernels", "exported", "bags", "loops", "dashboard", "workflows", "coverage", "round_trips"),
-        help="run only this group of measurements; dashboard, the cost of a live page, is a part of loops",
+        choices=(
+            "kernels",
+            "exported",
+            "bags",
+            "loops",
+            "dashboard",
+            "workflows",
+            "coverage",
+            "round_trips",
+            "lockstep",
+            "wall-clock",
+        ),
+        help="run only this group of measurements; dashboard, the cost of a live page, is a part of loops; "
+        "lockstep (60 min) and wall-clock (10 min at 1 kHz) only run when they are named",
     )
     parser.add_argument("--seconds", type=float, default=6.0, help="length of every run of the loop in s (default 6)")
     parser.add_argument(
         "--soak",
         type=float,
         metavar="MINUTES",
-        help="instead, run the loop for this time in lockstep, then for a sixth of it on the wall clock, and measure its memory",
+        help="instead, run the loop for this time in lockstep, then for a sixth of it on the wall clock, and measure its memory; "
+        "with --only lockstep or wall-clock: length of that run",
     )
     parser.add_argument(
         "--minutes",

@@ -72,7 +72,18 @@ class PI:
 
 
 def constants_of(description: PI) -> Array:
-    """Constants of the law (7,): kp, ki T, lower, upper, greatest step, share of the anti-windup, share of the roll-off."""
+    """Constants of the law.
+
+    Parameters
+    ----------
+    description
+        Description of the controller.
+
+    Returns
+    -------
+    Array
+        (7,): kp, ki T, lower, upper, greatest step, share of the anti-windup, share of the roll-off.
+    """
     tracking_time = description.tracking_time or (description.kp / description.ki if description.ki else 0.0)
     share = 0.0 if not description.ki else min(1.0, description.sample_time / tracking_time) if tracking_time else 1.0
     return np.array(
@@ -161,7 +172,7 @@ class RunningPI:
         self._constants[:] = constants_of(description)
 
     def limit(self, lower: float, upper: float) -> None:
-        """Go on with other limits, V."""
+        """Go on with the limits `lower` and `upper`, V."""
         self.description = replace(self.description, lower=lower, upper=upper)
         self._constants[2:4] = lower, upper
 

@@ -32,7 +32,7 @@ class MeasurementWatch:
         self._axes: list[_Axis] = []
 
     def judge_by(self, other: MeasurementWatch) -> None:
-        """Go on with the range and the times of another watch."""
+        """Go on with the range and the times of an `other` watch."""
         self.lower, self.upper, self.frozen_ticks, self.motion = other.lower, other.upper, other.frozen_ticks, other.motion
 
     def check(self, measurement: Array, command: Array) -> tuple[str, ...]:

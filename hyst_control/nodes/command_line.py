@@ -25,7 +25,7 @@ def wants_help(arguments: Sequence[str]) -> bool:
 
 
 def help_text(program: str, node_classes: Sequence[Any]) -> str:
-    """What the nodes of an executable do, and their parameters with unit, range and default.
+    """Help of an executable: its nodes, and their parameters with unit, range and default.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def help_text(program: str, node_classes: Sequence[Any]) -> str:
     str
         The text.
     """
-    parts, common = [USAGE.format(name=Path(program).name)], {}
+    parts, common = [USAGE.format(name=Path(program).name)], dict[str, Setting]()
     for node_class in node_classes:
         title = (inspect.getdoc(node_class) or "").split("\n\n")[0].replace("\n", " ")
         own = {setting.name: setting for setting in node_class.SETTINGS}

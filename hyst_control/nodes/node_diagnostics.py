@@ -90,7 +90,7 @@ class NodeHealth:
 
     @property
     def message(self) -> str:
-        """What the node does, in a few words."""
+        """State of the node in a few words."""
         if not self.enabled:
             return f"stopped: {self.warning}" if self.warning else "stopped"
         return self.warning or "running"
@@ -180,7 +180,7 @@ class StateLog:
         self._ran = False
 
     def tell(self, health: NodeHealth) -> None:
-        """Log the state unless it is the one that was logged last."""
+        """Log the state that `health` gives, unless it is the one that was logged last."""
         text, kind, waits = self._text(health)
         if kind == self._said:
             return

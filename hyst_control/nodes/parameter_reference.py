@@ -9,16 +9,23 @@ from typing import Any
 
 from hyst_control.nodes.common_parameters import COMMON
 from hyst_control.nodes.parameters import Setting
+from hyst_control.nodes.signal_settings import COMMON as OF_EVERY_SIGNAL
+from hyst_control.nodes.signal_settings import signal_settings
 from hyst_control.processes.node_list import NODES, NodeEntry
+from hyst_control.records.excitation import KINDS
 
 HEAD = """# Parameters of the nodes
 
 Written by `python docs/make_reference.py` from the nodes' declarations.
 
-A parameter is given with `-p name:=value` behind `--ros-args`, or in a parameter file (`config/nodes`); a value of the wrong type or out
-of its range is refused with one line. A parameter marked *live* may be changed while the node runs (`ros2 param set`); others are
-read once at the start. The feedforward and the reference generator take further parameters of their kind of compensator and signal:
-`hyst excite --help` lists the signals.
+A parameter is given with `-p name:=value` behind `--ros-args`, or in a parameter file (`config/nodes`); in a file, `/**/pi_feedback` holds
+in every namespace. A value of the wrong type or out of its range, and a name that the node does not have, are refused with one line.
+`--help` of every executable lists its parameters. A parameter marked *live* may be changed while the node runs (`ros2 param set`);
+others are read-only then.
+
+Gains, limits and the parameters of a reference's signal change without a jump of the command. The integral takes up what another `kp`
+would add; limits go to their new values at `safe_rate`; without `ki` the command goes to that of the new gains at `safe_rate`; a
+signal goes over into the new one within `transition`. With `backend: c` the gains are compiled in and cannot be changed.
 
 | executable | in | out |
 |---|---|---|
@@ -32,6 +39,14 @@ read once at the start. The feedforward and the reference generator take further
 | `diagnosis` | `command`, `measurement` | `residual`, `gap` with an alarm, a full diagnosis (`~/diagnose`) |
 | `live_view` | `reference`, `command`, `measurement` | `live`, `live_turn`: the same with fewer rows, for a page |
 | `pipeline` | | the five nodes in one process |
+"""
+
+
+SIGNALS = """Parameters of `reference_generator` for the kind of signal that it has, all live; numbers from -1e+12 to 1e+12. One without a
+default must be given, or is not used if it is one of every kind.
+
+| signal | parameter | unit | default | |
+|---|---|---|---|---|
 """
 
 
@@ -49,7 +64,18 @@ def parameter_reference() -> str:
         if node is not None:
             title = (inspect.getdoc(node) or "").split("\n\n")[0].replace("\n", " ")
             parts.append(f"\n## {name}\n\n{title}\n\n{_table(node.SETTINGS)}")
+    parts += ["\n## Parameters of the signals\n\n", SIGNALS]
+    for kind in sorted(KINDS):
+        for setting in signal_settings(kind)[: -len(OF_EVERY_SIGNAL)]:
+            parts.append(_signal_row(f"`{kind}`", setting))
+    parts += [_signal_row("every kind", setting) for setting in signal_settings("rest")[-len(OF_EVERY_SIGNAL) :]]
     return "".join(parts)
+
+
+def _signal_row(kind: str, setting: Setting) -> str:
+    several = isinstance(setting.default, tuple)
+    default = ", ".join(_shown(item) for item in setting.default) if several else _shown(setting.default)
+    return f"| {kind} | {setting.name} | {setting.unit} | {default} | {setting.text} |\n"
 
 
 def _with_settings(entry: NodeEntry) -> Any:

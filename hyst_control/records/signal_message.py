@@ -171,7 +171,7 @@ class Decoder:
         self._shape = (0, 0)
 
     def label_of(self, buffer: bytes) -> str:
-        """Label of a message. Raises `InputError` as `decode` does."""
+        """Label of the message in a `buffer`. Raises `InputError` as `decode` does."""
         known = len(buffer) == self._length and buffer.startswith(self._header)
         return self._label if known else self.decode(buffer)[0]
 

@@ -42,6 +42,9 @@ class Log:
     def warning(self, text):
         self.lines.append(text)
 
+    def info(self, text):
+        """States of the node are not what is tested."""
+
 
 def test_inputs_of_a_loop_whose_reference_stands_still_stay_bounded(bench, monkeypatch):
     node, log = bench.add(PiFeedback, most_waiting=MOST, upper=50, start="first_command", takeover_time=0.0), Log()

@@ -35,11 +35,11 @@ class Lossy:
         self.hand, self.lost, self.count, self.missed = receiver.hand, lost, 0, 0
         receiver.hand = self
 
-    def __call__(self, raw):
+    def __call__(self, raw, block=None):
         if self.count in self.lost:
             self.missed += 1
         else:
-            self.hand(raw)
+            self.hand(raw, block)
         self.count += 1
 
 

@@ -1,0 +1,284 @@
+"""What a ROS user meets: parameters that are refused, changed and described, states in the log, arguments of the executables."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from loop_case import MODEL
+from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from hyst_control.errors import InputError
+from hyst_control.nodes import command_line
+from hyst_control.nodes.base import EndingNode
+from hyst_control.nodes.common_parameters import COMMON
+from hyst_control.nodes.hampi_feedforward import HampiFeedforward
+from hyst_control.nodes.identification import Identification
+from hyst_control.nodes.node_diagnostics import NodeHealth, StateLog
+from hyst_control.nodes.pi_feedback import PiFeedback
+from hyst_control.nodes.pipeline import COMPOSABLE, node_class
+from hyst_control.nodes.recorder import Recorder
+from hyst_control.nodes.reference_generator import ReferenceGenerator
+from hyst_control.nodes.run import main
+from hyst_control.processes import executables
+from hyst_control.processes.node_list import NODES
+from hyst_control.records.signal_rows import Wait
+from hyst_plant_sim.node import PlantNode
+
+RATE = 1000.0
+SINE = {"signal": "sine", "frequency": 5.0, "amplitude": 2.0, "offset": 3.0, "duration": 0.2, "repeat": True}
+
+
+def changed(bench, node, **values):
+    """Answers of `ros2 param set`, one after the other: [(successful, reason)]."""
+    given = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    answer = bench.call(SetParameters, f"/{node}/set_parameters", SetParameters.Request(parameters=given))
+    return [(result.successful, result.reason) for result in answer.results]
+
+
+@pytest.mark.parametrize(
+    ("node", "needed", "name", "meant"),
+    [
+        (PiFeedback, {}, "uper", "upper"),
+        (PiFeedback, {}, "kP", "kp"),
+        (PiFeedback, {}, "frozentime", "frozen_time"),
+        (HampiFeedforward, {"kind": "proportional"}, "Gain", "gain"),
+        (PlantNode, {"model": MODEL}, "most_ahed", "most_ahead"),
+        (ReferenceGenerator, SINE, "amplitud", "amplitude"),
+        (ReferenceGenerator, {"signal": "rest", "duration": 1.0}, "amplitude", ""),
+        (Identification, {}, "familiy", "family"),
+    ],
+)
+def test_a_parameter_that_does_not_exist_is_refused_with_the_nearest_name(node, needed, name, meant, ros_context, tmp_path):
+    given = [Parameter(key, value=value) for key, value in {**needed, name: 60.0}.items()]
+    with pytest.raises(
+        InputError, match=f"parameter {name}: there is no such parameter: {f'did you mean {meant}' if meant else ''}"
+    ):
+        node(context=ros_context, parameter_overrides=given)
+
+
+def test_a_refused_recorder_leaves_no_bag(ros_context, tmp_path):
+    given = [Parameter("output", value=str(tmp_path / "bag")), Parameter("tick", value=3)]
+    with pytest.raises(InputError, match="did you mean ticks"):
+        Recorder(context=ros_context, parameter_overrides=given)
+    assert not (tmp_path / "bag").exists()
+
+
+def test_a_composed_node_may_be_given_what_another_one_declares(ros_context, monkeypatch):
+    monkeypatch.setattr(EndingNode, "elsewhere", frozenset({"kp"}))
+    ReferenceGenerator(
+        context=ros_context, parameter_overrides=[Parameter("kp", value=1.0)], signal=np.zeros((5, 1))
+    ).destroy_node()
+
+
+def test_what_cannot_act_live_is_read_only_and_what_is_accepted_acts(bench):
+    node = bench.add(PiFeedback, kp=1.0, ki=10.0, upper=100.0, rate_hz=RATE)
+    for name, value in {"backend": "c", "feedback": False, "rate_hz": 10.0}.items():
+        [(successful, reason)] = changed(bench, "pi_feedback", **{name: value})
+        assert not successful and "read-only" in reason and name in reason
+    assert changed(bench, "pi_feedback", kp=2.5, ki=20, upper=60.0, safe_command=[3.0], measurement_upper=7.0) == 5 * [(True, "")]
+    law = node.loop.controller.description
+    assert (law.kp, law.ki, law.upper) == (2.5, 20.0, 60.0)
+    assert node.loop.safety.command.tolist() == [3.0] and node.loop.watch.upper == 7.0
+    assert node.get_parameter("kp").value == 2.5
+    for values, reason in (
+        ({"kp": -1.0}, "range"),
+        ({"lower": 70.0}, "lower: 70 V must be below upper, 60 V"),
+        ({"kp": "much"}, "kp: must be a number"),
+        ({"safe_command": [1.0, 2.0]}, "safe_command: 2 values, 1 axes"),
+    ):
+        [(successful, said)] = changed(bench, "pi_feedback", **values)
+        assert not successful and reason in said
+    assert node.loop.controller.description == law and node.settings.kp == 2.5
+
+
+def test_gains_that_are_compiled_in_are_refused(bench):
+    node = bench.add(PiFeedback, kp=1.0, ki=10.0, backend="c", rate_hz=RATE)
+    [(successful, reason)] = changed(bench, "pi_feedback", kp=2.0)
+    assert not successful and "backend: c" in reason
+    assert node.settings.kp == 1.0 and changed(bench, "pi_feedback", safe_rate=7.0) == [(True, "")]
+
+
+def test_the_reference_goes_over_to_a_new_amplitude_without_a_jump(bench):
+    """Lockstep: every row is compared with the closed form, also those that are sent again."""
+    node = bench.add(ReferenceGenerator, rate_hz=RATE, transition=0.1, **SINE)
+    bench.listen("reference")
+    measurement = bench.sender("measurement", "t[s],x[um]")
+    bench.until(lambda: bench.heard["reference"])
+    measurement.send(np.column_stack([np.arange(50) / RATE, np.zeros(50)]))
+    bench.until(lambda: node._end >= 50)
+    assert changed(bench, "reference_generator", amplitude=0.5, lower=2.4) == [(True, ""), (True, "")]
+    [(successful, reason)] = changed(bench, "reference_generator", amplitude=9.0)  # below its own `lower`
+    assert not successful and "lower the amplitude" in reason
+    first = node._end
+    measurement.send(np.column_stack([np.arange(50, 400) / RATE, np.zeros(350)]))
+    bench.until(lambda: node._end >= 400)
+    ticks = np.arange(400)
+    old, new = (3.0 + amplitude * np.sin(2 * np.pi * 5.0 * ticks / RATE) for amplitude in (2.0, 0.5))
+    weight = 0.5 * (1 + np.cos(np.pi * np.minimum(ticks - first + 1, 100) / 100))
+    expected = np.where(ticks < first, old, new + weight * (old[first - 1] - new[first - 1]))
+    np.testing.assert_allclose(node.rows(0, 400)[:, 0], expected, atol=1e-12)
+    bench.until(lambda: any(round(block[-1, 0] * RATE) >= 399 for block in bench.heard["reference"]))
+    for block in bench.heard["reference"]:
+        at = np.rint(block[:, 0] * RATE).astype(int)
+        np.testing.assert_allclose(block[at < 400, 1], expected[at[at < 400]], atol=1e-12)
+
+
+def test_parameters_of_a_signal_are_described(bench):
+    bench.add(ReferenceGenerator, rate_hz=RATE, **SINE)
+    request = DescribeParameters.Request(names=["frequency", "amplitude"])
+    frequency, amplitude = bench.call(DescribeParameters, "/reference_generator/describe_parameters", request).descriptors
+    assert "Frequency" in frequency.description and "[Hz]" in frequency.description
+    assert "[signal unit]" in amplitude.description and amplitude.floating_point_range[0].to_value == 1e12
+
+
+def test_lists_have_their_range_in_the_descriptor(bench):
+    [described] = bench.add(PiFeedback, rate_hz=RATE).describe_parameters(["safe_command"])
+    assert (described.floating_point_range[0].from_value, described.floating_point_range[0].to_value) == (-1e6, 1e6)
+
+
+class Log:
+    """Logger of a node that keeps its lines."""
+
+    def __init__(self):
+        self.lines = []
+
+    def get_logger(self):
+        return self
+
+    def info(self, text):
+        self.lines.append((logging.INFO, text))
+
+    def warning(self, text):
+        self.lines.append((logging.WARNING, text))
+
+
+def test_a_node_says_what_it_does_once_for_every_state():
+    log = Log()
+    state = StateLog(log, {"recorded": "is a recorder running?"})
+    waiting = NodeHealth(waits=[Wait("recorded", 0, 2.5)])
+    for health in (
+        NodeHealth(unheard=["measurement"]),
+        waiting,
+        NodeHealth(waits=[Wait("recorded", 0, 3.5)]),
+        NodeHealth(),
+        NodeHealth(),
+        NodeHealth(slow="844 of 1000 Hz: 156 ticks missed"),
+        NodeHealth(slow="850 of 1000 Hz: 150 ticks missed"),
+        NodeHealth(enabled=False),
+        NodeHealth(),
+        waiting,
+    ):
+        state.tell(health)
+    assert log.lines == [
+        (logging.INFO, "waiting for measurement: nothing has come yet"),
+        (logging.INFO, "waiting for recorded, tick 0: is a recorder running?"),
+        (logging.INFO, "running"),
+        (logging.WARNING, "844 of 1000 Hz: 156 ticks missed"),
+        (logging.WARNING, "stopped"),
+        (logging.INFO, "running again, after: stopped"),
+        (logging.WARNING, "waiting for recorded, tick 0: is a recorder running?"),
+    ]
+
+
+def test_diagnostics_say_stopped(bench):
+    bench.add(PiFeedback, rate_hz=RATE)
+    bench.listen_to_diagnostics()
+    assert bench.call(Trigger, "/pi_feedback/stop", Trigger.Request()).success
+    bench.until(lambda: bench.said.get("/pi_feedback: loop", {}).get("message") == "stopped")
+
+
+@pytest.mark.parametrize(("ticks", "missed", "said"), [(844, 156, "844 of 1000 Hz: 156 ticks missed"), (999, 1, ""), (1000, 0, "")])
+def test_a_rate_that_is_not_kept_is_a_warning(ticks, missed, said, bench):
+    node = bench.add(PiFeedback, rate_hz=RATE, schedule="timer")
+    assert node._slow(ticks, missed, 1.0) == said
+    assert NodeHealth(slow=said).warns == bool(said)
+
+
+def test_a_plant_that_stood_still_with_its_process_repeats_nothing(bench):
+    """Late calls of the timer in a row are one look, and a command that waits to be served is no loss."""
+    node = bench.add(PlantNode, model=MODEL, rate_hz=RATE, retry=60.0)
+    repeated = []
+    node.measurement.repeat = node.measurement.repeat_newest = lambda *given: repeated.append(given)
+    sender = bench.sender("command", "t[s],x[V]")
+    bench.until(lambda: node._tick == 0)
+
+    def look(calls):
+        node._looked -= 60.0
+        for _ in range(calls):
+            node._retry()
+
+    look(1)
+    look(5)
+    assert node._standstill.looks == 1
+    sender.send(np.array([[0.0, 1.0]]))
+    bench.until(lambda: node._tick == 1)
+    node._confirm()
+    assert not repeated
+    look(1)
+    look(1)
+    node._confirm()
+    assert len(repeated) == 1
+
+
+@pytest.mark.parametrize("name", [*COMPOSABLE, "identification"])
+def test_help_lists_every_parameter_with_unit_and_default(name, capsys):
+    node = Identification if name == "identification" else node_class(name)
+    assert main(node, args=[name, "--help"]) == 0
+    text = capsys.readouterr().out
+    for setting in (*node.SETTINGS, *(COMMON if name != "identification" else ())):
+        line = next(line for line in text.splitlines() if line.startswith(f"  {setting.name}  ["))
+        assert setting.unit in line and "default" in line and (("live" in line) == setting.live or setting.name == "schedule")
+
+
+def test_a_parameter_file_that_is_missing_is_one_line(capsys):
+    assert main(PiFeedback, args=["pi_feedback", "--ros-args", "--params-file", "nowhere.yaml"]) == 2
+    assert capsys.readouterr().err == "--params-file nowhere.yaml: there is no such file\n"
+
+
+def test_arguments_that_nobody_looks_at_are_refused():
+    command_line.check_rest("/bin/pi_feedback", [])
+    with pytest.raises(InputError, match="pi_feedback: -p: there is no such argument: put --ros-args before it"):
+        command_line.check_rest("/bin/pi_feedback", ["-p", "kp:=1.0"])
+
+
+def test_a_recorder_says_how_much_it_has_recorded(bench, tmp_path):
+    recorder = bench.add(Recorder, output=str(tmp_path / "bag"), topics=["command", "measurement"], rate_hz=RATE)
+    log = Log()
+    recorder.get_logger = log.get_logger
+    recorder._topics[0].receive("t[s],x[V]", np.column_stack([np.arange(7) / RATE, np.zeros(7)]))
+    recorder.close()
+    recorder.close()
+    assert log.lines == [
+        (logging.INFO, f"{tmp_path / 'bag'}: recorded 0 to 7 rows of each of 2 topics"),
+        (logging.WARNING, "nothing has come on /measurement"),
+    ]
+
+
+@pytest.mark.parametrize("module", ["hyst_control.nodes.pi_feedback", "rclpy", "hyst_control.nodes.interrupts"])
+def test_an_interrupt_while_a_node_is_being_loaded_prints_nothing(module):
+    program = f"""
+import os, signal, sys
+class Interrupt:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupt())
+from hyst_control.processes import executables
+executables.pi_feedback()
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert ended.returncode == -signal.SIGINT and ended.stderr == ""
+
+
+def test_every_installed_node_has_its_executable():
+    for name, entry in NODES.items():
+        assert getattr(executables, name).args == (name,) and entry.module
+    with pytest.raises(AttributeError):
+        executables.no_such_node()
