@@ -30,7 +30,7 @@ from hyst_control.files import write_json, write_text
 from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.learned_discrepancy import discrepancy_of
-from hyst_control.identify.linear import Candidate, error_of, refined
+from hyst_control.identify.modal_candidate import Candidate, error_of, refined
 from hyst_control.identify.modal_fit import subspace
 from hyst_control.identify.workflow import discrepancy
 from hyst_control.model_file import Model, model_to_document, simulate

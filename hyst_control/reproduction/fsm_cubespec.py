@@ -29,8 +29,9 @@ from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 from hyst_control.identify import softening_modes
 from hyst_control.identify.frequency_response import excited_lines, local_polynomial, robust_bla
-from hyst_control.identify.linear import Candidate, error_of, refined, stages_of
+from hyst_control.identify.modal_candidate import Candidate, error_of, refined
 from hyst_control.identify.modal_fit import ModalModel, Spectra, subspace
+from hyst_control.identify.modal_stages import stages_of
 from hyst_control.model_file import Model, save_model, simulate
 from hyst_control.parallel import executor
 from hyst_control.reporting.tables import Table
