@@ -28,15 +28,14 @@ from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, rec
 from hyst_control.identify.fit_windows import virgin_rows, whole_records
 from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.madelung import (
-    Curves,
     curve_ends,
-    curve_errors,
     fit_axis,
     mean_offset,
     merged,
     range_notes,
     response_sign,
 )
+from hyst_control.identify.madelung_curves import Curves, curve_errors
 from hyst_control.identify.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
 from hyst_control.identify.parameter_covariance import PRIOR, independent_axes
 from hyst_control.identify.parted_pair import PAIR_DAMPINGS, WORTHWHILE, parted_pair, unexplained_frequency, with_numerator
