@@ -7,7 +7,9 @@ import pytest
 from hyst_control.blind_test.run import diagnose_all, load, make
 from hyst_control.blind_test.scores import wilson
 
-SEED, COUNT = 11, 14
+pytestmark = pytest.mark.long_file
+
+SEED, COUNT = 11, 11
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +35,7 @@ def test_single_effects_are_named_and_records_without_a_gap_raise_no_alarm(pairs
     right = sum(bool(report["effects"]) and report["effects"][0]["name"] in case["label"]["names"] for case, report in singles)
     alarms = sum(report["verdict"] in ("effect", "ambiguous", "unknown") for report in none)
     assert len(singles) >= 8 and len(none) >= 2
-    assert wilson(right, len(singles))[0] > 0.5  # at least 9 of 10
+    assert wilson(right, len(singles))[0] > 0.5  # at least 7 of 8
     assert alarms == 0
 
 
