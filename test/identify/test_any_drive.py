@@ -26,6 +26,8 @@ from hyst_control.identify.initial_memory import (
 from hyst_control.model_file import Model, simulate
 from test.identify.test_estimators import CURVES, EXAMPLES, FAMILIES
 
+pytestmark = pytest.mark.long_file
+
 MIDDLE, SWING = 5.0, 40.0
 SPACED = ("degree", "order", "delay", "direct", "thresholds", "creep")
 """Options of the examples that say where the family is right; the structure of G(s) is left to the fit."""
