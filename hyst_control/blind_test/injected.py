@@ -34,7 +34,7 @@ from scipy.signal import bilinear, lfilter, lfilter_zi
 from hyst_control.blind_test.published_labels import rounded
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
-from hyst_control.parallel import mapped
+from hyst_control.parallel import map_spawned
 from hyst_control.records.record import Record, Signal
 from hyst_control.records.session_zero import without_zero
 from hyst_control.reporting.tables import Table
@@ -526,7 +526,7 @@ def run(
     reports.mkdir(exist_ok=True)
     documents = json.loads(labels.read_text(encoding="utf-8"))["cases"]
     waiting = [one["name"] for one in documents if not (reports / f"{one['name']}.json").exists()]
-    for done, name in enumerate(mapped(_diagnose_one, [(str(out), name) for name in waiting]), 1):
+    for done, name in enumerate(map_spawned(_diagnose_one, [(str(out), name) for name in waiting]), 1):
         note(f"{done} of {len(waiting)} diagnosed ({name})")
     rows = [(one, json.loads((reports / f"{one['name']}.json").read_text(encoding="utf-8"))) for one in documents]
     table = score(rows)

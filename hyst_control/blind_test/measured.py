@@ -34,7 +34,7 @@ from hyst_control.identify.modal_candidate import Candidate, error_of, refined
 from hyst_control.identify.modal_fit import subspace
 from hyst_control.identify.workflow import discrepancy
 from hyst_control.model_file import Model, model_to_document, simulate
-from hyst_control.parallel import forked
+from hyst_control.parallel import map_forked
 from hyst_control.records.record import Record, Signal
 from hyst_control.reporting.tables import Table
 from hyst_control.reproduction import fsm_cubespec as mirror
@@ -144,7 +144,7 @@ def run(
         cases += stack_cases()
     if plants is None or PLANTS[1] in plants:
         cases += mirror_cases(MODES[modes], note, levels or mirror.LEVELS)
-    for case, report in zip(cases, forked(lambda i: report_on(cases[i], folder), len(cases)), strict=True):
+    for case, report in zip(cases, map_forked(lambda i: report_on(cases[i], folder), len(cases)), strict=True):
         rows.append((case, report))
         add(table, case, report)
         note(f"{case.plant}, without {case.element}: {sentence(report)}")
@@ -304,9 +304,9 @@ def mirror_cases(
     levels = mirror.LEVELS
     measured = dict(zip(mirror.LEVELS, mirror.load_levels(), strict=True))
     middle = measured[mirror.LEVELS[1]]
-    fits = list(forked(lambda i: fit(middle, DELAYS[i]), len(DELAYS)))
+    fits = list(map_forked(lambda i: fit(middle, DELAYS[i]), len(DELAYS)))
     delay = DELAYS[int(np.argmin([found.held_out for found in fits]))]
-    whole = dict(zip(levels, forked(lambda i: fit(measured[levels[i]], delay), len(levels)), strict=True))
+    whole = dict(zip(levels, map_forked(lambda i: fit(measured[levels[i]], delay), len(levels)), strict=True))
     note(
         f"mirror: input delay of {delay:g} samples, errors on the fifth realization "
         + ", ".join(f"{100 * found.held_out:.2f} % ({late:g})" for late, found in zip(DELAYS, fits, strict=True))
