@@ -9,7 +9,8 @@ from hyst_control.blind_test.scores import wilson
 
 pytestmark = pytest.mark.long_file
 
-SEED, COUNT = 11, 11
+SEED, DRAWN, DIAGNOSED = 11, 14, 11
+"""The first of the cases that are drawn: 8 single effects and 3 records without a gap."""
 
 
 @pytest.fixture(scope="module")
@@ -18,13 +19,13 @@ def pairs(tmp_path_factory):
     make(
         folder,
         SEED,
-        COUNT,
+        DRAWN,
         note=lambda _: None,
         plants=("pea_published",),
         excitations=("rich",),
         kinds={"single": 0.72, "none": 0.28},
     )
-    diagnose_all(folder, note=lambda _: None)
+    diagnose_all(folder, {f"case_{index:04d}": () for index in range(DIAGNOSED)}, note=lambda _: None)
     return list(load(folder))
 
 
