@@ -27,7 +27,7 @@ from hyst_control.errors import InputError, WorkerLost
 
 PARENT_DEATH_SIGNAL = 1  # of prctl(2)
 JOBS_PER_WORKER = 100
-"""Number of jobs after which a worker of `mapped` is replaced, so that memory leaks of libraries do not accumulate."""
+"""Number of jobs after which a worker of `map_spawned` is replaced, so that memory leaks of libraries do not accumulate."""
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -56,7 +56,7 @@ def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bo
     start
         "spawn" for fresh interpreters, or "fork" for copies of this process, which begin at once and share its memory.
     serial
-        Compute serially in `forked` and `mapped` within a worker.
+        Compute serially in `map_forked` and `map_spawned` within a worker.
 
     Yields
     ------
@@ -85,7 +85,7 @@ def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bo
         pool.shutdown(cancel_futures=True)
 
 
-def forked(work: Callable[[int], Result], count: int) -> Iterator[Result]:
+def map_forked(work: Callable[[int], Result], count: int) -> Iterator[Result]:
     """Compute work(0), work(1), ... in order, on all cores by forking: no arguments are copied or pickled.
 
     Computed in this process where there is one core, in a worker, or beside threads that a fork would leave behind.
@@ -121,7 +121,7 @@ def forked(work: Callable[[int], Result], count: int) -> Iterator[Result]:
             yield cast(Result, waiting.popleft().result())
 
 
-def mapped(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
+def map_spawned(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
     """Compute work(job) in order, on all cores, in fresh processes: for jobs of seconds to minutes.
 
     Parameters

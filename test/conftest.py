@@ -18,6 +18,11 @@ ROOT = Path(__file__).resolve().parent.parent
 collect_ignore_glob = [] if find_spec("rclpy") else ["nodes/*"]
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files marked `long_file` come first: begun last, one of them would keep one worker busy while the others have nothing to do."""
+    items.sort(key=lambda item: item.get_closest_marker("long_file") is None)  # stable: the order within stays
+
+
 @pytest.fixture
 def domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """A ROS domain that no other test or run uses meanwhile; logs go to the test's folder."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,7 @@ WORDS = {"gain", "offset", "delay", "saturation", "quantization", "resonance", "
 they are compared with a name, listed or looked up beside another name of the catalogue."""
 
 
+@cache
 def own_files() -> dict[str, set[Path]]:
     """Files in which a name may stand: that of the stage's class, and those called by it (an effect, a family of models)."""
     found = {name: {path for path in SOURCES if path.stem == name} for name in NAMES}
@@ -51,12 +53,14 @@ def of_something(tree: ast.AST) -> set[int]:
     """Identities of literals that are compared with a `name`, or listed in one collection with a name that is no word."""
     found: set[int] = set()
     for node in ast.walk(tree):
+        if not isinstance(node, (ast.Compare, ast.Tuple, ast.List, ast.Set, ast.Dict)):
+            continue
         literals = [child for child in ast.walk(node) if isinstance(child, ast.Constant) and child.value in NAMES]
         if isinstance(node, ast.Compare):
             sides = [node.left, *node.comparators]
             if any(isinstance(side, ast.Attribute) and side.attr == "name" for side in sides):
                 found |= {id(literal) for literal in literals}
-        elif isinstance(node, (ast.Tuple, ast.List, ast.Set, ast.Dict)) and any(literal.value not in WORDS for literal in literals):
+        elif any(literal.value not in WORDS for literal in literals):
             found |= {id(literal) for literal in literals}
     return found
 

@@ -15,7 +15,7 @@ import pytest
 BEGIN = """
 import os, signal, sys, time
 from hyst_control.errors import WorkerLost
-from hyst_control.parallel import executor, forked, mapped
+from hyst_control.parallel import executor, map_forked, map_spawned
 os.sched_getaffinity = lambda process: {0, 1}
 signal.signal(signal.SIGINT, signal.default_int_handler)  # also where the tests run in the background
 
@@ -25,7 +25,7 @@ def killed_at_three(i):
     return i * i
 
 def inside(i):
-    return [list(each(os.getpid)) for each in (lambda f: forked(lambda _: f(), 3), lambda f: mapped(pid, range(3)))], os.getpid()
+    return [list(each(os.getpid)) for each in (lambda f: map_forked(lambda _: f(), 3), lambda f: map_spawned(pid, range(3)))], os.getpid()
 
 def pid(_):
     return os.getpid()
@@ -38,14 +38,14 @@ def slow(i):
 WORDLESS = """
 signal.signal(signal.SIGTERM, signal.default_int_handler)
 for _ in range(5):
-    assert list(forked(lambda i: i * i, 7)) == [i * i for i in range(7)]
+    assert list(map_forked(lambda i: i * i, 7)) == [i * i for i in range(7)]
 """
 
 KILLED = """
 if __name__ == "__main__":
     found = []
     try:
-        for value in {each}(killed_at_three, range(8) if {each} is mapped else 8):
+        for value in {each}(killed_at_three, range(8) if {each} is map_spawned else 8):
             found.append(value)
     except WorkerLost as error:
         assert "killed" in str(error)
@@ -54,10 +54,10 @@ if __name__ == "__main__":
 
 SERIAL = """
 if __name__ == "__main__":
-    for each in (forked(inside, 2), mapped(inside, range(2))):
+    for each in (map_forked(inside, 2), map_spawned(inside, range(2))):
         for lists, worker in each:
             assert lists == [[worker] * 3] * 2 and worker != os.getpid()
-    print(list(mapped(pid, range(1))) == [os.getpid()])
+    print(list(map_spawned(pid, range(1))) == [os.getpid()])
 """
 
 KILLED_AT_START = """
@@ -85,7 +85,7 @@ if __name__ == "__main__":
 
 ENDLESS = """
 if __name__ == "__main__":
-    list({each}(slow, range(2) if {each} is mapped else 2))
+    list({each}(slow, range(2) if {each} is map_spawned else 2))
 """
 
 
@@ -100,7 +100,7 @@ def test_workers_end_without_a_word_where_the_command_line_catches_the_signal(tm
     assert done.returncode == 0 and done.stderr == ""
 
 
-@pytest.mark.parametrize("each", ["forked", "mapped"])
+@pytest.mark.parametrize("each", ["map_forked", "map_spawned"])
 def test_a_killed_worker_ends_the_work_in_one_error(tmp_path, each):
     """A pool that starts another worker in its place would wait for the lost result without end."""
     done = run(KILLED.format(each=each), tmp_path)
@@ -123,7 +123,7 @@ def test_workers_are_serial_inside(tmp_path):
 
 
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGKILL])
-@pytest.mark.parametrize("each", ["forked", "mapped"])
+@pytest.mark.parametrize("each", ["map_forked", "map_spawned"])
 def test_workers_end_with_their_parent(tmp_path, each, ending):
     """Ctrl-C, or its death: both workers are busy for as long as the test would wait."""
     (tmp_path / "program.py").write_text(BEGIN + ENDLESS.format(each=each))
@@ -166,7 +166,7 @@ def test_a_command_whose_worker_is_killed_ends_with_one_line(tmp_path):
 
 GARBAGE = """
 import gc, os
-from hyst_control.parallel import forked
+from hyst_control.parallel import map_forked
 os.sched_getaffinity = lambda process: {0, 1}
 parent = os.getpid()
 
@@ -179,7 +179,7 @@ one = Held()
 one.itself = one
 gc.disable()
 del one
-print(list(forked(lambda i: (gc.collect(), i)[1], 4)))
+print(list(map_forked(lambda i: (gc.collect(), i)[1], 4)))
 """
 
 

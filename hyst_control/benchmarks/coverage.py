@@ -23,7 +23,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
 from hyst_control.model_file import Model, simulate
-from hyst_control.parallel import forked
+from hyst_control.parallel import map_forked
 from hyst_control.reporting.tables import Table
 
 RUNS = 200
@@ -170,7 +170,7 @@ def coverage(case: Case, seed: int, runs: int) -> dict[str, Array]:
     dict
         Of every number, 1 for a run whose interval holds the truth, else 0, (runs,).
     """
-    found = list(forked(lambda index: _held(case, np.random.default_rng([seed, index])), runs))
+    found = list(map_forked(lambda index: _held(case, np.random.default_rng([seed, index])), runs))
     return {name: np.array([held[name] for held in found]) for name in found[0]}
 
 

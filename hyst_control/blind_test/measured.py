@@ -16,7 +16,7 @@ from hyst_control.diagnose.gap_report import sentence
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
-from hyst_control.parallel import forked
+from hyst_control.parallel import map_forked
 from hyst_control.reporting.tables import Table
 from hyst_control.reproduction import fsm_cubespec_records as mirror
 
@@ -72,7 +72,7 @@ def run(
         cases += stack_cases()
     if plants is None or PLANTS[1] in plants:
         cases += mirror_cases(MODES[modes], note, levels or mirror.LEVELS)
-    for case, report in zip(cases, forked(lambda i: report_on(cases[i], folder), len(cases)), strict=True):
+    for case, report in zip(cases, map_forked(lambda i: report_on(cases[i], folder), len(cases)), strict=True):
         rows.append((case, report))
         add(table, case, report)
         note(f"{case.plant}, without {case.element}: {sentence(report)}")

@@ -13,7 +13,7 @@ from hyst_control.chain import Chain
 from hyst_control.chain.linear import Delay, StateSpace
 from hyst_control.chain.stage import Array, Stage, frozen
 from hyst_control.identify.learned_discrepancy import discrepancy_of
-from hyst_control.identify.linear import Candidate, error_of, refined
+from hyst_control.identify.modal_candidate import Candidate, error_of, refined
 from hyst_control.identify.modal_fit import subspace
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal

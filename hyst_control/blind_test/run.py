@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from hyst_control.blind_test.published_labels import rounded
 from hyst_control.errors import InputError
 from hyst_control.files import read_json, write_json
-from hyst_control.parallel import mapped
+from hyst_control.parallel import map_spawned
 from hyst_control.reporting.tables import Table
 
 if TYPE_CHECKING:
@@ -233,7 +233,7 @@ def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = prin
     stated = {key: stated_noise(*key) for key in sorted({(case.plant, case.noise) for case in cases})}
     documents = []
     jobs = [(case, str(folder / "cases"), stated[case.plant, case.noise]) for case in cases]
-    for case, document in zip(cases, mapped(_make_one, jobs), strict=True):
+    for case, document in zip(cases, map_spawned(_make_one, jobs), strict=True):
         documents.append(document)
         if len(documents) % 50 == 0:
             note(f"{len(documents)} of {count} cases recorded ({case.name})")
@@ -323,7 +323,7 @@ def work(jobs: Sequence[Job], until: float | None = None, note: Callable[[str], 
         Called with every line of progress.
     """
     begin = time.monotonic()
-    for done, name in enumerate(mapped(_in_time, [(job, until) for job in jobs]), 1):
+    for done, name in enumerate(map_spawned(_in_time, [(job, until) for job in jobs]), 1):
         if name and (done % 20 == 0 or done == len(jobs)):
             spent = time.monotonic() - begin
             note(f"{done} of {len(jobs)} diagnosed ({name}), {spent:.0f} s, {spent / done * (len(jobs) - done):.0f} s to go")
@@ -352,7 +352,7 @@ def add_realized_shrinks(folder: Path, note: Callable[[str], None] = print) -> N
         and report["verdict"] == "effect"
         and any(effect["shrink"] is not None for effect in report["effects"])
     ]
-    for _ in mapped(_add_realized_shrink, jobs):
+    for _ in map_spawned(_add_realized_shrink, jobs):
         pass
     note(f"{len(jobs)} predicted shrinks held against fresh records")
 

@@ -24,7 +24,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 from hyst_control.files import write_json, write_text
 from hyst_control.model_file import save_model
-from hyst_control.parallel import mapped
+from hyst_control.parallel import map_spawned
 from hyst_control.records.excitation import build
 from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
@@ -125,7 +125,7 @@ def make_fleet(
     save_model(nominal(PLANT, NOISE), folder / "model.yaml")
     drawn = _draw(random, seed, units, nights, changed)
     jobs = [(unit, temperatures, str(folder / "bags")) for unit in drawn]
-    for done, _ in enumerate(mapped(_record_unit, jobs), 1):
+    for done, _ in enumerate(map_spawned(_record_unit, jobs), 1):
         note(f"{done}/{units} units recorded")
     _write_manifest(folder, drawn, temperatures)
     labels = folder / "labels.json"

@@ -23,7 +23,7 @@ from hyst_control.identify import identify
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.workflow import discrepancy
 from hyst_control.model_file import Model, model_to_document, simulate
-from hyst_control.parallel import forked
+from hyst_control.parallel import map_forked
 from hyst_control.records.record import Record, Signal
 from hyst_control.reproduction import fsm_cubespec_records as mirror
 from hyst_control.reproduction import pea_p885 as stack
@@ -96,9 +96,9 @@ def mirror_cases(
     levels = mirror.LEVELS
     measured = dict(zip(mirror.LEVELS, mirror.load_levels(), strict=True))
     middle = measured[mirror.LEVELS[1]]
-    fits = list(forked(lambda i: fit(middle, DELAYS[i]), len(DELAYS)))
+    fits = list(map_forked(lambda i: fit(middle, DELAYS[i]), len(DELAYS)))
     delay = DELAYS[int(np.argmin([found.held_out for found in fits]))]
-    whole = dict(zip(levels, forked(lambda i: fit(measured[levels[i]], delay), len(levels)), strict=True))
+    whole = dict(zip(levels, map_forked(lambda i: fit(measured[levels[i]], delay), len(levels)), strict=True))
     note(
         f"mirror: input delay of {delay:g} samples, errors on the fifth realization "
         + ", ".join(f"{100 * found.held_out:.2f} % ({late:g})" for late, found in zip(DELAYS, fits, strict=True))

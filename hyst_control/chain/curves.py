@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from scipy.interpolate import PchipInterpolator
 
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.parameter import Array
@@ -97,6 +96,8 @@ def knot_curve(knots: Array, values: Array, field: str) -> Curve:
             f"{field}: the curve falls between {knots[i]:.4g} and {knots[i + 1]:.4g} of the normalized input: "
             "a branch must rise all the way; correct the values"
         )
+    from scipy.interpolate import PchipInterpolator  # here, not above: it takes longer to import than all that a node needs
+
     return Curve(knots, np.ascontiguousarray(PchipInterpolator(knots, values).c.T))
 
 

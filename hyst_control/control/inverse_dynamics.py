@@ -22,7 +22,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, eigvals
-from scipy.signal import zpk2sos
 
 from hyst_control.chain.linear import Delay, LinearFilter, LinearStage, StateSpace, linear_filter
 from hyst_control.chain.stage import Array, Sampling, Stage
@@ -326,6 +325,8 @@ def _state_space(system: DiscreteSystem) -> tuple[Array, Array, Array, Array]:
             raise ValueError("poles without a zero must stand last and be at the origin")
         parts = [_state_space(inner), *[(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))] * len(padding)]
     else:
+        from scipy.signal import zpk2sos  # here, not above: it takes longer to import than all that a node needs
+
         parts = []
         for b0, b1, b2, _, a1, a2 in zpk2sos(system.zeros, system.poles, system.gain):
             parts.append(

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import bilinear_zpk
 
 from hyst_control.chain import Parallel, Sampling, Stage
 from hyst_control.chain.linear import Delay, LinearStage, RateCorrection, StateSpace, TransferFunction
@@ -149,6 +148,8 @@ def tustin_lead(correction: RateCorrection, rate_filter: Sequence[float] | None,
     found = []
     for k1, b1, k2, b2 in zip(*values, strict=True):
         scale = float(rate_filter[-1]) / float(rate_filter[0]) if rate_filter is not None else 1.0
+        from scipy.signal import bilinear_zpk  # here, not above: it takes longer to import than all that a node needs
+
         zeros, poles, gain = bilinear_zpk([-b1 / k1], [-b2 / k2, *poles_of_filter], scale * k1 / k2, 1.0 / sampling.sample_time)
         found.append(DiscreteSystem(np.asarray(zeros, dtype=complex), np.asarray(poles, dtype=complex), float(np.real(gain))))
     return discrete_stage(found, sampling.sample_time)

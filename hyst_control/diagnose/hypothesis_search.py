@@ -26,7 +26,7 @@ from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, Unknowns,
 from hyst_control.diagnose.policy import strained as are_strained
 from hyst_control.diagnose.problem import Problem
 from hyst_control.errors import InputError
-from hyst_control.parallel import forked
+from hyst_control.parallel import map_forked
 from hyst_control.records.correlation import correlation_length
 
 
@@ -161,7 +161,7 @@ def search(
     alternatives = np.log(max(len(members), 1))
     members = _screened(linearised, members, settings.realizations)
     alone = [Candidate((member,)) for member in members]
-    solutions = forked(lambda i: _fitted(linearised, alone[i], alone[i].starts(), settings), len(alone))
+    solutions = map_forked(lambda i: _fitted(linearised, alone[i], alone[i].starts(), settings), len(alone))
     for candidate, found in zip(alone, solutions, strict=True):
         progress(candidate.names[0])
         if found is not None:
@@ -229,7 +229,7 @@ def _screened(linearised: Linearised, members: Sequence[Member], most: int) -> l
             return np.inf
         return _misfit(linearised, linearised.measured - simulated)
 
-    order = np.argsort(list(forked(left, len(ready))))
+    order = np.argsort(list(map_forked(left, len(ready))))
     kept = {id(ready[i]) for i in order[:most]}
     return [member for member in members if member.size or id(member) in kept]
 
@@ -279,14 +279,14 @@ def _grown(
 ) -> list[tuple[Candidate, Solution]]:
     """The parents with one effect more each, best first."""
     settings = configuration.search
-    promising = forked(lambda i: _promising(linearised, *parents[i], members, least, settings), len(parents))
+    promising = map_forked(lambda i: _promising(linearised, *parents[i], members, least, settings), len(parents))
     wanted: list[tuple[Candidate, Array]] = []
     for (candidate, solution), found in zip(parents, promising, strict=True):
         for index, start in found:
             pair = candidate.with_member(members[index])
             if not any(_same(pair, other) for other, _ in wanted):
                 wanted.append((pair, _merged(pair, candidate, solution.x, members[index], start)))
-    fitted = forked(lambda i: _fitted(linearised, wanted[i][0], [wanted[i][1]], settings), len(wanted))
+    fitted = map_forked(lambda i: _fitted(linearised, wanted[i][0], [wanted[i][1]], settings), len(wanted))
     grown = []
     for (pair, _), end in zip(wanted, fitted, strict=True):
         progress("+".join(pair.names))
@@ -312,7 +312,7 @@ def _pruned(linearised: Linearised, found: Sequence[tuple[Candidate, Solution]])
         except InputError:
             return None
 
-    solutions = forked(solved, len(candidates))
+    solutions = map_forked(solved, len(candidates))
     return [(one, found) for one, found in zip(candidates, solutions, strict=True) if found is not None]
 
 
@@ -374,7 +374,7 @@ def _refined(
     ]
     within = found[0][1].misfit + max(settings.reach * (before - found[0][1].misfit), settings.near)
     near = sum(solution.misfit <= within for _, solution in found[:count])
-    better = forked(lambda i: _finished(linearised, *found[i], configuration.policy), near)
+    better = map_forked(lambda i: _finished(linearised, *found[i], configuration.policy), near)
     return [(candidate, solution) for (candidate, _), solution in zip(found, better, strict=False)] + found[near:]
 
 
@@ -456,7 +456,7 @@ def _freed(
         candidate = fits[stuck[i]][0]
         return _fitted(linearised, candidate, [_best_alone(linearised, candidate, settings.scanned)], settings)
 
-    again = forked(begun_again, len(stuck))
+    again = map_forked(begun_again, len(stuck))
     freed = dict(zip(stuck, again, strict=True))
     return [
         (candidate, min((solution, freed.get(i) or solution), key=lambda one: one.misfit))

@@ -27,7 +27,7 @@ from hyst_control.diagnose.hypothesis_fit import Linearised, effect_columns, fit
 from hyst_control.effects.effect import Surroundings
 from hyst_control.errors import InputError
 from hyst_control.model_file import model_to_document
-from hyst_control.parallel import forked
+from hyst_control.parallel import map_forked
 
 MANY = 100
 """Parameters from which an effect's gain by chance is what its evidence takes off for their number (half a logarithm of the information
@@ -135,7 +135,7 @@ def null_scores(
         )
 
     scores = []
-    for i, score in enumerate(forked(best, settings.records)):
+    for i, score in enumerate(map_forked(best, settings.records)):
         progress(i + 1)
         if score is not None:
             scores.append(score)

@@ -16,7 +16,7 @@ from hyst_control.identify.options import NUMBER, Options, option
 from hyst_control.identify.oscillator_fit import AxisFit, Linear, assemble, problem_of
 from hyst_control.identify.shared_options import nuisance_option
 from hyst_control.identify.simulation_error import Solution
-from hyst_control.parallel import forked
+from hyst_control.parallel import map_forked
 
 SHARES, WIDTHS = (0.3, 0.7), (0.5, 2.0, 8.0)
 """Starts of the force's share of the stiffness for small motions, and of beta in units of one over the travel."""
@@ -121,7 +121,7 @@ def _fit_axis(datasets: Sequence[Dataset], axis: int, options: BoucWenOptions) -
     def trial(index: int) -> Solution:
         return selection.fit(law, starts[index], passes=TRIAL_PASSES)
 
-    best = min(forked(trial, len(starts)), key=lambda found: found.fitted)
+    best = min(map_forked(trial, len(starts)), key=lambda found: found.fitted)
     chosen = selection.fit(law, best.parameters, passes=PASSES, tolerance=1e-6)
     final = problem.fit(law, chosen.parameters, passes=FINAL_PASSES, everything=True, tolerance=1e-6)
     return AxisFit(problem, law, final, chosen.held_out, () if options.exponent is None else ("exponent",))

@@ -16,7 +16,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify.dataset import Dataset, ParameterRow
 from hyst_control.identify.fit_windows import before, first_motion, virgin_rows
 from hyst_control.model_file import Model, simulate
-from hyst_control.parallel import forked
+from hyst_control.parallel import map_forked
 
 CORNERS = (None, 30.0, 60.0, 100.0, 150.0, 220.0, 320.0, 470.0, 700.0, 1000.0, 2000.0)
 """Corners (Hz) that are tried; none is a static coupling."""
@@ -90,7 +90,7 @@ def fit_coupling(model: Model, datasets: Sequence[Dataset], near: Coupling | Non
             worthwhile |= held_out < (1.0 - WORTHWHILE) * without
         return share, Coupling(matrix, errors, corner), worthwhile
 
-    best = min(forked(tried, len(slow_enough)), key=lambda trial: trial[0])
+    best = min(map_forked(tried, len(slow_enough)), key=lambda trial: trial[0])
     return best[1] if best[2] else None
 
 

@@ -30,7 +30,7 @@ from hyst_control.identify.shared_options import nuisance_option, structure_opti
 from hyst_control.identify.simulation_error import Parametrization, Solution, minimize_simulation_error, short_stretches
 from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.model_file import Model
-from hyst_control.parallel import forked
+from hyst_control.parallel import map_forked
 
 NAMES = tuple(declared(Duhem))
 """Parameters of the hysteresis."""
@@ -191,7 +191,7 @@ def fit_axis(windows: Sequence[Window], options: DuhemOptions) -> AxisFit:
     plain = Axis(response_sign(windows) * slope, drive, (), Structure(), sample_time)
     few = short_stretches(windows, SELECTION_ROWS, STRETCH, SETTLE)
     starts = [np.array([1.0, alpha, beta, 0.0, 0.1, 0.0]) for alpha, beta in STARTS]
-    trials = forked(
+    trials = map_forked(
         lambda i: minimize_simulation_error(few, plain.parametrization(), starts[i], nuisance=options.nuisance, passes=5),
         len(starts),
     )
@@ -273,7 +273,7 @@ def extended(
         richer, start = begin[index]
         return minimize_simulation_error(windows, richer.parametrization(), start, nuisance=options.nuisance, passes=12)
 
-    solutions = list(forked(fitted, len(begin)))
+    solutions = list(map_forked(fitted, len(begin)))
     least = min(range(len(begin)), key=lambda index: solutions[index].held_out)
     return begin[least][0], solutions[least]
 

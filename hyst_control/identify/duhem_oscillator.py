@@ -20,7 +20,7 @@ from hyst_control.identify.options import INTEGER, TRUTH, Options, option
 from hyst_control.identify.oscillator_fit import AxisFit, Linear, Problem, assemble, problem_of
 from hyst_control.identify.shared_options import nuisance_option
 from hyst_control.identify.simulation_error import Solution
-from hyst_control.parallel import forked
+from hyst_control.parallel import map_forked
 
 SHARE = 0.5
 """Share of the force in the stiffness for small motions about which the parameters are stated."""
@@ -213,6 +213,6 @@ def linear_branches(problem: Problem, symmetric: bool) -> tuple[Table, Solution]
     def trial(index: int) -> Solution:
         return problem.fit(law, starts[index], passes=TRIAL_PASSES)
 
-    best = min(forked(trial, len(starts)), key=lambda found: found.fitted)
+    best = min(map_forked(trial, len(starts)), key=lambda found: found.fitted)
     law, start = law.refined(2, *problem.force_range(law, best.parameters), best.parameters)
     return law, problem.fit(law, start, passes=PASSES, tolerance=1e-5)

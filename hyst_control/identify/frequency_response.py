@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
@@ -67,6 +66,8 @@ class FrequencyResponse:
         Array
             Radius (F, p, m).
         """
+        from scipy.stats import chi2  # here, not above: it takes longer to import than all that a node needs
+
         variance = self.noise_variance if self.total_variance is None else self.total_variance
         radius: Array = np.sqrt(variance * chi2.ppf(confidence, 2) / 2.0)
         return radius

@@ -21,7 +21,7 @@ from hyst_control.identify.prandtl_ishlinskii_model import AxisFit
 from hyst_control.identify.shared_options import nuisance_option, structure_option
 from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.identify.variable_projection import Problem, Solution, solve
-from hyst_control.parallel import forked
+from hyst_control.parallel import map_forked
 from hyst_control.records.row_store import largest_size
 
 SELECTION_ROWS = 60_000
@@ -246,7 +246,7 @@ def _grown(problem: Problem, best: Solution, frequency: float) -> list[Solution]
         start = structures[index].grow(best.structure, best.parameters, frequency)
         return solve(problem, structures[index], start, theta, passes=8)
 
-    return list(forked(grown, len(structures)))
+    return list(map_forked(grown, len(structures)))
 
 
 def _start_frequency(problem: Problem, highest: float = np.inf) -> float:
@@ -255,7 +255,7 @@ def _start_frequency(problem: Problem, highest: float = np.inf) -> float:
     limit = min(0.4 / sample_time, 0.8 * highest)
     grid = [f for f in (30.0, 100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0) if f < limit] or [0.5 * limit]
     structure = Structure(modes=1)
-    trials = forked(lambda i: solve(problem, structure, structure.start(grid[i]), passes=2).fitted, len(grid))
+    trials = map_forked(lambda i: solve(problem, structure, structure.start(grid[i]), passes=2).fitted, len(grid))
     return grid[int(np.argmin(list(trials)))]
 
 
@@ -283,7 +283,7 @@ def fit_rate_dependent(problem: Problem) -> AxisFit:
         return solve(widened, structure, np.zeros(0))
 
     grid = largest * np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 13)])
-    at = int(np.argmin(list(forked(lambda i: trial(grid[i]).fitted, len(grid)))))
+    at = int(np.argmin(list(map_forked(lambda i: trial(grid[i]).fitted, len(grid)))))
     low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
     golden = (np.sqrt(5.0) - 1.0) / 2.0
     for _ in range(12):

@@ -7,26 +7,31 @@ offset. The number of states is chosen on held-out data.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from hyst_control.chain.chain import Chain
-from hyst_control.chain.linear import Delay, LinearStage, StateSpace, TransferFunction
 from hyst_control.chain.memoryless import Offset
-from hyst_control.chain.stage import Array, Stage
+from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
-from hyst_control.identify.dataset import Dataset, Fit, OrderRow, ParameterRow, Report, check_records
+from hyst_control.identify.dataset import Dataset, Fit, OrderRow, Report, check_records
 from hyst_control.identify.estimator import Estimator, register
 from hyst_control.identify.excited_band import REACH
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
-from hyst_control.identify.modal_fit import Problem, refine, subspace
-from hyst_control.identify.modal_model import Layout, ModalModel, Spectra
+from hyst_control.identify.modal_candidate import Candidate, error_of, information, refined
+from hyst_control.identify.modal_fit import subspace
+from hyst_control.identify.modal_model import ModalModel, Spectra
+from hyst_control.identify.modal_stages import (
+    diagonal_stages,
+    parameter_rows,
+    scalar_if_alike,
+    stages_of,
+    tolerance_of,
+    uncertainty,
+)
 from hyst_control.identify.options import INTEGER, NUMBER, TRUTH, Options, option
-from hyst_control.identify.parameter_covariance import Uncertainty, uncertainty_of
 from hyst_control.model_file import Model
 
 MAX_LINES = 6000
@@ -68,78 +73,6 @@ class LinearOptions(Options):
     )
     direct: bool = option(True, TRUTH, "allow a direct path D besides the states")
     iterations: int = option(60, INTEGER, "most steps of the refinement", lower=0)
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A fitted model with its relative errors (rms error / rms measurement).
-
-    Parameters
-    ----------
-    model
-        The model.
-    fitted
-        Error on the data fitted.
-    held_out
-        Error on held-out data, NaN without them.
-    normal
-        Normal matrix JᵀJ (P, P).
-    variance
-        Variance of the residual per equation.
-    layout
-        Places of the parameters in the vector (P,).
-    seconds
-        Time that the fit took, s.
-    """
-
-    model: ModalModel
-    fitted: float
-    held_out: float
-    normal: Array
-    variance: float
-    layout: Layout
-    seconds: float
-
-    def covariance(self) -> tuple[Array, Array]:
-        """Covariance of the parameters that make the model, for a white residual; transients are estimated along.
-
-        b counts as known, as c could be exchanged for it.
-
-        Returns
-        -------
-        index : Array
-            Places (Q,) of the parameters in the vector.
-        covariance : Array
-            (Q, Q).
-        """
-        kinds = ("pole", "c", "D", "delay")
-        index = np.concatenate([np.arange(self.normal.shape[0])[self.layout.slices[kind]] for kind in (*kinds, "t", "d")])
-        own = sum(len(np.arange(self.normal.shape[0])[self.layout.slices[kind]]) for kind in kinds)
-        part = self.normal[np.ix_(index, index)]
-        scale = np.sqrt(np.maximum(np.diag(part), 1e-300))
-        inverse = np.linalg.pinv(part / scale / scale[:, None], rcond=1e-12, hermitian=True) / scale / scale[:, None]
-        return index[:own], self.variance * inverse[:own, :own]
-
-    def standard_errors(self, *kinds: str) -> Array:
-        """Standard errors of parameters that are estimated together, for a white residual; the other parameters count as known.
-
-        Parameters
-        ----------
-        *kinds
-            Kinds of parameters, as in `Layout`.
-
-        Returns
-        -------
-        Array
-            Standard errors (P,), 0 for the others.
-        """
-        chosen = np.concatenate([np.arange(self.normal.shape[0])[self.layout.slices[kind]] for kind in kinds])
-        part = self.normal[np.ix_(chosen, chosen)]
-        scale = np.sqrt(np.maximum(np.diag(part), 1e-300))
-        inverse = np.linalg.pinv(part / scale / scale[:, None], rcond=1e-12, hermitian=True)
-        errors = np.zeros(self.layout.size)
-        errors[chosen] = np.sqrt(np.maximum(self.variance * np.diag(inverse), 0.0)) / scale
-        return errors
 
 
 @register
@@ -187,7 +120,7 @@ class Linear(Estimator[LinearOptions]):
         offset = np.concatenate(residuals).mean(axis=0)
         spread = np.concatenate(residuals).std(axis=0) / np.sqrt(sum(map(len, residuals)))
         if np.any(np.abs(offset) > 3.0 * spread):
-            model = model.with_stages([*stages, Offset(_alike(offset))])
+            model = model.with_stages([*stages, Offset(scalar_if_alike(offset))])
         rows, residuals = record_rows(model, datasets)
         model = replace(model, noise={"sigma": noise_sigma(residuals, datasets)})
         notes = (
@@ -323,29 +256,6 @@ def _length(data: Dataset) -> int:
     return len(data.command)
 
 
-def error_of(model: ModalModel, data: Sequence[Spectra]) -> float:
-    """Relative error (rms error / rms measurement) of a model on spectra.
-
-    Transients are fitted, as the state at the start of a cut is unknown.
-
-    Parameters
-    ----------
-    model
-        The model.
-    data
-        Spectra of the records.
-
-    Returns
-    -------
-    float
-        The error.
-    """
-    problem = Problem(data, model)
-    if problem.records:
-        problem.fit_linear("t", "d")
-    return float(np.sqrt(problem.cost() / problem.power))
-
-
 def choose(
     train: Sequence[Spectra],
     held_out: Sequence[Spectra],
@@ -436,53 +346,6 @@ def beyond_reach(model: ModalModel, data: Sequence[Spectra]) -> bool:
     return bool(np.any(np.abs(model.poles) > REACH * highest))
 
 
-def refined(data: Sequence[Spectra], start: ModalModel, direct: bool, free_delay: bool, iterations: int) -> Candidate:
-    """Refine a model by its output error.
-
-    Parameters
-    ----------
-    data
-        Spectra to fit.
-    start
-        The model to begin with.
-    direct, free_delay
-        Whether there is a direct path, and whether the delay is estimated.
-    iterations
-        Most steps.
-
-    Returns
-    -------
-    Candidate
-        The model, its error, and the normal matrix that the standard errors come from.
-    """
-    began = time.perf_counter()
-    problem = Problem(data, start, direct, free_delay)
-    cost, matrix = refine(problem, iterations)
-    equations = sum(2 * spectra.measurement.size for spectra in data)
-    variance = cost / max(equations - problem.layout.size, 1)
-    error = float(np.sqrt(cost / problem.power))
-    return Candidate(problem.model, error, np.nan, matrix, variance, problem.layout, time.perf_counter() - began)
-
-
-def information(candidate: Candidate, data: Sequence[Spectra]) -> float:
-    """Schwarz's information criterion up to a constant: lower is better.
-
-    Parameters
-    ----------
-    candidate
-        A fitted model.
-    data
-        Spectra it was fitted to.
-
-    Returns
-    -------
-    float
-        The criterion.
-    """
-    equations = sum(2 * spectra.measurement.size for spectra in data)
-    return 2 * equations * float(np.log(candidate.fitted)) + candidate.model.parameters * float(np.log(equations))
-
-
 def _search(datasets: Sequence[Dataset], options: LinearOptions, orders: Sequence[int]) -> tuple[Candidate, list[OrderRow]]:
     first = datasets[0]
     inputs = len(first.axes)
@@ -550,218 +413,3 @@ def _axis(data: Dataset, axis: int) -> Dataset:
         measurement=data.measurement[:, axis : axis + 1],
         axes=(data.axes[axis],),
     )
-
-
-def uncertainty(found: Sequence[Candidate], sample_time: float, axes: Sequence[str]) -> Uncertainty:
-    """Uncertainty of frequencies, dampings, gains and delays.
-
-    Parameters
-    ----------
-    found
-        One fitted model of all axes, or one an axis.
-    sample_time
-        Sample time, s.
-    axes
-        Names of the axes.
-
-    Returns
-    -------
-    Uncertainty
-        Of the numbers of the chain.
-    """
-    parts = [candidate.covariance() for candidate in found]
-    edges = np.cumsum([0, *(len(index) for index, _ in parts)])
-
-    def chain_of(vector: Array) -> Sequence[Stage]:
-        moved = []
-        for candidate, (index, _), begin, end in zip(found, parts, edges[:-1], edges[1:], strict=True):
-            change = np.zeros(candidate.layout.size)
-            change[index] = vector[begin:end]
-            moved.append(candidate.model.moved(change, candidate.layout))
-        return stages_of(moved[0], sample_time) if len(found) == 1 else diagonal_stages(moved, sample_time)
-
-    spread = block_diag(*(covariance for _, covariance in parts))
-    sizes = np.concatenate(
-        [
-            np.where(
-                candidate.layout.belongs(index, "c"), max(float(np.abs(candidate.model.outputs).max(initial=0.0)), 1e-300), 1.0
-            )
-            for candidate, (index, _) in zip(found, parts, strict=True)
-        ]
-    )
-    return uncertainty_of(chain_of, np.zeros(edges[-1]), spread, axes, sizes)
-
-
-def stages_of(model: ModalModel, sample_time: float) -> list[Stage]:
-    """Convert a model into stages: the delay if there is one, then a `transfer_function` (one axis) or a `state_space`.
-
-    Parameters
-    ----------
-    model
-        The model.
-    sample_time
-        Sample time, s.
-
-    Returns
-    -------
-    list[Stage]
-        The stages.
-    """
-    stages: list[Stage] = [Delay(_alike(model.delay * sample_time))] if np.any(model.delay > 0) else []
-    if model.feedthrough.shape == (1, 1):
-        num, den = polynomials(model, sample_time)
-        return [*stages, TransferFunction(num, den)]
-    a, b, c, d = model.state_space()
-    return [*stages, StateSpace(a / sample_time, b / sample_time, c, d)]
-
-
-def diagonal_stages(models: Sequence[ModalModel], sample_time: float) -> list[Stage]:
-    """Convert models of one axis each into stages with per-axis parameters.
-
-    Parameters
-    ----------
-    models
-        A model an axis.
-    sample_time
-        Sample time, s.
-
-    Returns
-    -------
-    list[Stage]
-        The stages.
-    """
-    delay = np.array([model.delay[0] * sample_time for model in models])
-    pairs = [polynomials(model, sample_time) for model in models]
-    longest = max(len(den) for _, den in pairs)
-    # A polynomial of lower degree is written with leading zeros.
-    num = [np.concatenate([np.zeros(longest - len(num)), num]) for num, _ in pairs]
-    den = [np.concatenate([np.zeros(longest - len(den)), den]) for _, den in pairs]
-    stages: list[Stage] = [Delay(_alike(delay))] if np.any(delay > 0) else []
-    return [*stages, TransferFunction([list(row) for row in num], [list(row) for row in den])]
-
-
-def _alike(values: Array) -> float | list[float]:
-    return float(values[0]) if np.all(values == values[0]) else [float(value) for value in values]
-
-
-def polynomials(model: ModalModel, sample_time: float) -> tuple[Array, Array]:
-    """Convert a model with one input and one output into a ratio of polynomials.
-
-    Parameters
-    ----------
-    model
-        The model.
-    sample_time
-        Sample time, s.
-
-    Returns
-    -------
-    num : Array
-        Numerator in descending powers of s.
-    den : Array
-        Monic denominator in descending powers of s.
-    """
-    poles, residues = [], []
-    for pole, c, b in zip(model.poles, model.outputs[:, 0], model.inputs[:, 0], strict=True):
-        poles += [pole] if pole.imag == 0 else [pole, np.conj(pole)]
-        residues += [c * b] if pole.imag == 0 else [c * b, np.conj(c * b)]
-    poles_s, residues_s = np.array(poles, dtype=complex) / sample_time, np.array(residues, dtype=complex) / sample_time
-    den = np.atleast_1d(np.poly(poles_s).real)
-    num = float(model.feedthrough[0, 0]) * den
-    for i in range(len(poles_s)):
-        num[1:] += (residues_s[i] * np.poly(np.delete(poles_s, i))).real
-    return np.trim_zeros(num, "f") if np.any(num) else np.zeros(1), den
-
-
-def parameter_rows(candidate: Candidate, sample_time: float, axis: str) -> list[ParameterRow]:
-    """Frequency and damping of every pole, the static gain and the delay, with standard errors.
-
-    Parameters
-    ----------
-    candidate
-        A fitted model.
-    sample_time
-        Sample time, s.
-    axis
-        Name of the axis, empty where the model is of all axes.
-
-    Returns
-    -------
-    list[ParameterRow]
-        A row a parameter.
-    """
-    model, layout = candidate.model, candidate.layout.slices
-    sigma = candidate.standard_errors(*layout)
-    n = len(model.poles)
-    pole_sigma = sigma[layout["pole"]].reshape(n, 2)
-    suffix = f"[{axis}]" if axis else ""
-    rows: list[ParameterRow] = []
-    for i, pole in enumerate(model.poles):
-        size = abs(pole)
-        # λ = -e^a + j w: errors of a and w, to first order those of |λ| and of the damping ratio.
-        real, imaginary = abs(pole.real) * pole_sigma[i, 0], pole_sigma[i, 1] if pole.imag else 0.0
-        frequency = size / (2 * np.pi * sample_time)
-        frequency_error = np.hypot(pole.real * real, pole.imag * imaginary) / size / (2 * np.pi * sample_time)
-        rows.append(
-            {
-                "name": f"frequency[{i}]{suffix}",
-                "value": float(frequency),
-                "standard_error": float(frequency_error),
-                "unit": "Hz",
-            }
-        )
-        if pole.imag:
-            damping_error = np.hypot(pole.imag**2 * real, pole.real * pole.imag * imaginary) / size**3
-            rows.append(
-                {
-                    "name": f"damping[{i}]{suffix}",
-                    "value": float(-pole.real / size),
-                    "standard_error": float(damping_error),
-                    "unit": "",
-                }
-            )
-    for j, late in enumerate(model.delay):
-        if len(sigma[layout["delay"]]) and late > 0:
-            rows.append(
-                {
-                    "name": f"delay[{j}]{suffix}",
-                    "value": float(late * sample_time),
-                    "standard_error": float(sigma[layout["delay"]][j] * sample_time),
-                    "unit": "s",
-                }
-            )
-    return rows
-
-
-def tolerance_of(found: Sequence[Candidate], stages: Sequence[Stage]) -> dict[str, float]:
-    """Relative standard deviations by parameter name: the median over a parameter's entries.
-
-    The deviation of the residues is taken with b and the delay fixed, as c could be exchanged for them.
-
-    Parameters
-    ----------
-    found
-        The fitted models.
-    stages
-        Their stages.
-
-    Returns
-    -------
-    dict[str, float]
-        The tolerance of a model file.
-    """
-    if not all(len(candidate.model.poles) for candidate in found):
-        return {}
-    poles, residues = [], []
-    for candidate in found:
-        model, layout = candidate.model, candidate.layout.slices
-        sigma = candidate.standard_errors("pole", "c")
-        n = len(model.poles)
-        pole_sigma = sigma[layout["pole"]].reshape(n, 2)
-        poles += list(np.hypot(np.abs(model.poles.real) * pole_sigma[:, 0], pole_sigma[:, 1]) / np.abs(model.poles))
-        c_sigma = np.hypot(*sigma[layout["c"]].reshape(2, *model.outputs.shape))
-        residues += list(np.linalg.norm(c_sigma, axis=1) / np.maximum(np.linalg.norm(model.outputs, axis=1), 1e-300))
-    pole, residue = float(np.median(poles)), float(np.median(residues))
-    linear = (stage for stage in stages if isinstance(stage, LinearStage))
-    tolerance = {name: value for stage in linear for name, value in stage.pole_tolerances(pole, residue).items()}
-    return {name: value for name, value in tolerance.items() if np.isfinite(value)}

@@ -23,12 +23,12 @@ from hyst_control.identify.estimator import Estimator, register
 from hyst_control.identify.fit_windows import virgin_rows, whole_records
 from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.madelung import (
-    Curves,
     curve_ends,
     fit_axis,
     mean_offset,
     response_sign,
 )
+from hyst_control.identify.madelung_curves import Curves
 from hyst_control.identify.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
 from hyst_control.identify.mhl_model import assemble, chain_model
 from hyst_control.identify.parted_pair import PAIR_DAMPINGS, WORTHWHILE, parted_pair, unexplained_frequency, with_numerator
@@ -42,7 +42,7 @@ from hyst_control.identify.simulation_error import (
 )
 from hyst_control.identify.stable_dynamics import TAU_UNIT, Structure
 from hyst_control.model_file import Model
-from hyst_control.parallel import forked
+from hyst_control.parallel import map_forked
 
 T = TypeVar("T")
 SELECTION_ROWS, FINAL_ROWS = 20_000, 100_000
@@ -78,8 +78,8 @@ class ModifiedHammersteinLike(Estimator[MhlOptions]):
             cleaned = without_coupling(chain_model(datasets, axes, "plain"), coupling, datasets)
         if options.structure is None:
             model = chain_model(cleaned, axes, "plain")
-            axes = list(forked(lambda index: with_parted_pair(model, cleaned, axes[index], index, options.nuisance), len(axes)))
-        final = forked(lambda index: refit(axis_windows(cleaned, index), axes[index], options.nuisance), len(axes))
+            axes = list(map_forked(lambda index: with_parted_pair(model, cleaned, axes[index], index, options.nuisance), len(axes)))
+        final = map_forked(lambda index: refit(axis_windows(cleaned, index), axes[index], options.nuisance), len(axes))
         return assemble(datasets, options.method, list(final), coupling)
 
 
@@ -141,7 +141,7 @@ def refined_axes(datasets: Sequence[Dataset], axes: Sequence[AxisFit], nuisance:
     nuisance
         Offset or drift that each record may add, as in `MhlOptions`.
     """
-    return list(forked(lambda index: refined(axis_windows(datasets, index), axes[index], nuisance, passes=3), len(axes)))
+    return list(map_forked(lambda index: refined(axis_windows(datasets, index), axes[index], nuisance, passes=3), len(axes)))
 
 
 def fit_joint(windows: Sequence[Window], options: MhlOptions, like: AxisFit | None) -> AxisFit:
@@ -301,7 +301,7 @@ def searched(
     else:
         problem, begin = axis.parametrization(), [np.concatenate([curves, start]) for start in starts(axis)]
     trials = list(
-        forked(lambda i: minimize_simulation_error(windows, problem, begin[i], nuisance=options.nuisance, passes=3), len(begin))
+        map_forked(lambda i: minimize_simulation_error(windows, problem, begin[i], nuisance=options.nuisance, passes=3), len(begin))
     )
     whole = replace(axis, curves=options.curves)
     followed = candidates(trials, -2 - axis.structure.size)[: 2 if thorough else 1]
@@ -316,7 +316,7 @@ def searched(
         passes = 25 if thorough else 6
         return minimize_simulation_error(windows, whole.parametrization(), start, nuisance=options.nuisance, passes=passes)
 
-    return whole, min(forked(pursued, len(followed)), key=lambda solution: solution.fitted)
+    return whole, min(map_forked(pursued, len(followed)), key=lambda solution: solution.fitted)
 
 
 def candidates(trials: Sequence[Solution], share: int) -> list[Solution]:
@@ -389,7 +389,7 @@ def extended(
         problem = replace(axis, structure=structure).parametrization()
         return minimize_simulation_error(windows, problem, np.concatenate([before, start]), nuisance=options.nuisance, passes=12)
 
-    solutions = list(forked(grown, len(begin)))
+    solutions = list(map_forked(grown, len(begin)))
     found = []
     for structure in structures:
         own = [solution for (of, _), solution in zip(begin, solutions, strict=True) if of == structure]

@@ -11,7 +11,8 @@ import numpy as np
 from hyst_control.chain import Parallel, Stage
 from hyst_control.chain.linear import Delay, RateCorrection
 from hyst_control.chain.stage import Array
-from hyst_control.identify.madelung import CurveOptions, Curves, Ends
+from hyst_control.identify.madelung import CurveOptions
+from hyst_control.identify.madelung_curves import Curves, Ends
 from hyst_control.identify.options import TRUTH, methods_option, option
 from hyst_control.identify.shared_options import nuisance_option, structure_option
 from hyst_control.identify.simulation_error import Parametrization

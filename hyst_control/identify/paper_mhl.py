@@ -30,7 +30,8 @@ from hyst_control.identify.dataset import Dataset, check_records
 from hyst_control.identify.fit_report import command_bandwidth
 from hyst_control.identify.fit_windows import virgin_rows, whole_records
 from hyst_control.identify.gram_sums import Window
-from hyst_control.identify.madelung import Ends, curve_ends, fit_axis, fit_inverse, merged, response_sign
+from hyst_control.identify.madelung import curve_ends, fit_axis, fit_inverse, merged, response_sign
+from hyst_control.identify.madelung_curves import Ends
 from hyst_control.identify.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
 from hyst_control.identify.parted_pair import PAIR_DAMPINGS, WORTHWHILE, parted_pair, unexplained_frequency
 from hyst_control.identify.reversal_points import turning_points

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import combinations, permutations
 
 import numpy as np
@@ -19,15 +18,17 @@ from numpy.typing import NDArray
 from scipy.signal import correlate
 
 from hyst_control.errors import InputError
+from hyst_control.records.averaged_spectra import (
+    FEWEST_LINES,
+    LONGEST_SEGMENT,
+    SEGMENTS,
+    SHORTEST_SEGMENT,
+    Spectra,
+    segment_length,
+)
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
-SEGMENTS = 32
-"""Parts of a record over which spectra are averaged, at least: few averages show a coherence where there is none."""
-
-LONGEST_SEGMENT = 2**14
-SHORTEST_SEGMENT = 8
 SHORTEST_RECORD = 1024
 """Samples below which no spectrum is judged: a segment must be longer than a plant rings."""
 
@@ -43,14 +44,6 @@ EXPLAINED = 0.3
 REVERSED = 0.15
 """By how much the command read backwards explains more. Of sound records it explains less, by 0.05 and more."""
 
-COHERENT = 0.5
-"""Coherence from which a frequency's phase counts; between records `SURE` and `EXCITED`."""
-
-SURE, EXCITED = 0.8, 1e-3
-"""Coherence, and power relative to the strongest frequency, from which a response is compared with another record's."""
-
-FEWEST_LINES = 3
-"""Frequencies that two records must share."""
 
 LEAD = 1.5
 """deg by which a measurement leads, on the mean. Sound records lag, by 0 deg at least."""
@@ -61,8 +54,6 @@ CLEAR_PHASE = 0.2
 CLEAR_VOTE = 0.1
 """Difference of the two agreements from which they are believed."""
 
-INDEPENDENT = 0.1
-"""Smallest eigenvalue of the commands' coherence matrix from which the responses to each of them are told apart."""
 
 MOST_PAIRED = 4
 """Axes up to which every order is tried."""
@@ -206,7 +197,7 @@ def _of_trial(trial: Trial) -> list[Finding]:
         return [_dead(trial, index, passed) for index, passed in frozen.items()]
     if _known(trial, moving):
         return _against_a_lagging_model(trial, moving)
-    spectra = Spectra.of(trial.command, trial.measurement, _segment(len(trial.command)))
+    spectra = Spectra.of(trial.command, trial.measurement, segment_length(len(trial.command)))
     found = [] if frozen else _pairing(trial, spectra, moving)
     if found:
         return found
@@ -216,7 +207,7 @@ def _of_trial(trial: Trial) -> list[Finding]:
         axis, explained = trial.axes[index], float(spectra.explained[index])
         if explained + REVERSED < 1.0:
             if backwards is None:
-                backwards = Spectra.of(trial.command[::-1], trial.measurement, _segment(len(trial.command))).explained
+                backwards = Spectra.of(trial.command[::-1], trial.measurement, segment_length(len(trial.command))).explained
             if backwards[index] > max(explained, EXPLAINED) + REVERSED:
                 found.append(Finding("reversed_command", trial.name, axis, float(backwards[index]), explained + REVERSED))
                 continue
@@ -247,7 +238,7 @@ def _known(trial: Trial, moving: Sequence[int]) -> bool:
 def _against_a_lagging_model(trial: Trial, moving: Sequence[int]) -> list[Finding]:
     """Axes that lead their command though the model that explains them does not: their time runs backwards."""
     assert trial.simulated is not None  # it explains the axes
-    length = _segment(len(trial.command))
+    length = segment_length(len(trial.command))
     measured = Spectra.of(trial.command, trial.measurement, length)
     leads = {index: -measured.lag(index) for index in moving}
     if max(leads.values()) <= CLEAR_LEAD:
@@ -444,145 +435,6 @@ def _exchanged_axes_between(spectra: Sequence[Spectra], name: str, axes: Sequenc
     sizes = [np.sqrt(np.sum(np.abs(each) ** 2, axis=(0, 1))) for each in (first, second)]
     likeness = np.einsum("fab,fac->bc", first.conj(), second).real / np.maximum(np.outer(*sizes), 1e-300)
     return _exchanged_axes(np.abs(likeness), name, axes)
-
-
-@dataclass(frozen=True)
-class Spectra:
-    """Averaged spectra: auto (F, A, A) of the commands, cross (F, A, A) [command, measurement], power (F, A) of the measurements."""
-
-    auto: Complex
-    cross: Complex
-    power: Array
-
-    @classmethod
-    def of(cls, command: Array, measurement: Array, length: int) -> Spectra:
-        """Spectra averaged over segments of `length` samples that overlap by half, after the mean of the whole record is removed.
-
-        Parameters
-        ----------
-        command
-            Command (N, A), V.
-        measurement
-            Measurement (N, A), measurement unit.
-        length
-            Samples per segment.
-
-        Returns
-        -------
-        Spectra
-            Auto, cross and power spectra at length // 2 + 1 frequencies.
-        """
-        command, measurement = command - command.mean(axis=0), measurement - measurement.mean(axis=0)
-        window = np.hanning(length)[:, None]
-        lines, axes = length // 2 + 1, command.shape[1]
-        auto, cross = np.zeros((lines, axes, axes), complex), np.zeros((lines, axes, axes), complex)
-        power = np.zeros((lines, axes))
-        for begin in range(0, len(command) - length + 1, max(length // 2, 1)):
-            part = slice(begin, begin + length)
-            u, y = np.fft.rfft(command[part] * window, axis=0), np.fft.rfft(measurement[part] * window, axis=0)
-            auto += u[:, :, None].conj() * u[:, None, :]
-            cross += u[:, :, None].conj() * y[:, None, :]
-            power += np.abs(y) ** 2
-        return cls(auto, cross, power)
-
-    @property
-    def explained(self) -> Array:
-        """Share (A,) of each measurement's power that a linear system of all commands could make."""
-        axes = self.auto.shape[1]
-        size = np.trace(self.auto, axis1=1, axis2=2).real
-        regular = self.auto + (1e-9 * size + 1e-300)[:, None, None] * np.eye(axes)
-        response = np.linalg.solve(regular, self.cross)
-        made = np.einsum("fab,fab->b", response.conj(), self.cross).real
-        return np.asarray(made / np.maximum(self.power.sum(axis=0), 1e-300), dtype=np.float64)
-
-    @property
-    def shares(self) -> Array:
-        """Share (A, A) [command, measurement] of a measurement's power that one command alone could make."""
-        own = np.einsum("faa->fa", self.auto).real
-        made = (np.abs(self.cross) ** 2 / np.maximum(own, 1e-300)[:, :, None]).sum(axis=0)
-        return np.asarray(made / np.maximum(self.power.sum(axis=0), 1e-300), dtype=np.float64)
-
-    @cached_property
-    def independent(self) -> NDArray[np.bool_]:
-        """Frequencies (F,) at which no command is a sum of others."""
-        own = np.sqrt(np.maximum(np.einsum("faa->fa", self.auto).real, 1e-300))
-        normal = self.auto / (own[:, :, None] * own[:, None, :])
-        return np.asarray(np.linalg.eigvalsh(normal)[:, 0] > INDEPENDENT)
-
-    @cached_property
-    def transfer(self) -> Complex:
-        """Responses (F, A, A) [command, measurement] to independent commands; 0 where they are not."""
-        found = np.zeros_like(self.cross)
-        apart = self.independent
-        found[apart] = np.linalg.solve(self.auto[apart], self.cross[apart])
-        return found
-
-    def path(self, index: int) -> tuple[Complex, Array]:
-        """Cross spectrum (F,) of the command and the measurement of axis `index`, and the share (F,) of its power made so.
-
-        Where the commands are independent, without what the others make of it.
-        """
-        own, power = self.auto[:, index, index].real, self.power[:, index]
-        cross = self.cross[:, index, index].copy()
-        made = np.abs(cross) ** 2 / np.maximum(own * power, 1e-300)
-        if self.auto.shape[1] > 1 and (apart := self.independent).any():
-            response = self.transfer[apart][:, :, index]
-            cross[apart] = response[:, index] * own[apart]
-            explained = np.sum(response.conj() * self.cross[apart][:, :, index], axis=1).real / np.maximum(power[apart], 1e-300)
-            direct = np.abs(cross[apart]) ** 2 / np.maximum(own[apart] * power[apart], 1e-300)
-            made[apart] = np.where(direct > INDEPENDENT, explained, 0.0)
-        return cross, np.asarray(made, dtype=np.float64)
-
-    def determinant(self, axes: Sequence[int]) -> list[tuple[Complex, NDArray[np.bool_]]]:
-        """Determinant (F,) of the responses of all axes to independent commands, and a mask (F,) of where it is known.
-
-        Of commands that are not independent, and of a single one: the response of every one of `axes` to its own command.
-        """
-        every = range(self.auto.shape[1])
-        known = np.all([self.response(index)[1] for index in every], axis=0) & self.independent
-        if len(every) == 1 or known.sum() < FEWEST_LINES:
-            return [self.response(index) for index in axes]
-        found = np.zeros(len(known), complex)
-        found[known] = np.linalg.det(self.transfer[known])
-        return [(found, known)]
-
-    def lag(self, index: int) -> float:
-        """Mean angle (deg) by which the measurement of axis `index` lags its command, negative where it leads.
-
-        Weighted with the coherent power, over the frequencies below the first at which it is turned by more than a right angle; a
-        plant whose gain is negative is turned around first.
-        """
-        own = self.auto[:, index, index].real
-        cross, made = self.path(index)
-        counted = (made > COHERENT) & (own > EXCITED * own.max(initial=0.0))
-        turned = cross * (1.0 if cross[np.flatnonzero(counted)[:2]].real.sum() >= 0 else -1.0)
-        beyond = np.flatnonzero(counted & (turned.real < 0))
-        used = slice(1, max(int(beyond[0]) if len(beyond) else len(cross), 2))
-        weights = (np.abs(cross) * counted)[used]
-        if not weights.sum():
-            return 0.0
-        sine = -float((turned.imag * counted)[used].sum() / weights.sum())
-        return float(np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0))))
-
-    def response(self, index: int) -> tuple[Complex, NDArray[np.bool_]]:
-        """Frequency response (F,) of axis `index` to its command, and a mask (F,) of the frequencies at which it is known."""
-        return self._responses[index]
-
-    @cached_property
-    def _responses(self) -> list[tuple[Complex, NDArray[np.bool_]]]:
-        found = []
-        for index in range(self.auto.shape[1]):
-            own = self.auto[:, index, index].real
-            cross, made = self.path(index)
-            sure = made > SURE
-            for power in (own, self.power[:, index]):
-                sure &= power > EXCITED * power[1:].max(initial=0.0)
-            found.append((cross / np.maximum(own, 1e-300), sure))
-        return found
-
-
-def _segment(count: int) -> int:
-    return min(max(count // SEGMENTS, SHORTEST_SEGMENT), LONGEST_SEGMENT)
 
 
 def _in_no_order(values: Array) -> bool:

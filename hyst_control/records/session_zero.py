@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student_t
 
 from hyst_control.records.row_store import blocks, empty_rows
 
@@ -73,6 +72,8 @@ def usual_zero(coefficients: Array) -> Array:
     count = len(coefficients)
     if count < 2:
         return np.full(np.shape(coefficients)[1:], np.nan)
+    from scipy.stats import t as student_t  # here, not above: it takes longer to import than all that a node needs
+
     reach = float(student_t.ppf(0.5 + 0.5 * USUAL, count - 1)) * np.sqrt(1.0 + 1.0 / count)
     mean, deviation = np.mean(coefficients, axis=0), np.std(coefficients, axis=0, ddof=1)
     return np.asarray(np.abs(mean) + reach * deviation, dtype=np.float64)

@@ -25,7 +25,7 @@ import numpy as np
 from hyst_control import progress
 from hyst_control.chain.chain import Chain
 from hyst_control.identify import softening_modes
-from hyst_control.identify.linear import Candidate, error_of, refined
+from hyst_control.identify.modal_candidate import Candidate, error_of, refined
 from hyst_control.identify.modal_fit import subspace
 from hyst_control.identify.modal_model import ModalModel
 from hyst_control.model_file import Model, save_model

@@ -12,7 +12,7 @@ import numpy as np
 
 from hyst_control.chain.chain import Chain
 from hyst_control.identify.frequency_response import excited_lines, local_polynomial, robust_bla
-from hyst_control.identify.linear import Candidate
+from hyst_control.identify.modal_candidate import Candidate
 from hyst_control.identify.modal_model import ModalModel
 from hyst_control.model_file import Model
 from hyst_control.reporting.tables import Table

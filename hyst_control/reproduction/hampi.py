@@ -34,7 +34,7 @@ from hyst_control.reporting.tables import Table
 from hyst_control.reproduction import claims, hampi_figures, hampi_tables
 from hyst_control.reproduction.hampi_published import FREQUENCIES, TABLE_1, TABLE_5
 from hyst_control.reproduction.hampi_tables import SCORED_CYCLES, Place
-from hyst_control.reproduction.mhl_tables import robustness
+from hyst_control.reproduction.mhl_robustness import robustness
 from hyst_control.reproduction.node_runs import run_processes
 
 SAMPLE_TIME = 5e-5

@@ -35,7 +35,7 @@ from hyst_control.identify.paper_mhl import inverse_model
 from hyst_control.model_file import Model, save_model
 from hyst_control.records import excitation
 from hyst_control.reporting.tables import Table
-from hyst_control.reproduction import claims, mhl_figures, mhl_learning, mhl_tables
+from hyst_control.reproduction import claims, mhl_figures, mhl_learning, mhl_responses, mhl_robustness, mhl_tables
 from hyst_control.reproduction.mhl_runs import (
     AXES,
     CENTRE,
@@ -186,10 +186,10 @@ def run(json_path: str | None = None, figures: str | None = None) -> Table:
     mhl_tables.tracking(table, tracked, parts)
     mhl_tables.feedback_effort(table, tracked, parts)
     mhl_tables.phases(table, *checked["multi"], inverses["inverse"], RATE_FILTER)
-    mhl_tables.error_spectrum(table, tracked, parts["single"], SAMPLE_TIME)
+    mhl_responses.error_spectrum(table, tracked, parts["single"], SAMPLE_TIME)
     mhl_tables.closed_loop(table, tracked, parts, SAMPLE_TIME)
     table.rows += learning.rows
-    mhl_tables.robustness(table, tuning)
+    mhl_robustness.robustness(table, tuning)
     table.notes += [*mhl_tables.NOTES, *claims.notes(claims.MHL)]
     if json_path:
         table.write(json_path)

@@ -17,7 +17,7 @@ from hyst_control.model_file import simulate
 from hyst_control.reporting.html_page import COLORS, Page
 from hyst_control.reporting.table_page import add_tables
 from hyst_control.reporting.tables import Table
-from hyst_control.reproduction import mhl_tables
+from hyst_control.reproduction import mhl_responses, mhl_tables
 
 LOOP = 2e-4
 SHOWN = (mhl_tables.TRADITIONAL, mhl_tables.PUBLISHED, mhl_tables.MOVED, mhl_tables.AHEAD, "whole inverse")
@@ -155,7 +155,7 @@ def open_loop(data: Dataset, fit: Fit) -> go.Figure:
     go.Figure
     """
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, subplot_titles=("gain [dB re 1 mrad/V]", "phase [deg]"))
-    frequency, measured, modelled = mhl_tables.open_loop_responses(fit.model, data, 0)
+    frequency, measured, modelled = mhl_responses.open_loop_responses(fit.model, data, 0)
     for colour, (name, value) in enumerate((("measured", measured), ("model", modelled))):
         figure.add_trace(line(frequency, 20 * np.log10(np.abs(value)), name, colour), 1, 1)
         figure.add_trace(line(frequency, np.degrees(np.unwrap(np.angle(value))), name, colour, legend=False), 2, 1)
@@ -297,7 +297,7 @@ def closed_loop(tracked: Mapping[str, Mapping[str, Array]], part: Any) -> go.Fig
     """
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, subplot_titles=("gain [dB]", "phase [deg]"))
     for colour, name in enumerate(SHOWN, start=1):
-        frequency, value = mhl_tables.response(tracked[name], part, LOOP)
+        frequency, value = mhl_responses.response(tracked[name], part, LOOP)
         figure.add_trace(line(frequency, 20 * np.log10(np.abs(value)), name, colour), 1, 1)
         figure.add_trace(line(frequency, np.degrees(np.unwrap(np.angle(value))), name, colour, legend=False), 2, 1)
     figure.update_xaxes(type="log", title_text="frequency [Hz]", row=2)

@@ -12,8 +12,9 @@ from hyst_control.chain.stage import Array
 from hyst_control.control.tuning import Tuning
 from hyst_control.records import excitation
 from hyst_control.reporting.tables import Table
+from hyst_control.reproduction.mhl_robustness import MEASURED
 from hyst_control.reproduction.mhl_runs import CENTRE, REACH, SAMPLE_TIME, track
-from hyst_control.reproduction.mhl_tables import MEASURED, TRADITIONAL
+from hyst_control.reproduction.mhl_tables import TRADITIONAL
 
 TRIALS = "MHL learning from trial to trial"
 FEEDBACK_ERROR = "MHL learning from the feedback"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -27,7 +28,9 @@ Answer = tuple[dict[str, Any], Diagnosis, Model | None]
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The null's thresholds of these tests, away from the user's."""
     patch = pytest.MonkeyPatch()
-    folder = tmp_path_factory.mktemp("cache")
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "null_cache"  # one for all workers of a run
+    folder.mkdir(exist_ok=True)
     patch.setenv("XDG_CACHE_HOME", str(folder))
     yield folder
     patch.undo()

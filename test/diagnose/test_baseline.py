@@ -24,6 +24,8 @@ from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal
 
+pytestmark = pytest.mark.long_file
+
 RATE = 5000.0
 SETTINGS = CONFIGURATION.baseline
 

@@ -15,6 +15,8 @@ from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.record import Record, Signal
 
+pytestmark = pytest.mark.long_file
+
 STEP, COUNT, SHORT, SIGMA = 1e-4, 6000, 2500, 1e-3
 MODES = ((310.0, 0.02), (820.0, 0.015), (1900.0, 0.03))
 LOST = 1

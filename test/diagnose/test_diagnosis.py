@@ -16,6 +16,8 @@ from hyst_control.files import write_json
 from hyst_control.model_file import load_model, save_model, simulate
 from test.diagnose.conftest import nominal, record_of
 
+pytestmark = pytest.mark.long_file
+
 PEA, FSM = "pea_published", "fsm_published"
 DELAY = (("name", "delay"), ("tau", 2e-4))
 BACKLASH = (("name", "backlash"), ("half_width", 0.03))

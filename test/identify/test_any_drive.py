@@ -22,6 +22,8 @@ from hyst_control.identify.initial_memory import (
 from hyst_control.model_file import simulate
 from test.identify.test_estimators import EXAMPLES
 
+pytestmark = pytest.mark.long_file
+
 OSCILLATORS = {"bouc_wen", "duhem_oscillator"}
 """Families whose records are taken to begin at rest: what they remember from before stays in the error."""
 FAMILIES = sorted(PLANTS)

@@ -28,6 +28,8 @@ from hyst_control.identify import Dataset, Fit, estimator_of, estimators, identi
 from hyst_control.identify.estimator import described, every_option
 from hyst_control.model_file import Model, load_model, save_model, simulate
 
+pytestmark = pytest.mark.long_file
+
 REPEATS = 12
 THRESHOLDS, WEIGHTS = (0.0, 3.0, 7.0, 12.0), (0.055, 0.012, 0.010, 0.008)
 

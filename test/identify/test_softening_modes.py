@@ -5,7 +5,7 @@ import pytest
 
 from hyst_control.chain.chain import Chain
 from hyst_control.chain.stage import Sampling
-from hyst_control.identify.linear import refined
+from hyst_control.identify.modal_candidate import refined
 from hyst_control.identify.modal_fit import subspace
 from hyst_control.identify.softening_modes import Level, fit_softening, schedule, spectra
 

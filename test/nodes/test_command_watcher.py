@@ -22,6 +22,8 @@ from hyst_control.processes.node_processes import Processes
 from hyst_control.records import row_repetition
 from hyst_plant_sim.node import PlantNode
 
+pytestmark = pytest.mark.long_file
+
 RATE = 200.0
 PERIOD = 1 / RATE
 LOWER, UPPER, SLEW, SAFE_RATE, SAFE, PLANT_SAFE = 0.0, 50.0, 400.0, 200.0, 2.0, 1.0  # V, V/s

@@ -22,6 +22,8 @@ from hyst_control.records.record import Record, Signal
 from hyst_plant_sim.node import PlantNode
 from hyst_plant_sim.physics import load_plant
 
+pytestmark = pytest.mark.long_file
+
 WINDOW, CONSECUTIVE = 0.02, 3
 SETTINGS = {"model": MODEL, "rate_hz": RATE, "window": WINDOW, "settle": 0.02, "calibrate": 0.1, "consecutive": CONSECUTIVE}
 

@@ -31,6 +31,8 @@ from hyst_control.records.row_repetition import REPEAT_INTERVAL
 from hyst_plant_sim.node import PlantNode
 from hyst_plant_sim.physics import load_plant
 
+pytestmark = pytest.mark.long_file
+
 PERIOD = 1e-3
 
 

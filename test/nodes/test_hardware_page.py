@@ -17,6 +17,8 @@ import pytest
 from hyst_control.config_files import config_path
 from hyst_control.model_file import load_model, simulate
 
+pytestmark = pytest.mark.long_file
+
 PAGE = config_path("models/pea_hampi.yaml").parents[2] / "docs" / "hardware.md"
 
 

@@ -12,6 +12,8 @@ from hyst_control.nodes.duration_histogram import Durations
 from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
 
+pytestmark = pytest.mark.long_file
+
 
 @pytest.mark.parametrize(
     "case, subject, schedule",

@@ -26,6 +26,8 @@ from hyst_control.nodes.run import run
 from hyst_control.processes.node_processes import Processes
 from hyst_control.records.bag_reader import read_bag
 
+pytestmark = pytest.mark.long_file
+
 COUNT = 6000
 
 

@@ -12,6 +12,8 @@ from hyst_control.records.excitation import build
 from hyst_control.records.record_validity import NAMES, Finding, Trial, check_records, refuse_invalid
 from hyst_plant_sim.physics import load_plant
 
+pytestmark = pytest.mark.long_file
+
 RATES = {"pea": 5e-5, "pea_published": 5e-5, "third": 5e-5, "fsm": 1e-4, "fsm_published": 1e-4}
 PEAK = {"pea": 90.0, "pea_published": 50.0, "third": 90.0, "fsm": 90.0, "fsm_published": 90.0}
 

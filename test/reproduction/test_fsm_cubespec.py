@@ -7,7 +7,7 @@ import pytest
 
 from hyst_control.errors import InputError
 from hyst_control.identify.frequency_response import robust_bla
-from hyst_control.identify.linear import Candidate, error_of, refined
+from hyst_control.identify.modal_candidate import Candidate, error_of, refined
 from hyst_control.identify.modal_fit import subspace
 from hyst_control.identify.modal_model import ModalModel
 from hyst_control.model_file import load_model

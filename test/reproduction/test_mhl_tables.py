@@ -6,8 +6,9 @@ import pytest
 from hyst_control.control.feedforward import RATE_FILTER
 from hyst_control.reporting.tables import Table
 from hyst_control.reproduction.mhl import Part, tracking_reference
+from hyst_control.reproduction.mhl_responses import error_spectrum
 from hyst_control.reproduction.mhl_runs import REACH, SAMPLE_TIME
-from hyst_control.reproduction.mhl_tables import AHEAD, OWN_LOOP, PLAIN, TABLE_2, TRADITIONAL, error_spectrum, rival_of
+from hyst_control.reproduction.mhl_tables import AHEAD, OWN_LOOP, PLAIN, TABLE_2, TRADITIONAL, rival_of
 
 
 def test_the_error_at_one_frequency_falls_into_its_parts():

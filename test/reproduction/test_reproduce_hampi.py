@@ -7,6 +7,8 @@ import pytest
 from hyst_control.reproduction import hampi
 from hyst_control.reproduction.hampi_published import TABLE_5
 
+pytestmark = pytest.mark.long_file
+
 SMALL = hampi.Extent(
     frequencies=(100.0, 300.0),
     peaks=(50.0,),
