@@ -125,7 +125,7 @@ def by_machine(rows: Sequence[Row]) -> list[dict[str, object]]:
     ]
 
 
-def _injected_row(label: Mapping[str, Any], report: dict[str, Any]) -> dict[str, object]:
+def _injected_row(label: Mapping[str, Any], report: Mapping[str, Any]) -> dict[str, object]:
     """Values of a row of the injected cases."""
     put_in = [f"{name} ({how})" if how else name for name, how in zip(label["names"], label["realizations"], strict=True)]
     judge = {"single": named_right, "pair": named_exactly}.get(label["kind"])

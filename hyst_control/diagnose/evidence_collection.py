@@ -307,7 +307,9 @@ def _hypothesis(scored: Scored, size: int) -> HypothesisEvidence:
 
 def _has_holes(piece: Piece) -> bool:
     """True where the rows that count are not one stretch: a warm-up is none that is missed."""
-    return piece.keep is not None and np.count_nonzero(np.diff(np.concatenate([[False], piece.keep, [False]]).astype(int))) > 2
+    if piece.keep is None:
+        return False
+    return int(np.count_nonzero(np.diff(np.concatenate([[False], piece.keep, [False]]).astype(int)))) > 2
 
 
 def _flicker(problem: Problem, scored: Scored, configuration: Configuration) -> FlickerEvidence | None:

@@ -16,11 +16,8 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify.coupling import Coupling
 from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
-from hyst_control.identify.madelung import (
-    curve_errors,
-    merged,
-    range_notes,
-)
+from hyst_control.identify.madelung import merged, range_notes
+from hyst_control.identify.madelung_curves import curve_errors
 from hyst_control.identify.mhl_axis import AxisFit
 from hyst_control.identify.parameter_covariance import PRIOR, independent_axes
 from hyst_control.model_file import Model

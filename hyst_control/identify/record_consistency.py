@@ -16,7 +16,8 @@ import numpy as np
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.fit_report import residual
 from hyst_control.model_file import Model
-from hyst_control.records.record_validity import LONGEST_SEGMENT, SEGMENTS, SHORTEST_RECORD, SHORTEST_SEGMENT, Spectra
+from hyst_control.records.averaged_spectra import LONGEST_SEGMENT, SEGMENTS, SHORTEST_SEGMENT, Spectra
+from hyst_control.records.record_validity import SHORTEST_RECORD
 
 LIKE = 1.3
 """Ratio of two records' ranges up to which they are compared: what a model lacks of a hysteresis changes with the amplitude."""

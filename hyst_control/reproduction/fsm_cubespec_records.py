@@ -11,8 +11,8 @@ from hyst_control.chain.chain import Chain
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 from hyst_control.identify.frequency_response import excited_lines
-from hyst_control.identify.modal_stages import stages_of
 from hyst_control.identify.modal_model import ModalModel, Spectra
+from hyst_control.identify.modal_stages import stages_of
 from hyst_control.model_file import Model, simulate
 from hyst_control.reproduction.measured_data import data_folder
 
