@@ -118,6 +118,10 @@ class Loop:
     def says(self, text):
         return self.bench.says("pi_feedback", text)
 
+    def runs(self):
+        """No fault: "running", or on a machine that is busy with others the ticks that were missed."""
+        return self.says("running") or self.says("ticks missed")
+
     def sender(self, topic):
         unit = "V" if topic in ("command", "feedforward") else "um"
         sender = Sender(self.bench.probe, topic, ",".join(["t[s]", *(f"{axis}[{unit}]" for axis in ("x", "y")[: self.axes])]))
@@ -211,7 +215,7 @@ def test_sensor_that_hangs_beside_a_live_one_takes_its_axis_to_safety(loop, reac
         loop.until(loop.safe)
     loop.stage.frozen.clear()
     loop.until(loop.tracks)
-    loop.until(lambda: loop.says("running"))
+    loop.until(loop.runs)
     loop.watcher.check()
 
 
@@ -330,7 +334,7 @@ def test_rival_on_the_command_is_a_fault(loop, reaction):
     swinging.cancel()
     loop.bench.probe.destroy_publisher(sender.publisher)
     loop.until(loop.tracks)
-    loop.until(lambda: loop.says("running"))
+    loop.until(loop.runs)
     loop.go_on(20)
     loop.watcher.check()
 
@@ -379,7 +383,7 @@ def test_command_of_the_far_future_passes_by(loop):
     loop.bench.probe.destroy_publisher(sender.publisher)
     loop.go_on()
     loop.until(loop.tracks)
-    loop.until(lambda: loop.says("running"))
+    loop.until(loop.runs)
     assert loop.plant.command.rows.behind(round(loop.now() / PERIOD)) < 20 or loop.schedule == "lockstep"
     loop.watcher.check()
 

@@ -28,8 +28,8 @@ def files() -> dict[str, str]:
 
 
 def commands() -> list[list[str]]:
-    """The page's commands."""
-    (text,) = re.findall(r"^```sh\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.S | re.M)
+    """The page's commands for the newcomer's stage."""
+    (text,) = re.findall(r"^```sh\n(python my_stage.*?)^```$", PAGE.read_text(encoding="utf-8"), re.S | re.M)
     return [shlex.split(line) for line in text.splitlines()]
 
 

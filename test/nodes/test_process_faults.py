@@ -211,9 +211,9 @@ def wait_for_diagnostics(processes, node, count):
 def test_nodes_that_join_late_find_the_loop_running(tmp_path, domain):
     """On the wall clock: recorder and feedback start after the others have run for a while; the command begins at rest."""
     settings = parameters(tmp_path, 400)
-    common = {"schedule": "timer", "rate_hz": 500.0, "ticks": 0}
     for own in settings.values():
-        own.update(common)
+        own.update({"schedule": "timer", "rate_hz": 500.0})
+    settings["reference_generator"].update(ticks=0)
     settings["recorder"].update(ticks=400, merge=8)
     with Processes(tmp_path / "log", domain) as processes:
         processes.compose({name: settings[name] for name in ("reference_generator", "hampi_feedforward", "plant")})
