@@ -237,7 +237,7 @@ def test_live_change_is_checked_and_applied_and_the_rest_is_read_only(bench):
     assert change("timeout", 1).successful and node.settings.timeout == 1.0
     assert not change("timeout", -1.0).successful and node.settings.timeout == 1.0
     assert not change("timeout", "soon").successful
-    assert "read-only" in change("kp", 3.0).reason
+    assert "read-only" in change("feedback", False).reason
 
 
 def test_bad_parameter_of_a_process_gives_one_line_and_status_2(tmp_path, domain):
@@ -333,7 +333,8 @@ def test_middleware_that_never_comes_back_does_not_keep_a_node_from_ending(tmp_p
     with Processes(tmp_path / "log", domain) as processes:
         process = processes.run("stuck", "stuck", "--ros-args", "-p", f"output:={tmp_path / 'bag'}", "-p", "duration:=0.1")
         assert process.wait(40) == 0
-        assert processes.log("stuck").read_text() == "stuck\n"
+        lines = processes.log("stuck").read_text().splitlines()
+        assert lines[-1] == "stuck" and all(line.startswith(("[INFO]", "[WARN]")) for line in lines[:-1])  # what it has recorded
     assert (tmp_path / "bag" / "metadata.yaml").exists()
 
 
