@@ -241,14 +241,14 @@ def test_saturated_drive_is_told(bench):
     assert loop.command.max() <= 25.0
 
 
-def test_safe_rate_and_recovery_may_change_while_running_and_gains_may_not(bench):
+def test_safe_rate_and_recovery_may_change_while_running_and_the_backend_may_not(bench):
     loop = Loop(bench)
     bench.until(loop.tracks)
     results = loop.node.set_parameters(
         [
             Parameter("safe_rate", value=200),
             Parameter("recovery", value="manual"),
-            Parameter("kp", value=5.0),
+            Parameter("backend", value="c"),
             Parameter("recovery", value="perhaps"),
         ]
     )

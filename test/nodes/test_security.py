@@ -47,7 +47,7 @@ def policy():
 
 @pytest.mark.parametrize("name", [*COMPOSABLE, "identification"])
 def test_policy_allows_what_a_node_does_and_no_more(bench, tmp_path, name):
-    output = {} if name == "reference_generator" else {"output": str(tmp_path / "bag")}
+    output = {"output": str(tmp_path / "bag")} if name in ("recorder", "diagnosis", "identification") else {}
     settings = {**output, **SETTINGS.get(name, {})}
     node = bench.add(Identification if name == "identification" else node_class(name), **settings)
     allowed = policy()
