@@ -75,9 +75,7 @@ _OSCILLATOR = 10.0 / _W**2, 6.0 / _W, 6.0
 PLANTS = {
     "bouc_wen": Plant((BoucWen(*_OSCILLATOR, 4.0, 0.5, -0.2),), 1e-4),
     "duhem": Plant((_DELAY, Duhem(0.1, -0.03, 0.03, -0.008, 1.3, 4e-3), _MODE), 1e-4, {"creep": False}),
-    "duhem_oscillator": Plant(
-        (DuhemOscillator(*_OSCILLATOR, [-3.0, 0.0, 3.0], [4.5, 4.0, 2.5], [2.5, 4.0, 4.5]),), 1e-4, seconds=0.05
-    ),
+    "duhem_oscillator": Plant((DuhemOscillator(*_OSCILLATOR, [-3.0, 0.0, 3.0], [4.5, 4.0, 2.5], [2.5, 4.0, 4.5]),), 1e-4),
     "hampi": Plant(
         (ModifiedPrandtlIshlinskii(_THRESHOLDS, _WEIGHTS, m1=2e-7, m2=1e-7, k=-4e-5, b=0.001), _DELAY, _MODE), 1e-4, _PLAYS
     ),
