@@ -1,4 +1,4 @@
-"""What a covariate such as temperature does to a quantity of every unit, taken out before changes are looked for.
+"""Influence of a covariate such as temperature on a quantity of every unit, taken out before changes are looked for.
 
 Successive nights of a unit are compared: levels, shifts and slow drifts leave their differences nearly untouched. The fleet's slope is
 fitted to all differences with Huber's weights, its standard error allows for nights that all units share (clusters by night).
@@ -27,7 +27,7 @@ DEVIATIONS = 4.0
 
 @dataclass(frozen=True)
 class CovariateEffect:
-    """What a covariate does to a quantity.
+    """Influence of a covariate on a quantity.
 
     Parameters
     ----------

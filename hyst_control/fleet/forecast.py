@@ -1,4 +1,4 @@
-"""When a drifting quantity reaches its limit, with the interval that slope and random walk leave open."""
+"""Forecast of the time at which a drifting quantity reaches its limit, with the interval that slope and random walk leave open."""
 
 from __future__ import annotations
 
