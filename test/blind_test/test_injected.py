@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hyst_control.blind_test.injected import make
-from hyst_control.blind_test.injected_machines import Clean, Machine
+from hyst_control.blind_test.injected_machines import MODEL_SEEDS, SCORING_SEEDS, TUNING_SEEDS, Clean, Machine, stack_machine
 from hyst_control.blind_test.injected_plan import planned
 from hyst_control.blind_test.injected_scores import injected_metrics, is_covered, named_exactly, named_right, quiet
 from hyst_control.blind_test.injections import OPEN_SET, SINGLES, apply_all, strength_of
@@ -165,3 +165,21 @@ def test_one_page_shows_both_tests(tmp_path):
     assert "| case_0000 | stack: full, row 0 | none | delay (sensor) | 3 | effect | delay | yes |" in text
     write_injected_page(path, injected_metrics(rows), rows, "blind-test --injected --seed 7", "c" * 64)
     assert "c" * 64 in path.read_text()
+
+
+def test_scoring_and_tuning_draw_from_different_records():
+    try:
+        tuning, scoring = stack_machine(False), stack_machine(True)
+    except InputError as error:
+        pytest.skip(str(error))
+
+    def stretches(machine: Machine) -> list[tuple[str, int]]:
+        return [(name, int(row)) for name, row in (clean.name.split(", row ") for clean in machine.cases)]
+
+    assert len(scoring.cases) > 8 and len(tuning.cases) >= 3
+    for name, row in stretches(scoring):
+        assert all(name != other or abs(row - begin) >= 1600 for other, begin in stretches(tuning))
+    for machine in (tuning, scoring):
+        for index, clean in machine.same.items():
+            np.testing.assert_allclose(clean.command, machine.cases[index].command, atol=0.02 * np.ptp(clean.command))
+    assert not {*TUNING_SEEDS} & {*SCORING_SEEDS} and not {*MODEL_SEEDS} & {*TUNING_SEEDS, *SCORING_SEEDS}
