@@ -73,8 +73,8 @@ class Model:
     discrepancy
         What the model leaves on the records it was identified from: {"version": 1, "rms": by axis, on the worst record, measurement
         unit, each record's own zero and drift taken off, "correlation": time of that error per independent sample, s, "zero": zero, drift
-        and curvature up to which a session is usual, by axis, absent for one record, "learned": by axis, the error as a function of the
-        command (`identify.learned_discrepancy`), absent where the command does not predict it}.
+        and curvature up to which a session is usual, by axis, absent for one record, "zero_mean": their means, "learned": by axis, the
+        error as a function of the command (`identify.learned_discrepancy`), absent where the command does not predict it}.
     """
 
     name: str
@@ -459,6 +459,9 @@ def _discrepancy(discrepancy: Any, axes: int) -> dict[str, Any]:
             continue
         if not _numeric(value) or np.shape(value) != shape or np.any(np.array(value, dtype=float) < 0):
             raise InputError(f"discrepancy.{key}: must be numbers >= 0 of shape {shape}, got {value!r}")
+    mean = discrepancy.get("zero_mean")
+    if mean is not None and (not _numeric(mean) or np.shape(mean) != (axes, 3)):
+        raise InputError(f"discrepancy.zero_mean: must be numbers of shape {(axes, 3)}, got {mean!r}")
     correlation = discrepancy.get("correlation", 1.0)
     if not _numeric(correlation) or np.ndim(correlation) or not correlation > 0:
         raise InputError(f"discrepancy.correlation: must be a time > 0 s, got {correlation!r}")

@@ -96,12 +96,17 @@ def attribute(diagnosis: Diagnosis) -> Attribution:
 
     """
     found_by_checks = _without_waveform(diagnosis)
-    named = sorted(_waveforms(diagnosis) + found_by_checks, key=lambda effect: (-round(effect.probability, 3), -effect.share))
+    named = sorted(_waveforms(diagnosis) + found_by_checks, key=_rank)
     return Attribution(
         (*named, *_companions(diagnosis)),
         _candidates(diagnosis, found_by_checks),
         _parameters(diagnosis),
     )
+
+
+def _rank(effect: Named) -> tuple[bool, float, float]:
+    """Order among the named effects: the most probable first, but noise that is the smaller part of the gap last, however sure."""
+    return effect.shrink is None and effect.share < 0.5, -round(effect.probability, 3), -effect.share
 
 
 def _waveforms(diagnosis: Diagnosis) -> list[Named]:

@@ -16,7 +16,7 @@ discrepancy in the model file, taught; where these predict nothing, its size and
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.configuration import BaselineSettings
+from hyst_control.diagnose.initial_memory import initial_memory, wiped_out
 from hyst_control.diagnose.noise_floor import noise_between_periods
 from hyst_control.diagnose.problem import Piece, Problem, check_units
 from hyst_control.diagnose.session import CarriedError, ErrorBasis, LearnedError, SessionZero
@@ -69,7 +70,7 @@ class Baseline:
         Rms difference between clean records of the same command, or between periods of one, measurement unit; rms of the model's
         error if no clean record has that command; 0 if there is only one clean record and its command has no period.
     usual_zero : ndarray, shape (A, 3)
-        Zero, drift and curvature up to which a session is usual, measurement unit: what the clean records predict for the next one,
+        Departure from `mean_zero` up to which a session is usual, measurement unit: what the clean records predict for the next one,
         and a share of the range at most, which is all that is known beside a single one.
     floor : ndarray, shape (A,)
         Rms that an effect must remove from the residual to be named at all, measurement unit.
@@ -79,6 +80,8 @@ class Baseline:
         Rms of the model's own error on the clean records without their zeros, measurement unit.
     learned : LearnedDiscrepancy or None
         What predicts this error on other commands; None where that is not known, or of axes that the model mixes.
+    mean_zero : ndarray, shape (A, 3)
+        Zero, drift and curvature of the clean sessions, their mean, measurement unit: a sensor's zero is arbitrary.
     """
 
     problem: Problem
@@ -89,6 +92,7 @@ class Baseline:
     clean: Problem | None
     error: Array
     learned: LearnedDiscrepancy | None = None
+    mean_zero: Array = field(default_factory=lambda: np.zeros((1, len(SHAPES))))
 
     def error_energy(self, command: Array, sample_time: float) -> float:
         """Predict the energy of the model's own error on a command.
@@ -188,7 +192,8 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     if all(matches):
         return _carried(problem, clean, matches, spans, settings)
-    errors = [piece.measurement - _simulated(clean, index, piece) for index, piece in enumerate(clean.pieces)]
+    # A record that begins anywhere fills the memory first: what the model leaves there is no error of it.
+    errors = [(piece.measurement - _simulated(clean, i, piece))[_first_counted(piece) :] for i, piece in enumerate(clean.pieces)]
     stated = discrepancy_of([piece.command for piece in clean.pieces], errors, clean.sample_time)
     return _beside_own_error(problem, stated, clean, settings)
 
@@ -214,24 +219,25 @@ def _beside_own_error(problem: Problem, stated: Mapping[str, Any], clean: Proble
     """Make the baseline of a model whose own error is known from other commands, in the form that a model file has it."""
     error = np.asarray(stated["rms"], dtype=float)
     zeros = stated.get("zero")
-    usual = np.full((len(error), len(SHAPES)), np.nan) if zeros is None else np.asarray(zeros, dtype=float)
+    mean = np.asarray(stated.get("zero_mean", np.zeros((len(error), len(SHAPES)))), dtype=float)
+    usual = np.full(mean.shape, np.nan) if zeros is None else np.asarray(zeros, dtype=float) - np.abs(mean)
     # Without a stated correlation that of a sine at the slowest excited frequency is assumed.
     seconds = float(stated.get("correlation", 1.0 / (np.pi * _slowest(problem))))
     learned = [LearnedDiscrepancy.from_document(one) for one in stated.get("learned", ()) if one is not None]
-    predicted: tuple[LearnedError, ...] = ()
+    predicted = _memory(problem, settings)
     rest = settings.unseen * error
     if len(learned) == len(error) == 1:  # axes that the model mixes have no features of their own
-        predicted = (_predicted(problem, learned[0]),)
+        predicted = (*predicted, _predicted(problem, learned[0]))
         rest, seconds = settings.unseen * np.array([learned[0].rest]), learned[0].correlation
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     noise = np.broadcast_to(np.atleast_1d(np.asarray(problem.model.noise.get("sigma", 0.0), dtype=float)), error.shape)
     model = problem.model.with_stages((*problem.model.chain.stages, *predicted, _zero(problem, spans, settings)))
     excess = np.sqrt(np.maximum(error**2 - noise**2, 0.0))
-    usual = np.fmin(usual, settings.usual_share * spans[:, None])
+    usual = np.fmin(usual, np.array(settings.usual_share) * spans[:, None])
     length = max(seconds / problem.sample_time, 1.0)
     beside = replace(problem, model=model, slowest=_slowest(problem), own_error=rest, own_correlation=length)
     known = learned[0] if len(learned) == len(error) == 1 else None
-    return Baseline(beside, False, error, usual, settings.other_command * excess, clean, excess, known)
+    return Baseline(beside, False, error, usual, settings.other_command * excess, clean, excess, known, mean)
 
 
 def _predicted(problem: Problem, learned: LearnedDiscrepancy) -> LearnedError:
@@ -259,7 +265,11 @@ def _carried(
     differences: list[Array] = []
     zeros: list[Array] = []
     for piece, found in zip(problem.pieces, matches, strict=True):
-        begin, end = max(match.begin for match in found), min(match.end for match in found)
+        filled = [max(_first_counted(piece), _first_counted(match.clean) - match.shift) for match in found]
+        begin, end = max(*(match.begin for match in found), *filled), min(match.end for match in found)
+        wiped = wiped_out(piece.command[begin:end])
+        if wiped <= settings.memory_rows * len(piece.command):
+            begin += wiped
         kept = np.zeros(len(piece.command), dtype=bool)
         kept[begin:end] = True
         whole = kept.all() and piece.keep is None
@@ -276,13 +286,14 @@ def _carried(
         zeros.append(usual_zero(np.array([without_zero((error - series[-1])[begin:end])[1] for error in errors])))
         if len(errors) == 1:
             differences += _between_periods(piece.command[begin:end], errors[0][begin:end], settings)
-    durations = np.array([len(piece.command) for piece in pieces]) * problem.sample_time
     repeatability = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if differences else np.zeros(len(spans))
-    usual = np.fmin(np.max(zeros, axis=0), settings.usual_share * spans[:, None])
+    usual = np.fmin(np.max(zeros, axis=0), np.array(settings.usual_share) * spans[:, None])
     # Both records of a difference have noise, and the mean of n clean ones a part of it; what is carried has none.
     alone = repeatability / np.sqrt(1.0 + 1.0 / min(len(found) for found in matches))
-    stages = (*problem.model.chain.stages, CarriedError(tuple(series)), SessionZero.absent(settings.zero_share * spans, durations))
-    model = replace(problem.model.with_stages(stages), tolerance={}, uncertainty={}, noise={"sigma": alone.tolist()})
+    memory = _memory(replace(problem, pieces=tuple(pieces)), settings)
+    stages = (*problem.model.chain.stages, CarriedError(tuple(series)), *memory)
+    zero = _zero(replace(problem, model=problem.model.with_stages(stages)), spans, settings)
+    model = replace(problem.model.with_stages((*stages, zero)), tolerance={}, uncertainty={}, noise={"sigma": alone.tolist()})
     beside = replace(
         problem,
         model=model,
@@ -293,7 +304,8 @@ def _carried(
     )
     own = np.concatenate([without_zero(rows)[0] for rows in series])
     error = np.sqrt(np.mean(own**2, axis=0))
-    return Baseline(beside, True, repeatability, usual, settings.same_floor * repeatability, clean, error)
+    floor = settings.same_floor * repeatability
+    return Baseline(beside, True, repeatability, usual, floor, clean, error, mean_zero=np.zeros(usual.shape))
 
 
 def without_noise(error: Array, most: Array | float = np.inf) -> Array:
@@ -378,6 +390,11 @@ def _between_periods(command: Array, error: Array, settings: BaselineSettings) -
     return [without_zero(later - earlier)[0] for earlier, later in zip(whole[:-1], whole[1:], strict=True)]
 
 
+def _first_counted(piece: Piece) -> int:
+    """First row of a record that counts."""
+    return 0 if piece.keep is None else int(np.argmax(piece.keep))
+
+
 def _simulated(problem: Problem, index: int, piece: Piece) -> Array:
     """Simulated measurement (N, A) of all rows of a record, measurement unit."""
     alone = replace(problem, pieces=(replace(piece, keep=None),), sigma=np.ones(len(problem.sigma)))
@@ -396,6 +413,15 @@ def _slowest(problem: Problem) -> float:
     return min(found)
 
 
+def _memory(problem: Problem, settings: BaselineSettings) -> tuple[LearnedError, ...]:
+    found = initial_memory(problem, settings.memory_share)
+    return () if found is None else (found,)
+
+
 def _zero(problem: Problem, spans: Array, settings: BaselineSettings) -> SessionZero:
+    """Zero of every record, free about 0: as wide as it lies off, since a sensor's zero is arbitrary, and says nothing of an effect."""
     durations = np.array([len(piece.command) for piece in problem.pieces]) * problem.sample_time
-    return SessionZero.absent(settings.zero_share * spans, durations)
+    off = [np.abs(np.mean(piece.measurement - _simulated(problem, i, piece), axis=0)) for i, piece in enumerate(problem.pieces)]
+    scale = np.repeat((settings.zero_share * spans)[:, None], len(SHAPES), axis=1)
+    scale[:, 0] = np.maximum(scale[:, 0], np.max(off, axis=0))
+    return SessionZero.absent(scale, durations)

@@ -73,6 +73,9 @@ class Thresholds:
     )
     flicker_margin: float = _setting("nats", "gain of 1/f noise above what a claim needs")
     flicker_size: float = _setting("noise rms", "least 1/f noise that is named")
+    flicker_size_beside_one: float = _setting(
+        "noise rms", "the same beside a single clean record, whose own 1/f noise nobody knows and is in the difference as well"
+    )
     flicker_hides: float = _setting(
         "share of the power", "1/f noise at the top of the spectrum from which it hides the white noise"
     )
@@ -132,6 +135,7 @@ class CheckSettings:
         "bins", "the same on a short record, around the harmonics where no other line is suggested"
     )
     mains_harmonics: tuple[int, ...] = _setting("orders", "harmonics of the mains that are no other line")
+    clean_line: float = _setting("amplitude in a clean record", "amplitude from which a line that clean records have too is new")
     truncation: float = _setting("steps", "distance of a mean error from half a step up to which a converter rounds down or up")
     lattice_ratio: float = _setting(
         "power of the spectrum around", "power over the command from which a lattice of it is suggested"
@@ -271,8 +275,15 @@ class BaselineSettings:
     same_command: float = _setting("share of the range, rms", "difference up to which two commands are the same")
     overlap: float = _setting("share of the new record", "least part of it in which they are")
     zero_share: float = _setting("share of the range", "standard deviation of the zero, drift and curvature of a session")
+    memory_share: float = _setting(
+        "share of the mean slope", "standard deviation of the weights by which the initial memory of sessions differs"
+    )
+    memory_rows: float = _setting(
+        "share of the record",
+        "most rows that are left out beside a clean record of the same command until this memory is wiped out",
+    )
     unseen: float = _setting("own errors", "size of the model's error on a command on which it was not measured")
-    usual_share: float = _setting(
+    usual_share: tuple[float, ...] = _setting(
         "share of the range", "zero, drift and curvature that are usual where few clean records are at hand"
     )
     same_floor: float = _setting("rms between clean records", "least that an effect must take off")

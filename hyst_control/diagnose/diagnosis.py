@@ -12,6 +12,7 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.baseline import Baseline, no_model, with_baseline, with_discrepancy
+from hyst_control.diagnose.clean_lines import beyond_clean
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.distortion import distortions
 from hyst_control.diagnose.evidence import Evidence, Finding
@@ -340,6 +341,9 @@ def _axis(
     record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
     findings = detected(record, checks, thresholds)
     suggested = lines(problem, linearised.unexplained(none.residual), configuration.checks)
+    if baseline is not None and baseline.carried and baseline.clean is not None:
+        clean_rows = np.split(_residuals(baseline.clean), np.cumsum(_counts(baseline.clean))[:-1])
+        suggested = beyond_clean(suggested, problem.rows(none.residual), clean_rows, problem.sample_time, configuration.checks)
     # The first noise estimate still contained spectral leakage from the gap.
     problem = _with_noise(problem, problem.rows(none.residual), configuration)
     repeated = [finding.axis for finding in findings if finding.check is RecordCheck.REPEATED_VALUES]
@@ -358,7 +362,7 @@ def _axis(
     floor = _floor(problem, own, configuration)
     if baseline is not None:
         floor = max(floor, float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2))))
-    leaves = stated_energy(own, problem.sigma)
+    leaves = max(stated_energy(own, problem.sigma), 1.0 + problem.own_energy)
     found = search(linearised, members, null + thresholds.margin, floor, leaves, progress, configuration)
     collected = collect(found, null, floor, stated, record, checks, configuration)
     evidence = collected.evidence.with_residuals(
@@ -369,13 +373,20 @@ def _axis(
                 findings,
                 checks,
                 configuration,
-                companions(linearised, collected.hypotheses[index], baseline.usual_zero, found.temper) if baseline else (),
+                companions(linearised, collected.hypotheses[index], baseline.usual_zero, baseline.mean_zero, found.temper)
+                if baseline
+                else (),
                 distortions(linearised, collected.hypotheses[index], found.temper),
             )
             for index in contenders(collected.evidence, thresholds)
         }
     )
     return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decide(evidence, thresholds), baseline)
+
+
+def _counts(problem: Problem) -> list[int]:
+    """Rows that count, by record."""
+    return [len(piece.counted(piece.command)) for piece in problem.pieces]
 
 
 def _shown_clean(clean: Problem, checks: frozenset[RecordCheck], configuration: Configuration) -> frozenset[RecordCheck]:

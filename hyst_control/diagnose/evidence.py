@@ -237,6 +237,8 @@ class Evidence:
         Checks whose effect is in the catalogue.
     weight : float
         Weight of a sample in the fits, below 1 where they know of the model's own error.
+    clean_noise : bool
+        True where a single clean record is carried over, so that its own noise is in the residual and nobody knows how much that is.
 
     """
 
@@ -253,6 +255,7 @@ class Evidence:
     record: tuple[RecordEvidence, ...] = ()
     checks: frozenset[RecordCheck] = frozenset()
     weight: float = 1.0
+    clean_noise: bool = False
 
     def with_residuals(self, residuals: Mapping[int, ResidualEvidence]) -> Evidence:
         """Add what hypotheses leave.

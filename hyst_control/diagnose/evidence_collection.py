@@ -24,7 +24,7 @@ from hyst_control.diagnose.hypothesis_fit import Linearised
 from hyst_control.diagnose.hypothesis_search import Found, Scored, strain
 from hyst_control.diagnose.noise_floor import noise_between_periods, noise_of
 from hyst_control.diagnose.predictability import predictable_share
-from hyst_control.diagnose.problem import Problem
+from hyst_control.diagnose.problem import Piece, Problem
 from hyst_control.diagnose.record_checks import outliers
 from hyst_control.diagnose.session import CarriedError, SessionZero
 from hyst_control.diagnose.unexplained_residual import leftover
@@ -94,7 +94,10 @@ def collect(
         found.linearised.count,
         null,
         floor,
-        stated_energy(stated if problem.own_error is None else np.maximum(stated, problem.own_error), problem.sigma),
+        max(
+            stated_energy(stated if problem.own_error is None else np.maximum(stated, problem.own_error), problem.sigma),
+            1.0 + problem.own_energy,
+        ),
         tuple(float(value) for value in problem.sigma),
         tuple(float(value) for value in stated),
         rows,
@@ -102,6 +105,7 @@ def collect(
         tuple(record),
         checks,
         problem.weight,
+        problem.slowest is not None and problem.own_error is None,
     )
     return Collected(evidence, hypotheses)
 
@@ -157,7 +161,7 @@ def residual_evidence(
     )
 
 
-def companions(linearised: Linearised, scored: Scored, usual: Array, temper: float) -> tuple[CompanionEvidence, ...]:
+def companions(linearised: Linearised, scored: Scored, usual: Array, mean: Array, temper: float) -> tuple[CompanionEvidence, ...]:
     """Measure the zero and the drift of a session as a hypothesis has them.
 
     Parameters
@@ -167,7 +171,9 @@ def companions(linearised: Linearised, scored: Scored, usual: Array, temper: flo
     scored : Scored
         Fit of the hypothesis.
     usual : ndarray, shape (A, 3)
-        Zero, drift and curvature up to which a session is usual, measurement unit; NaN where nothing says what is.
+        Departure from the clean sessions up to which one is usual, measurement unit; NaN where nothing says what is.
+    mean : ndarray, shape (A, 3)
+        Zero, drift and curvature of the clean sessions, measurement unit.
     temper : float
         Weight of a sample.
 
@@ -187,15 +193,17 @@ def companions(linearised: Linearised, scored: Scored, usual: Array, temper: flo
         companion = effects[degree].companion
         assert companion is not None
         size = linearised.scatter.size(coefficient)
+        # From the clean sessions, or from the model itself: a record may have had its zero taken off.
+        departure = min(size * float(z), size * float(z) - float(mean[axis, degree]), key=abs)
         found.append(
             CompanionEvidence(
                 effects[degree].name,
                 companion.parameter,
                 axis,
-                companion.factor * size * float(z),
+                companion.factor * departure,
                 abs(companion.factor) * size * float(np.sqrt(variance)),
                 abs(companion.factor) * float(usual[axis, degree]),
-                size * abs(float(z)) / float(np.sqrt(2.0 * degree + 1.0)),
+                abs(departure) / float(np.sqrt(2.0 * degree + 1.0)),
             )
         )
     return tuple(found)
@@ -297,10 +305,15 @@ def _hypothesis(scored: Scored, size: int) -> HypothesisEvidence:
     )
 
 
+def _has_holes(piece: Piece) -> bool:
+    """True where the rows that count are not one stretch: a warm-up is none that is missed."""
+    return piece.keep is not None and np.count_nonzero(np.diff(np.concatenate([[False], piece.keep, [False]]).astype(int))) > 2
+
+
 def _flicker(problem: Problem, scored: Scored, configuration: Configuration) -> FlickerEvidence | None:
-    """1/f noise in what a hypothesis leaves; not of several axes at once, nor where rows are missing."""
-    if len(problem.model.axes) > 1 or any(piece.keep is not None for piece in problem.pieces):
+    """1/f noise in what a hypothesis leaves; not of several axes at once, nor where rows are missing in between."""
+    if len(problem.model.axes) > 1 or any(_has_holes(piece) for piece in problem.pieces):
         return None
-    command = np.concatenate([piece.command[:, 0] for piece in problem.pieces])
+    command = np.concatenate([piece.counted(piece.command)[:, 0] for piece in problem.pieces])
     seen = flicker(scored.solution.residual, command, configuration.flicker)
     return None if seen is None else replace(seen, gain=problem.weight * seen.gain)

@@ -39,6 +39,8 @@ class Member:
     """Shape of a line, where it is not the effect's usual one."""
     elsewhere: str = ""
     """Place, where it is not the effect's usual one."""
+    apart: bool = False
+    """Whether each of the axes has a size of its own: the parameters are then those of one axis after those of the other."""
 
     @property
     def name(self) -> str:
@@ -137,15 +139,34 @@ class Member:
             # Mean square of the swelling amplitude: that of a Legendre polynomial of degree i is 1 / (2 i + 1).
             square = sum((x[i] ** 2 + x[swells + i] ** 2) / (2 * i + 1) for i in range(swells))
             return {"amplitude": float(np.sqrt(square)) * self._line_scale, "frequency": self._line_frequency(x)}
+        if self.apart:
+            return self._values_apart(x)
         found = {**{p.name: _natural(p, value) for p, value in zip(self.parameters, x, strict=True)}, **dict(self.fixed)}
         return {**found, **self.effect.summary(found)}
+
+    def _values_apart(self, x: Array) -> dict[str, float]:
+        """Values of every axis, with its name, and that of the axis where the effect is largest, as the gap report has one number."""
+        rows, fitted = self._by_axis(x), self.parameters[: len(self.parameters) // len(self.problem.model.axes)]
+        each = {
+            f"{p.name}_{axis}": row[i]
+            for i, p in enumerate(fitted)
+            for axis, row in zip(self.problem.model.axes, rows, strict=True)
+        }
+        most = rows[int(np.argmax([abs(row[0] - fitted[0].absent) for row in rows]))]
+        return {**{p.name: most[i] for i, p in enumerate(fitted)}, **each}
+
+    def _by_axis(self, x: Array) -> list[list[float]]:
+        """Values of the parameters, axis by axis."""
+        values = [_natural(p, value) for p, value in zip(self.parameters, x, strict=True)]
+        return np.reshape(values, (len(self.problem.model.axes), -1)).tolist()
 
     def units(self) -> dict[str, str]:
         """Units by parameter name."""
         unit = self.problem.model.units["measurement"]
         if self.is_line:
             return {"amplitude": unit, "frequency": "Hz"}
-        return {p.name: unit if p.unit == "unit" else p.unit for p in self.effect.parameters(self.problem.surroundings)}
+        usual = {p.name: unit if p.unit == "unit" else p.unit for p in self.effect.parameters(self.problem.surroundings)}
+        return usual | {f"{name}_{axis}": own for name, own in usual.items() for axis in self.problem.model.axes if self.apart}
 
     @property
     def untold(self) -> set[str]:
@@ -165,6 +186,10 @@ class Member:
         Stage
             Stage for all axes; other axes than the member's have the effect absent.
         """
+        if self.apart:
+            names = [p.name for p in self.parameters[: len(self.parameters) // len(self.problem.model.axes)]]
+            columns = np.transpose(self._by_axis(x)).tolist()
+            return self.effect.stage(dict(zip(names, columns, strict=True)), self.problem.surroundings)
         values: dict[str, Any] = self.values(x)
         count = len(self.problem.model.axes)
         if self.axis is not None and count > 1:
@@ -470,6 +495,8 @@ def catalogue(problem: Problem, suggested: Mapping[str, Sequence[float]], withou
                 if any(parameter.suggested for parameter in fitted) and not suggested.get(name):
                     continue  # nothing of the kind in this record
                 found.append(Member(effect, fitted, problem, axis, fixed=tuple(fixed.items())))
+        if effect.apart and count > 1:
+            found.append(Member(effect, count * parameters, problem, apart=True))
     beside_clean = problem.slowest is not None
     return found + [
         replace(member, elsewhere=place)

@@ -228,7 +228,7 @@ def _member(member: Member, around: Surroundings) -> list[object]:
     effect = member.effect
     makers = [effect.parameters, *([effect.coupled_parameters] if effect.coupled_parameters else [])]
     parameters = [asdict(parameter) for maker in makers for parameter in maker(around)]
-    return [member.name, member.axis, member.place, round(member.frequency), member.fixed, parameters]
+    return [member.name, member.axis, member.place, round(member.frequency), member.fixed, member.apart, parameters]
 
 
 def _version() -> str:

@@ -548,7 +548,8 @@ def _flicker(evidence: Evidence, first: int, thresholds: Thresholds) -> FlickerE
         seen = _residual(evidence, index).flicker
         if seen is None or not seen.plausible:
             continue
-        large = seen.rms > max(evidence.floor, thresholds.flicker_size)
+        size = thresholds.flicker_size_beside_one if evidence.clean_noise else thresholds.flicker_size
+        large = seen.rms > max(evidence.floor, size)
         if large and seen.gain > evidence.null + thresholds.margin + thresholds.flicker_margin:
             if index == first or _outweighs(seen, evidence, first):
                 return seen

@@ -76,10 +76,16 @@ class Problem:
         The own error of e noise rms with n samples per independent one counts as white noise of the energy n (e² - 1) beside the
         noise itself, so that a fit is as certain as its independent samples allow.
         """
+        return 1.0 / (1.0 + self.own_correlation * self.own_energy)
+
+    @property
+    def own_energy(self) -> float:
+        """Energy of the model's own error in noise energies, without the noise that was in it: a record of more noise has it too."""
         if self.own_error is None:
-            return 1.0
-        excess = float(np.mean(np.maximum((self.own_error / self.sigma) ** 2 - 1.0, 0.0)))
-        return 1.0 / (1.0 + self.own_correlation * excess)
+            return 0.0
+        stated = np.atleast_1d(np.asarray(self.model.noise.get("sigma", 0.0), dtype=float))
+        noise = np.where(stated > 0.0, np.minimum(stated, self.sigma), self.sigma)
+        return float(np.mean(np.maximum(self.own_error**2 - noise**2, 0.0) / self.sigma**2))
 
     def simulate(self, stages: Sequence[Stage]) -> Array:
         """Simulated measurement of all rows that count, (M,), in units of the noise. Raises `InputError` like the stages do."""

@@ -26,7 +26,7 @@ from hyst_control.records.session_zero import SHAPES
 
 @dataclass(frozen=True)
 class SessionZero(TimedStage):
-    """Zero, drift and curvature of each record: adds scale · Σ shares[record][axis][k] P_k(2 t / duration - 1).
+    """Zero, drift and curvature of each record: adds Σ scale[axis][k] · shares[record][axis][k] P_k(2 t / duration - 1).
 
     P_k is the Legendre polynomial of degree k = 0, 1, 2 (zero, drift, curvature), t the time since the record's start.
     """
@@ -35,7 +35,7 @@ class SessionZero(TimedStage):
     name: ClassVar[str] = "session_zero"
     place: ClassVar[str] = "adc"
     shares: AllAxes = all_axes("", "of the scale, by record, axis and Legendre polynomial", 3, scatter=Scattering.COMPANION)
-    scale: AllAxes = all_axes("unit", "size by axis", 1, scatter=Scattering.NONE)
+    scale: AllAxes = all_axes("unit", "size by axis and Legendre polynomial", 2, scatter=Scattering.NONE)
     durations: AllAxes = all_axes("s", "length of the records", 1, scatter=Scattering.NONE)
     record: int = count("index of the record", default=0)
 
@@ -45,7 +45,7 @@ class SessionZero(TimedStage):
 
         Parameters
         ----------
-        scale : ndarray, shape (A,)
+        scale : ndarray, shape (A, 3)
             Standard deviation of every share, measurement unit.
         durations : ndarray, shape (R,)
             Durations of the records, s.
@@ -62,14 +62,14 @@ class SessionZero(TimedStage):
         return replace(self, record=index)
 
     def companion_size(self, index: tuple[int, ...]) -> float:
-        return float(np.asarray(self.scale, dtype=float)[index[1]])
+        return float(np.asarray(self.scale, dtype=float)[index[1:]])
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
         shares, scale = np.asarray(self.shares, dtype=float)[self.record], np.asarray(self.scale, dtype=float)
         duration = float(np.asarray(self.durations, dtype=float)[self.record])
         if not shares.any():
             return lambda u, t: u
-        return lambda u, t: u + scale * np.polynomial.legendre.legval(2.0 * t[:, 0] / duration - 1.0, shares.T).T
+        return lambda u, t: u + np.polynomial.legendre.legval(2.0 * t[:, 0] / duration - 1.0, (scale * shares).T).T
 
 
 class CarriedError(Stage):

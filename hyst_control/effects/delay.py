@@ -26,5 +26,6 @@ EFFECT = Effect(
     lambda values, around: Delay(values["tau"]),
     separating_record="the amplifier's output voltage",
     also_beside_clean=("sensor",),
+    apart=True,
     phrase="a delay of {tau}",
 )

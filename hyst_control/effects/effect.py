@@ -179,6 +179,8 @@ class Effect:
         Whether it needs a second axis.
     shared
         Whether coupled axes have it in common, as they have their modes.
+    apart
+        Whether each of the axes that a plant mixes may have a size of its own, of one cause: their amplifiers or sensors differ.
     coupled_parameters
         On all axes of a plant that mixes them, where these are others.
     summary
@@ -215,6 +217,7 @@ class Effect:
     waveform: bool = True
     couples: bool = False
     shared: bool = False
+    apart: bool = False
     coupled_parameters: Callable[[Surroundings], tuple[Parameter, ...]] | None = None
     variants: Callable[[Surroundings], tuple[Mapping[str, float], ...]] = lambda _: ({},)
     summary: Callable[[Values], dict[str, float]] = lambda _: {}

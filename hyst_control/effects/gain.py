@@ -25,5 +25,6 @@ EFFECT = Effect(
     ),
     lambda values, around: Gain(factor(values["gain"])),
     also_at=("drive",),
+    apart=True,
     phrase="a gain error of {gain}",
 )

@@ -198,6 +198,7 @@ def discrepancy_of(commands: Sequence[Array], errors: Sequence[Array], sample_ti
         "rms": np.max([np.sqrt(np.mean(rows**2, axis=0)) for rows in rest], axis=0).tolist(),
         "correlation": sample_time * max(correlation_length(rows) for rows in rest),
     }
+    found["zero_mean"] = np.mean([zero for _, zero in left], axis=0).tolist()
     if len(left) > 1:
         found["zero"] = usual_zero(np.array([zero for _, zero in left])).tolist()
     if any(learned):

@@ -19,6 +19,7 @@ from hyst_control.diagnose.predictability import predictable_share
 from hyst_control.diagnose.problem import Piece
 from hyst_control.diagnose.session import CarriedError, SessionZero
 from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.effects import EFFECTS
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal
@@ -163,6 +164,37 @@ def test_a_new_clean_record_of_another_command_is_no_gap():
     assert {effect["name"] for effect in report["effects"]} <= {"offset", "offset_drift"}
 
 
+@pytest.mark.parametrize(
+    ("change", "names", "taken_off"), [({}, set(), 0.0), ({"sensor": late(8e-3)}, {"delay"}, 0.0), ({}, set(), 40.0)]
+)
+def test_a_sensor_may_have_its_zero_anywhere(change, names, taken_off):
+    """Many times the range away in every session: that says nothing of an effect, and is usual, and so is no zero at all."""
+    away, command, others = 40.0, sines(25.0), [sines(20.0), sines(35.0)]
+    clean = [record(other, machine(other, seed) + away, "clean") for seed, other in enumerate(others)]
+    report, *_ = diagnosed(
+        [record(command, machine(command, 7, **change) + away - taken_off, "new")], MODEL, cache=False, baseline=clean
+    )
+    assert {effect["name"] for effect in report["effects"]} >= names
+    assert report["verdict"] in (("effect", "ambiguous") if names else ("no_gap",))
+    zero = next(row for row in report["companions"] if row["name"] == "offset")
+    assert abs(zero["value"]) < zero["usual"] < 2.0
+
+
+@pytest.mark.parametrize("frequencies", [(50.0, 50.0), (40.0, 50.0)])
+def test_what_fills_the_memory_of_a_clean_record_is_no_error_of_the_model(frequencies):
+    """A record that begins anywhere: its warm-up counts neither for the error of the model nor for what differs between periods."""
+    begin, command = 0.1, [80.0 * np.sin(2 * np.pi * f * np.arange(2500) / RATE) for f in frequencies]
+    transient = 3.0 * np.exp(-np.arange(2500) / RATE / 0.005) * np.sin(2 * np.pi * 130.0 * np.arange(2500) / RATE)
+    found = []
+    for added in (0.0, transient):
+        clean = [record(command[0], machine(command[0], 2) + added, "clean")]
+        new = record(command[1], machine(command[1], 1), "new")
+        others = [name for name in EFFECTS if name != "gain"]
+        report, *_ = diagnosed([new], MODEL, cache=False, baseline=clean, warm_up=begin, without=others)
+        found.append(report["baseline"]["repeatability"][0])
+    assert found[1] == pytest.approx(found[0], rel=0.1)
+
+
 def test_without_a_model_a_clean_record_says_what_has_changed():
     command = sines(50.0)
     new, clean = record(command, machine(command, 1, sensor=lowpass(80.0, 1)), "new"), record(command, machine(command, 2), "clean")
@@ -196,7 +228,7 @@ def test_the_same_command_is_found_up_to_a_shift(shift, length):
 def test_stages_of_a_session_change_no_bit_when_a_signal_is_cut(cuts, hold, record_index):
     random = np.random.default_rng(0)
     signal = random.standard_normal((100, 2))
-    zero = SessionZero(random.standard_normal((2, 2, 3)), (1.0, 2.0), (0.1, 0.2))
+    zero = SessionZero(random.standard_normal((2, 2, 3)), ((1.0, 1.0, 1.0), (2.0, 3.0, 2.0)), (0.1, 0.2))
     carried = CarriedError((random.standard_normal((100, 2)), random.standard_normal((60, 2))))
     for stage in (zero.for_record(record_index), carried.for_record(record_index)):
         whole, parts = stage.filter(Sampling(1e-3, 2, hold)), stage.filter(Sampling(1e-3, 2, hold))

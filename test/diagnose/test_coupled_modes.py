@@ -131,3 +131,20 @@ def test_its_size_is_that_of_the_static_responses_between_the_axes(uncoupled):
     measured = played(command)
     coupling = np.linalg.norm(rest - np.diag(np.diag(rest)), 2) * np.ptp(command) / np.ptp(measured)
     assert report["effects"][0]["parameters"]["coupling"]["value"] == pytest.approx(coupling, rel=0.05)
+
+
+def test_axes_that_share_their_modes_may_each_have_a_gain_of_their_own():
+    a, b, c = modal()
+    stage = StateSpace(a.tolist(), b.tolist(), c.tolist(), np.zeros((2, 2)).tolist())
+    model = Model("whole", ("x", "y"), {"command": "V", "measurement": "um"}, STEP, Chain((stage,)), noise={"sigma": SIGMA})
+    command, time = drive(1)[:SHORT], STEP * np.arange(SHORT)
+    gains = np.array([1.06, 0.95])
+    measured = played(command) * gains + SIGMA * np.random.default_rng(2).normal(size=(SHORT, 2))
+    record = Record(
+        {"command": Signal(time, command, ("x", "y"), "V"), "measurement": Signal(time, measured, ("x", "y"), "um")}, "drive"
+    )
+    others = [name for name in EFFECTS if name not in ("gain", "delay", "added_mass", "cross_coupling")]
+    report, *_ = diagnosed([record], model, cache=False, without=others)
+    assert report["verdict"] == "effect" and [effect["name"] for effect in report["effects"]] == ["gain"]
+    values = report["effects"][0]["parameters"]
+    assert [values[name]["value"] for name in ("gain", "gain_x", "gain_y")] == pytest.approx([0.06, 0.06, -0.05], abs=2e-3)

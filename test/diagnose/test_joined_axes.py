@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control.diagnose.attribution import _joined
+from hyst_control.diagnose.attribution import Named, _joined, _rank
 
 
 def axis(value, half, name="tau", unit="s"):
@@ -25,3 +25,10 @@ def test_values_without_an_interval_stay_values(halves):
     """The step of a converter that only holds is 0, and known to be."""
     value, (low, high), _ = _joined([axis(0.0, half) for half in halves])["tau"]
     assert value == 0.0 and np.isfinite([low, high]).all() and low <= 0.0 <= high
+
+
+def test_noise_that_is_a_small_part_of_the_gap_stands_behind_what_explains_it():
+    delay, slight = Named("delay", ("x",), 0.89, shrink=0.9), Named("sensor_noise", ("x",), 1.0, share=0.2)
+    assert sorted([slight, delay], key=_rank) == [delay, slight]
+    main, held = Named("sensor_noise", ("x",), 1.0, share=0.9), Named("held_samples", ("x",), 1.0)
+    assert sorted([delay, main], key=_rank) == [main, delay] and sorted([delay, held], key=_rank) == [held, delay]

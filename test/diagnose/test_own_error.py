@@ -10,6 +10,7 @@ import pytest
 from hyst_control.chain import Chain
 from hyst_control.chain.linear import TransferFunction
 from hyst_control.chain.memoryless import Gain
+from hyst_control.diagnose.evidence_collection import _has_holes
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.parameter_uncertainty import scatter_of, within_own_error
 from hyst_control.diagnose.problem import Piece, Problem
@@ -31,6 +32,13 @@ def test_a_sample_counts_as_much_as_noise_and_own_error_let_it():
     assert base.weight == 1.0
     assert replace(base, own_error=np.array([0.005])).weight == 1.0  # below the noise
     assert replace(base, own_error=np.array([0.1]), own_correlation=20.0).weight == pytest.approx(1.0 / (1.0 + 20.0 * 99.0))
+
+
+def test_a_noisier_record_does_not_make_the_model_better():
+    """An own error of 0.1 with 0.01 of noise in it: beside a noise of 0.2 its samples still hang together."""
+    base = replace(problem(Chain((Gain(1.0),)), COMMAND), own_error=np.array([0.1]), own_correlation=20.0)
+    noisy = replace(base, model=replace(base.model, noise={"sigma": 0.01}), sigma=np.array([0.2]))
+    assert noisy.weight == pytest.approx(1.0 / (1.0 + 20.0 * (0.1**2 - 0.01**2) / 0.2**2))
 
 
 def test_the_posterior_of_a_coefficient_is_that_of_independent_samples():
@@ -73,3 +81,11 @@ def test_a_predicted_error_is_added_with_its_weights():
     np.testing.assert_allclose(seen.rows(seen.simulate(seen.model.chain.stages))[:, 0], expected, atol=1e-9)
     assert stage.parameters() != LearnedError(np.zeros(2), basis).parameters()
     assert [c.companion for c in scatter_of(seen.model).coefficients] == [True, True]
+
+
+def test_a_warm_up_is_no_hole_in_a_record():
+    """The spectrum of what follows it can be read; rows left out in between tear it apart."""
+    rows = np.arange(len(COMMAND))
+    assert not _has_holes(Piece(COMMAND, COMMAND)) and not _has_holes(Piece(COMMAND, COMMAND, rows >= 300))
+    assert not _has_holes(Piece(COMMAND, COMMAND, (rows >= 300) & (rows < 1800)))
+    assert _has_holes(Piece(COMMAND, COMMAND, rows % 100 != 0)) and _has_holes(Piece(COMMAND, COMMAND, abs(rows - 900) > 3))
