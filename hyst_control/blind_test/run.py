@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 Job = tuple[Callable[[Any], str], tuple[Any, ...]]
 """Function that makes a report, and what it takes; it returns the name of the case."""
 
+FAILED = "ended in an error"
+"""Begin of the line that tells of a case without a report."""
+
 CONFUSABLE = {
     "amplifier_lowpass": ("sensor_lowpass", "delay"),
     "sensor_lowpass": ("amplifier_lowpass", "delay"),
@@ -323,15 +326,22 @@ def work(jobs: Sequence[Job], until: float | None = None, note: Callable[[str], 
     """
     begin = time.monotonic()
     for done, name in enumerate(mapped(_in_time, [(job, until) for job in jobs]), 1):
-        if name and (done % 20 == 0 or done == len(jobs)):
+        if name.startswith(FAILED):
+            note(name)
+        elif name and (done % 20 == 0 or done == len(jobs)):
             spent = time.monotonic() - begin
             note(f"{done} of {len(jobs)} diagnosed ({name}), {spent:.0f} s, {spent / done * (len(jobs) - done):.0f} s to go")
 
 
 def _in_time(due: tuple[Job, float | None]) -> str:
-    """The name of the case that was diagnosed, "" after the time."""
+    """The name of the case that was diagnosed, "" after the time, what went wrong of a case that ended in an error."""
     (diagnose, arguments), until = due
-    return "" if until is not None and time.time() > until else diagnose(arguments)
+    if until is not None and time.time() > until:
+        return ""
+    try:
+        return diagnose(arguments)
+    except Exception as error:  # a fault of the diagnosis, or a record that is none: it costs this case, and is told
+        return f"{FAILED}: {arguments[-1]}: {type(error).__name__}: {error}"
 
 
 def add_realized_shrinks(folder: Path, note: Callable[[str], None] = print) -> None:
