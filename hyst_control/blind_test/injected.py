@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.blind_test.error_report import error_report
 from hyst_control.blind_test.injected_machines import SIMULATED, Clean, Machine, mirror_machine, simulated_machine, stack_machine
 from hyst_control.blind_test.injected_plan import planned
 from hyst_control.blind_test.injected_scores import injected_metrics
@@ -263,7 +264,10 @@ def _diagnose_one(job: tuple[str, str]) -> str:
     begin, worked = time.monotonic(), time.process_time()
     warm_up = float(json.loads((place / "case.json").read_text(encoding="utf-8"))["warm_up"])
     clean = [read_bag(path) for path in sorted(place.glob("clean_*"))]
-    document, *_ = diagnosed([read_bag(place / "bag")], load_model(place / "model.yaml"), warm_up=warm_up, baseline=clean)
+    try:
+        document, *_ = diagnosed([read_bag(place / "bag")], load_model(place / "model.yaml"), warm_up=warm_up, baseline=clean)
+    except Exception as error:  # a fault of the diagnosis costs this case
+        document = error_report(error)
     document["seconds"], document["processor_seconds"] = time.monotonic() - begin, time.process_time() - worked
     write_json(Path(out) / "reports" / f"{name}.json", document)
     return name

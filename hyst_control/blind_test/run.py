@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hyst_control.blind_test.error_report import error_report
 from hyst_control.blind_test.published_labels import rounded
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
@@ -419,9 +420,16 @@ def _diagnose_one(job: tuple[str, str, tuple[str, ...]]) -> str:
 
     case, report, without = job
     begin, worked = time.monotonic(), time.process_time()
-    document, diagnosis, better = diagnosed([read_bag(Path(case) / "bag")], load_model(Path(case) / "model.yaml"), without=without)
+    diagnosis = better = None
+    try:
+        document, diagnosis, better = diagnosed(
+            [read_bag(Path(case) / "bag")], load_model(Path(case) / "model.yaml"), without=without
+        )
+    except Exception as error:  # a fault of the diagnosis costs this case
+        document = error_report(error)
     document["seconds"], document["processor_seconds"] = time.monotonic() - begin, time.process_time() - worked
-    document["foreseen"] = foresee(diagnosis, np.load(Path(case) / "next.npy")).document()
+    if diagnosis is not None:
+        document["foreseen"] = foresee(diagnosis, np.load(Path(case) / "next.npy")).document()
     if better is not None:
         save_model(better, Path(report).with_suffix(".yaml"))
     write_json(report, document)

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from hyst_control.blind_test.injected import make
+from hyst_control.blind_test.injected import diagnose_all, load, make
 from hyst_control.blind_test.injected_machines import MODEL_SEEDS, SCORING_SEEDS, TUNING_SEEDS, Clean, Machine, stack_machine
 from hyst_control.blind_test.injected_plan import planned
 from hyst_control.blind_test.injected_scores import injected_metrics, is_covered, named_exactly, named_right, quiet
@@ -183,3 +183,16 @@ def test_scoring_and_tuning_draw_from_different_records():
         for index, clean in machine.same.items():
             np.testing.assert_allclose(clean.command, machine.cases[index].command, atol=0.02 * np.ptp(clean.command))
     assert not {*TUNING_SEEDS} & {*SCORING_SEEDS} and not {*MODEL_SEEDS} & {*TUNING_SEEDS, *SCORING_SEEDS}
+
+
+def test_a_diagnosis_that_ends_in_an_error_costs_its_case(tmp_path):
+    """Every score counts it as wrong; nothing is asked of what is no record."""
+    place = tmp_path / "cases" / "case_0000"
+    place.mkdir(parents=True)
+    (place / "case.json").write_text('{"warm_up": 0.0}')
+    (tmp_path / "labels.json").write_text(json.dumps({"cases": [{**LABEL, "name": "case_0000"}]}))
+    diagnose_all(tmp_path, note=lambda _: None)
+    (row,) = load(tmp_path)
+    assert row[1]["verdict"] == "error" and "bag" in row[1]["error"]
+    assert not named_right(*row) and not named_exactly(*row) and not quiet(row[1]) and is_covered(*row) is None
+    assert next(metric for metric in injected_metrics([row]) if "top-1" in metric.name).value == 0.0
