@@ -7,7 +7,6 @@ Every size is a multiple of what the identified model leaves on clean records th
 from __future__ import annotations
 
 import hashlib
-import json
 import shutil
 import time
 from collections.abc import Callable, Sequence
@@ -17,13 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.blind_test.error_report import error_report
 from hyst_control.blind_test.injected_machines import SIMULATED, Clean, Machine, mirror_machine, simulated_machine, stack_machine
 from hyst_control.blind_test.injected_plan import planned
 from hyst_control.blind_test.injected_scores import injected_metrics
 from hyst_control.blind_test.injections import apply_all, size_of, strength_of, structural_rms
 from hyst_control.blind_test.published_labels import rounded
 from hyst_control.errors import InputError
-from hyst_control.files import write_json
+from hyst_control.files import read_json, write_json
 from hyst_control.records.record import Record, Signal
 from hyst_control.reporting.tables import Table
 
@@ -68,7 +68,7 @@ def make(out: str, seed: int, count: int, plants: Sequence[str] | None = None, n
     folder, labels = Path(out), Path(out) / "labels.json"
     given: dict[str, Any] = {"seed": seed, "count": count, "plants": list(plants or PLANTS)}
     if labels.exists():
-        known = json.loads(labels.read_text(encoding="utf-8"))
+        known = read_json(labels)
         if {name: known.get(name) for name in given} != given:
             raise InputError(f"{labels}: holds cases of another seed, count or plants: choose another folder")
         note(f"labels: SHA-256 {_digest(labels)}")
@@ -205,7 +205,7 @@ def diagnose_all(folder: Path, note: Callable[[str], None] = print) -> None:
     note
         Called with every line of progress.
     """
-    from hyst_control.blind_test.run import work
+    from hyst_control.blind_test.diagnosis_queue import work
 
     work(jobs_of(folder), None, note)
 
@@ -242,9 +242,9 @@ def load(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
     list[tuple[dict[str, Any], dict[str, Any]]]
         Label and report of each.
     """
-    documents = json.loads((folder / "labels.json").read_text(encoding="utf-8"))["cases"]
+    documents = read_json(folder / "labels.json")["cases"]
     found = [(one, folder / "reports" / f"{one['name']}.json") for one in documents]
-    return [(one, json.loads(path.read_text(encoding="utf-8"))) for one, path in found if path.exists()]
+    return [(one, read_json(path)) for one, path in found if path.exists()]
 
 
 def _record(machine: Machine, command: Array, measurement: Array, name: str) -> Record:
@@ -261,9 +261,12 @@ def _diagnose_one(job: tuple[str, str]) -> str:
     out, name = job
     place = Path(out) / "cases" / name
     begin, worked = time.monotonic(), time.process_time()
-    warm_up = float(json.loads((place / "case.json").read_text(encoding="utf-8"))["warm_up"])
+    warm_up = float(read_json(place / "case.json")["warm_up"])
     clean = [read_bag(path) for path in sorted(place.glob("clean_*"))]
-    document, *_ = diagnosed([read_bag(place / "bag")], load_model(place / "model.yaml"), warm_up=warm_up, baseline=clean)
+    try:
+        document, *_ = diagnosed([read_bag(place / "bag")], load_model(place / "model.yaml"), warm_up=warm_up, baseline=clean)
+    except Exception as error:  # a fault of the diagnosis costs this case
+        document = error_report(error)
     document["seconds"], document["processor_seconds"] = time.monotonic() - begin, time.process_time() - worked
     write_json(Path(out) / "reports" / f"{name}.json", document)
     return name

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import time
 from collections.abc import Callable, Sequence
@@ -15,7 +14,7 @@ from hyst_control.blind_test.withheld_scores import add, add_summary
 from hyst_control.diagnose.gap_report import sentence
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.errors import InputError
-from hyst_control.files import write_json
+from hyst_control.files import read_json, write_json
 from hyst_control.parallel import map_forked
 from hyst_control.reporting.tables import Table
 from hyst_control.reproduction import fsm_cubespec_records as mirror
@@ -100,8 +99,8 @@ def report_on(case: Withheld, folder: Path) -> dict[str, Any]:
     path = folder / (re.sub(r"[^a-z0-9]+", "_", f"{case.plant} {case.element}".lower()).strip("_") + ".json")
     digest = case.digest()
     if path.exists():
-        kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if kept["case"] == digest:
+        kept = read_json(path)
+        if kept.get("case") == digest:
             return kept
     begin = time.monotonic()
     report = {**diagnosed([case.record], case.model, warm_up=case.warm_up)[0], "case": digest}

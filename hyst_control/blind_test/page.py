@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hyst_control.blind_test.error_report import VERDICT
 from hyst_control.blind_test.injected_scores import Row, named_exactly, named_right, quiet
 from hyst_control.blind_test.metric import Metric
 from hyst_control.blind_test.scores import Pair, confusion, worst
@@ -155,7 +156,7 @@ def _row(case: Mapping[str, Any], report: dict[str, Any]) -> dict[str, object]:
         "noise_percent": 100 * label["noise"],
         "effects": "; ".join(map(_effect, label["effects"])) or label["kind"],
         "gap_over_noise": label["gap_rms"] / label["noise_rms"],
-        "sentence": sentence(report),
+        "sentence": report["error"] if report["verdict"] == VERDICT else sentence(report),
     }
 
 

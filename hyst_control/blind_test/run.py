@@ -16,6 +16,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hyst_control.blind_test.diagnosis_queue import Job, interleaved, work
+from hyst_control.blind_test.error_report import error_report
 from hyst_control.blind_test.published_labels import rounded
 from hyst_control.errors import InputError
 from hyst_control.files import read_json, write_json
@@ -24,9 +26,6 @@ from hyst_control.reporting.tables import Table
 
 if TYPE_CHECKING:
     from hyst_control.blind_test.case import Case
-
-Job = tuple[Callable[[Any], str], tuple[Any, ...]]
-"""Function that makes a report, and what it takes; it returns the name of the case."""
 
 CONFUSABLE = {
     "amplifier_lowpass": ("sensor_lowpass", "delay"),
@@ -282,7 +281,7 @@ def jobs_of(folder: Path, left_out: int = 0) -> list[Job]:
     jobs: list[Job] = []
     for name in ("reports", "reports_left_out"):
         (folder / name).mkdir(exist_ok=True)
-    for case in json.loads((folder / "labels.json").read_text(encoding="utf-8"))["cases"]:
+    for case in read_json(folder / "labels.json")["cases"]:
         place, label = str(folder / "cases" / case["name"]), case["label"]
         jobs.append((_diagnose_one, (place, str(folder / "reports" / f"{case['name']}.json"), ())))
         name = (label["names"] or [""])[0]
@@ -291,48 +290,6 @@ def jobs_of(folder: Path, left_out: int = 0) -> list[Job]:
             without = (name, *CONFUSABLE.get(name, ()))
             jobs.append((_diagnose_one, (place, str(folder / "reports_left_out" / f"{case['name']}.json"), without)))
     return [job for job in jobs if not Path(job[1][1]).exists()]
-
-
-def interleaved(first: Sequence[Job], second: Sequence[Job]) -> list[Job]:
-    """Mix two lists evenly, so that a run that is stopped has done the same part of both.
-
-    Parameters
-    ----------
-    first, second
-        Two lists.
-
-    Returns
-    -------
-    list[Job]
-        All of them, each list's in its order.
-    """
-    placed = [((index + 0.5) / len(jobs), job) for jobs in (first, second) for index, job in enumerate(jobs)]
-    return [job for _, job in sorted(placed, key=lambda each: each[0])]
-
-
-def work(jobs: Sequence[Job], until: float | None = None, note: Callable[[str], None] = print) -> None:
-    """Do diagnoses, one process per core.
-
-    Parameters
-    ----------
-    jobs
-        The diagnoses.
-    until
-        Time of the clock at which no further one begins, s; None: all are done.
-    note
-        Called with every line of progress.
-    """
-    begin = time.monotonic()
-    for done, name in enumerate(map_spawned(_in_time, [(job, until) for job in jobs]), 1):
-        if name and (done % 20 == 0 or done == len(jobs)):
-            spent = time.monotonic() - begin
-            note(f"{done} of {len(jobs)} diagnosed ({name}), {spent:.0f} s, {spent / done * (len(jobs) - done):.0f} s to go")
-
-
-def _in_time(due: tuple[Job, float | None]) -> str:
-    """The name of the case that was diagnosed, "" after the time."""
-    (diagnose, arguments), until = due
-    return "" if until is not None and time.time() > until else diagnose(arguments)
 
 
 def add_realized_shrinks(folder: Path, note: Callable[[str], None] = print) -> None:
@@ -410,9 +367,16 @@ def _diagnose_one(job: tuple[str, str, tuple[str, ...]]) -> str:
 
     case, report, without = job
     begin, worked = time.monotonic(), time.process_time()
-    document, diagnosis, better = diagnosed([read_bag(Path(case) / "bag")], load_model(Path(case) / "model.yaml"), without=without)
+    diagnosis = better = None
+    try:
+        document, diagnosis, better = diagnosed(
+            [read_bag(Path(case) / "bag")], load_model(Path(case) / "model.yaml"), without=without
+        )
+    except Exception as error:  # a fault of the diagnosis costs this case
+        document = error_report(error)
     document["seconds"], document["processor_seconds"] = time.monotonic() - begin, time.process_time() - worked
-    document["foreseen"] = foresee(diagnosis, np.load(Path(case) / "next.npy")).document()
+    if diagnosis is not None:
+        document["foreseen"] = foresee(diagnosis, np.load(Path(case) / "next.npy")).document()
     if better is not None:
         save_model(better, Path(report).with_suffix(".yaml"))
     write_json(report, document)
@@ -428,7 +392,7 @@ def _add_realized_shrink(job: tuple[dict[str, Any], str, str]) -> None:
     from hyst_control.model_file import load_model, simulate
 
     document, path, nominal = job
-    report = json.loads(Path(path).read_text(encoding="utf-8"))
+    report = read_json(path)
     case = _fresh(
         Case(
             document["name"],

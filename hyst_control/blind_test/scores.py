@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import mannwhitneyu
 
+from hyst_control.blind_test.error_report import VERDICT
 from hyst_control.blind_test.metric import Metric, proportion
 from hyst_control.effects import EFFECTS
 from hyst_control.reporting.tables import Table
@@ -88,7 +89,7 @@ def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric
         "false alarm on records without a gap",
         0.02,
         none,
-        lambda pair: pair[1]["verdict"] in ("effect", "ambiguous", "unknown"),
+        lambda pair: pair[1]["verdict"] in ("effect", "ambiguous", "unknown", VERDICT),
         False,
     )
     share(
@@ -207,7 +208,7 @@ def confusion(pairs: Sequence[Pair]) -> tuple[list[str], list[str], np.ndarray]:
             truth = _truth(pair)[0] if kind == "single" else kind.replace("none", "no_gap")
             verdict = pair[1]["verdict"]
             counts[truth, _named(pair)[0] if verdict in ("effect", "ambiguous") and _named(pair) else verdict] += 1
-    order = [*EFFECTS, "no_gap", "parameters", "open_set", "unknown"]
+    order = [*EFFECTS, "no_gap", "parameters", "open_set", "unknown", VERDICT]
     rows = sorted({row for row, _ in counts}, key=order.index)
     columns = sorted({column for _, column in counts}, key=order.index)
     return rows, columns, np.array([[counts[row, column] for column in columns] for row in rows])

@@ -147,6 +147,8 @@ def _distance(part: AxisDiagnosis, rivals: Sequence[Scored], command: Array) -> 
             continue
         members = type(scored.candidate)(tuple(replace(member, problem=fresh) for member in scored.candidate.members))
         predictions.append(linearised.simulate(np.zeros(linearised.count), members.unknowns(), scored.solution.x))
+    if not all(np.isfinite(rows).all() for rows in (*predictions, linearised.columns)):
+        raise InputError("a prediction leaves the finite under this excitation: it separates nothing")
     distances = []
     for i, one in enumerate(predictions):
         for other in predictions[i + 1 :]:

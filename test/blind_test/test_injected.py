@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from hyst_control.blind_test.injected import make
-from hyst_control.blind_test.injected_machines import Clean, Machine
+from hyst_control.blind_test.injected import diagnose_all, load, make
+from hyst_control.blind_test.injected_machines import MODEL_SEEDS, SCORING_SEEDS, TUNING_SEEDS, Clean, Machine, stack_machine
 from hyst_control.blind_test.injected_plan import planned
 from hyst_control.blind_test.injected_scores import injected_metrics, is_covered, named_exactly, named_right, quiet
 from hyst_control.blind_test.injections import OPEN_SET, SINGLES, apply_all, strength_of
@@ -127,7 +127,7 @@ def test_a_plan_has_every_row_of_the_table_from_the_first_round_on():
     assert {(mode, size) for kind, mode, size in first if kind == "single"} == sizes
     assert {kind for kind, *_ in first} == {"single", "pair", "open_set", "none"}
     untouched = [(cell.machine.name, cell.record, cell.mode) for cell in cells if cell.kind == "none"]
-    assert len(untouched) == len(set(untouched)) == 14  # the same input has the same report
+    assert len(untouched) == len(set(untouched)) == 10  # the same input has the same report
     assert not any(one.name.startswith("offset") for cell in cells for one in cell.injections)
 
 
@@ -165,3 +165,34 @@ def test_one_page_shows_both_tests(tmp_path):
     assert "| case_0000 | stack: full, row 0 | none | delay (sensor) | 3 | effect | delay | yes |" in text
     write_injected_page(path, injected_metrics(rows), rows, "blind-test --injected --seed 7", "c" * 64)
     assert "c" * 64 in path.read_text()
+
+
+def test_scoring_and_tuning_draw_from_different_records():
+    try:
+        tuning, scoring = stack_machine(False), stack_machine(True)
+    except InputError as error:
+        pytest.skip(str(error))
+
+    def stretches(machine: Machine) -> list[tuple[str, int]]:
+        return [(name, int(row)) for name, row in (clean.name.split(", row ") for clean in machine.cases)]
+
+    assert len(scoring.cases) > 8 and len(tuning.cases) >= 3
+    for name, row in stretches(scoring):
+        assert all(name != other or abs(row - begin) >= 1600 for other, begin in stretches(tuning))
+    for machine in (tuning, scoring):
+        for index, clean in machine.same.items():
+            np.testing.assert_allclose(clean.command, machine.cases[index].command, atol=0.02 * np.ptp(clean.command))
+    assert not {*TUNING_SEEDS} & {*SCORING_SEEDS} and not {*MODEL_SEEDS} & {*TUNING_SEEDS, *SCORING_SEEDS}
+
+
+def test_a_diagnosis_that_ends_in_an_error_costs_its_case(tmp_path):
+    """Every score counts it as wrong; nothing is asked of what is no record."""
+    place = tmp_path / "cases" / "case_0000"
+    place.mkdir(parents=True)
+    (place / "case.json").write_text('{"warm_up": 0.0}')
+    (tmp_path / "labels.json").write_text(json.dumps({"cases": [{**LABEL, "name": "case_0000"}]}))
+    diagnose_all(tmp_path, note=lambda _: None)
+    (row,) = load(tmp_path)
+    assert row[1]["verdict"] == "error" and "bag" in row[1]["error"]
+    assert not named_right(*row) and not named_exactly(*row) and not quiet(row[1]) and is_covered(*row) is None
+    assert next(metric for metric in injected_metrics([row]) if "top-1" in metric.name).value == 0.0
