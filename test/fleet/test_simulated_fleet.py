@@ -70,12 +70,21 @@ def test_scores(tmp_path, capsys):
     onsets = [{"unit": unit, "moment": moment, "probability": p} for unit, moment, p in
               [("u0", 10.0, 1.0), ("u0", 3.0, 0.9), ("u1", 11.0, 1.0), ("u2", 13.0, 1.0), ("u7", 4.0, 1.0)]]  # fmt: skip
     study = {"onsets": onsets, "trends": [], "common_causes": [{"column": "driver", "value": "d1"}]}
-    (tmp_path / "fleet.json").write_text(json.dumps(study))
-    words = ["fleet", "score", str(tmp_path), "--labels", str(tmp_path / "labels.json"), "--json", str(tmp_path / "out.json")]
+    (tmp_path / "study").mkdir()
+    (tmp_path / "study" / "fleet.json").write_text(json.dumps(study))
+    words = [
+        "fleet",
+        "score",
+        str(tmp_path / "study"),
+        "--labels",
+        str(tmp_path / "labels.json"),
+        "--json",
+        str(tmp_path / "out.json"),
+    ]
     assert main(words) == 0
     rows = {row["quantity"]: row["value"] for row in json.loads((tmp_path / "out.json").read_text())["rows"]}
     assert rows == pytest.approx(
         {"precision": 3 / 4, "recall": 3 / 4, "night within 1": 2 / 3, "driver named": 1.0, "other drivers named": 0.0}
     )
-    (tmp_path / "fleet.json").write_text("[]")
+    (tmp_path / "study" / "fleet.json").write_text("[]")
     assert main(words) == 2 and "fleet.json" in capsys.readouterr().err

@@ -58,7 +58,7 @@ class Receiver:
     def __init__(self):
         self.handed = []
 
-    def hand(self, raw):
+    def hand(self, raw, block=None):
         self.handed.append(raw)
 
 

@@ -213,7 +213,7 @@ def test_nodes_that_join_late_find_the_loop_running(tmp_path, domain):
     settings = parameters(tmp_path, 400)
     for own in settings.values():
         own.update({"schedule": "timer", "rate_hz": 500.0})
-    settings["reference_generator"].update(ticks=0)
+    settings["plant"].update(ticks=0)
     settings["recorder"].update(ticks=400, merge=8)
     with Processes(tmp_path / "log", domain) as processes:
         processes.compose({name: settings[name] for name in ("reference_generator", "hampi_feedforward", "plant")})
