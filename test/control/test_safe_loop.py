@@ -182,3 +182,58 @@ def test_watchdog_passes_fresh_commands_unchanged():
     watchdog.apply(np.zeros(1))
     for row in random.normal(0, 30, (100, 1)):
         assert watchdog.apply(row) is row
+
+
+def test_open_loop_stops_at_a_fault_and_comes_back():
+    """A fault of the loop leads every axis to the safe value at the safe rate; afterwards it is led back to the feedforward."""
+    loop = made()
+    rows = np.full((40, 2), 10.0)
+    command, _ = loop.open(rows)
+    np.testing.assert_array_equal(command[-1], [10.0, 10.0])
+    assert not loop.away
+    stopped = np.concatenate([loop.open(rows[:5], "stale")[0] for _ in range(3)])
+    np.testing.assert_allclose(stopped[:, 0], np.maximum(10.0 - RATE * PERIOD * np.arange(1, 16), SAFE), atol=1e-12)
+    assert loop.away and loop.at_safe_value
+    back = np.concatenate([loop.open(rows[:1])[0] for _ in range(30)])
+    assert back[0, 0] == SAFE and back[-1, 0] == 10.0
+    assert np.abs(np.diff(back[:, 0])).max() <= RATE * PERIOD * (1 + 1e-9)
+    assert not loop.away and loop.faults.present == ["", ""]
+
+
+def test_one_axis_in_open_loop_stops_alone_if_told_so():
+    """An axis whose controller overflows is stopped; the other goes on with its feedforward."""
+    loop = made(stop_all=False)
+    loop.open(np.full((40, 2), 10.0))
+    loop._overflowed = (0,)
+    command = np.concatenate([loop.open(np.full((1, 2), 10.0))[0] for _ in range(2)])
+    np.testing.assert_allclose(command, [[9.0, 10.0], [8.0, 10.0]], atol=1e-12)
+    assert loop.faults.present == [OVERFLOW, ""]
+
+
+def test_without_integral_action_a_stopped_axis_is_led_back():
+    """Proportional control has no state that remembers the command: the way back is a ramp at the safe rate, without a jump."""
+    loop = made(kp=5.0, ki=0.0)
+    wanted, measured = np.full((1, 2), 2.0), np.zeros((1, 2))
+    for k in range(20):
+        loop.closed(wanted, measured + 1e-3 * k, measured)
+    np.testing.assert_allclose(loop.controller.command, 10.0, atol=0.2)
+    for k in range(30):
+        loop.closed(wanted, measured + 1e-3 * k, measured, "stale")
+    np.testing.assert_array_equal(loop.controller.command, [SAFE, SAFE])
+    last, rows = loop.controller.command, []
+    for k in range(30):
+        rows.append(loop.closed(wanted, measured + 1e-3 * k, measured)[0][0])
+    steps = np.diff(np.array([last, *rows]), axis=0)
+    assert np.abs(steps).max() <= RATE * PERIOD * (1 + 1e-9)
+    np.testing.assert_allclose(rows[-1], 10.0, atol=0.2)
+    assert not loop.away
+
+
+def test_limits_go_on_to_their_new_values_while_the_loop_is_stopped():
+    loop = made()
+    loop.open(np.full((60, 2), 15.0))
+    loop.change(replace(loop.controller.description, upper=12.0))
+    command = np.concatenate([loop.stopped_by("stale", 2)[0] for _ in range(5)])
+    np.testing.assert_allclose(command[:, 0], np.maximum(15.0 - RATE * PERIOD * np.arange(1, 11), SAFE), atol=1e-12)
+    assert loop.controller.description.upper == 12.0
+    assert loop._limits is None, "nothing is left to move"

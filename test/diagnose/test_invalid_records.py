@@ -56,6 +56,14 @@ def test_the_report_names_the_reason_and_fits_nothing(name, sound, tmp_path, mon
     assert "is no measurement of its command" in capsys.readouterr().out and name.replace("_", " ") in page.read_text()
 
 
+def test_the_report_has_the_gap_of_the_record(sound):
+    """The gap is that of the model's simulation, whatever the record is."""
+    model, command, measurement = sound
+    document, _ = invalid_report([record(model, command, -measurement)], model)
+    assert document["gap"]["rms"] == pytest.approx(np.sqrt(np.mean((-measurement - simulate(model, command)) ** 2)), rel=1e-9)
+    assert document["gap"]["nrmse"] == pytest.approx(100.0 * document["gap"]["rms"] / np.ptp(measurement), rel=1e-9)
+
+
 def test_a_sound_record_is_diagnosed(sound):
     model, command, measurement = sound
     assert invalid_report([record(model, command, measurement)], model) is None

@@ -46,7 +46,12 @@ BAGS = (REFUSALS, "test/records/test_hostile_bags.py", "test/records/test_bag_wr
 TABLES = (REFUSALS, "test/records/test_hostile_tables.py", "test/records/test_importing.py")
 ENTRY = ("test/nodes/test_entry.py",)
 VALIDITY = ("test/records/test_record_validity.py", "test/diagnose/test_invalid_records.py")
-LOOP = ("test/control/test_sensor_watch.py", "test/control/test_safe_loop.py", "test/control/test_pi.py")
+LOOP = (
+    "test/control/test_sensor_watch.py",
+    "test/control/test_safe_loop.py",
+    "test/control/test_live_changes.py",
+    "test/control/test_pi.py",
+)
 
 
 @dataclass(frozen=True)

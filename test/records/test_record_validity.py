@@ -394,3 +394,14 @@ def test_findings_of_several_records_are_told_as_the_first_and_their_number():
         refuse_invalid([sound, changed(dead, name="dead")])
     with pytest.raises(InputError, match=r"one: a: .* \(and 1 more findings\)$"):
         refuse_invalid([changed(dead, name="one"), changed(dead, name="two")])
+
+
+def test_of_a_short_record_only_a_dead_sensor_is_told():
+    """Coherence and lag of a few hundred samples say nothing."""
+    random = np.random.default_rng(2)
+    command = 20.0 * np.sin(np.arange(600) / 30.0)[:, None]
+    noise = Trial("short", command, random.standard_normal((600, 1)), 1e-3, ("x",))
+    assert names(noise) == set()
+    assert names(changed(noise, measurement=np.zeros((600, 1)))) == {"dead_sensor"}
+    long = changed(noise, np.tile(command, (4, 1)), random.standard_normal((2400, 1)))
+    assert names(long) != set(), "of a longer one it is told"
