@@ -164,7 +164,7 @@ def unit_scatter(draws: int = 8) -> float:
     float
         In the measurement unit.
     """
-    measured = np.array([_measured({}, _coefficients(index, SCATTER), index, 0.0) for index in range(draws)])
+    measured = np.array([_measured({}, scatter(PLANT, index, SCATTER), index, 0.0) for index in range(draws)])
     return float(np.sqrt(np.mean(measured.var(axis=0, ddof=1))))
 
 
@@ -212,10 +212,6 @@ def _gap(effect: Mapping[str, Any]) -> float:
     return float(np.sqrt(np.mean((changed - whole) ** 2)))
 
 
-def _coefficients(seed: int, size: float) -> dict[str, Any]:
-    return scatter(PLANT, seed, size)
-
-
 def _measured(effect: Mapping[str, Any], coefficients: Mapping[str, Any], seed: int, noise: float) -> Array:
     """Measurement (N,) of a night."""
     setup, rows = SETUPS[PLANT], command()
@@ -242,7 +238,7 @@ def _record_unit(job: tuple[Unit, Array, str]) -> str:
     unit, temperatures, folder = job
     rows, setup = command(), SETUPS[PLANT]
     time = np.arange(len(rows), dtype=np.float64) * setup.sample_time
-    coefficients = _coefficients(unit.seed, SCATTER)
+    coefficients = scatter(PLANT, unit.seed, SCATTER)
     for night, temperature in enumerate(temperatures):
         random = np.random.default_rng([unit.seed, night])
         tonight = _moved_all(coefficients, random)

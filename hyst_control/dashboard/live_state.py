@@ -137,7 +137,7 @@ class LiveState:
         self.gap = Trace(6.0 * window)
         """Gap of every judged window, in % of the range, and its alarm (0 or 1)."""
         self.answers: deque[str] = deque(maxlen=5)
-        """What was asked of the nodes and what they answered, the newest last."""
+        """Requests to the nodes and their answers, the newest last."""
         self._lock = threading.Lock()
         self._turn: tuple[tuple[str, ...], Array] = ((), np.zeros((0, 1)))
         self._nodes: dict[str, NodeState] = {}

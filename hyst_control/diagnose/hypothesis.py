@@ -40,7 +40,7 @@ class Member:
     elsewhere: str = ""
     """Place, where it is not the effect's usual one."""
     apart: bool = False
-    """Whether each of the axes has a size of its own: the parameters are then those of one axis after those of the other."""
+    """True where each axis has a size of its own: the parameters are then those of one axis after those of the other."""
 
     @property
     def name(self) -> str:

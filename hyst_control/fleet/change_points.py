@@ -113,7 +113,7 @@ class _UnitFit:
         return float(np.logaddexp(self.shifts.evidence(tau)[0], self.trend.evidence(tau)[0]) - np.log(2.0))
 
     def drifts(self, tau: float) -> bool:
-        """Whether the trend explains the record better than the shifts."""
+        """True where a trend explains the record better than the shifts."""
         return self.trend.evidence(tau)[0] > self.shifts.evidence(tau)[0]
 
 

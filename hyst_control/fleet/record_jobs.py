@@ -70,9 +70,7 @@ def mark(job: RecordJob, version: str) -> str:
     """
     digest = hashlib.sha256(repr((job.kind, sorted(job.options.items()), version)).encode())
     for path in (job.entry.bag, *job.entry.baseline):
-        for file in _files(Path(path)):
-            found = os.stat(file)
-            digest.update(repr((file.name, found.st_size, found.st_mtime_ns)).encode())
+        digest.update(bag_stamp(path).encode())
     if job.entry.model:
         digest.update(Path(job.entry.model).read_bytes())
     return digest.hexdigest()
@@ -86,8 +84,11 @@ def _own_file(job: RecordJob, kind: str, ending: str) -> Path:
     return folder / f"{name}_{hashlib.sha256(job.entry.bag.encode()).hexdigest()[:8]}{ending}"
 
 
-def _files(path: Path) -> list[Path]:
-    return sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
+def bag_stamp(bag: str) -> str:
+    """Names, sizes and times of change of a bag's files: another text where the bag is another one. Raises `OSError`."""
+    path = Path(bag)
+    files = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
+    return "".join(repr((file.name, found.st_size, found.st_mtime_ns)) for file in files for found in [os.stat(file)])
 
 
 def _identify(job: RecordJob) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,6 +10,7 @@ from pathlib import Path
 
 from hyst_control.errors import InputError
 from hyst_control.fleet.manifest import Entry
+from hyst_control.fleet.record_jobs import bag_stamp
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
@@ -73,8 +73,7 @@ def split_axes(entries: Sequence[Entry], folder: Path, namespace: str | None = N
 
 def _split(bag: str, folder: Path, namespace: str | None, unit: str) -> dict[str, str]:
     """Paths of a bag's parts by axis; written under another name and renamed as a whole."""
-    stamp = repr([(str(file), os.stat(file).st_size, os.stat(file).st_mtime_ns) for file in _files(Path(bag))])
-    place = folder / f"{Path(bag).name}_{hashlib.sha256((bag + stamp).encode()).hexdigest()[:12]}"
+    place = folder / f"{Path(bag).name}_{hashlib.sha256((bag + bag_stamp(bag)).encode()).hexdigest()[:12]}"
     try:
         record = read_bag(bag, namespace, unit)
     except InputError as error:
@@ -96,7 +95,3 @@ def _split(bag: str, folder: Path, namespace: str | None, unit: str) -> dict[str
             write_bag(part / axis, Record(own, f"{record.source} {axis}", hold=record.hold))
         part.rename(place)
     return {axis: str(place / axis) for axis in axes}
-
-
-def _files(path: Path) -> list[Path]:
-    return sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]

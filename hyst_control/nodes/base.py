@@ -159,7 +159,7 @@ class SignalNode(EndingNode):
 
     COMMON_SETTINGS = COMMON
     REMEDIES: Mapping[str, str] = {}
-    """What to do when the node waits for a topic, by topic."""
+    """Remedies for a topic that does not come, by topic."""
 
     def __init__(self, name: str, **options: Any) -> None:
         self.polled: list[PolledSubscription] = []

@@ -372,7 +372,7 @@ def _numbers(cells: Sequence[str], comma: bool) -> bool:
 
 
 def _wordy(cells: Sequence[str], comma: bool) -> bool:
-    """Whether cells are names or units: there are some, and none is a number."""
+    """True where cells are names or units: there are some, and none is a number."""
     return any(cells) and not any(cell and _numeric(cell.replace(",", ".") if comma else cell) for cell in cells)
 
 

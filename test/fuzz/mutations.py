@@ -200,7 +200,7 @@ def _key(code: CodeType) -> tuple[object, ...]:
 
 @dataclass
 class Runs:
-    """What the tests do without a mutant: seconds of each, the lines that each reaches, and those that failed."""
+    """Course of the tests without a mutant: seconds of each, the lines that each reaches, and those that failed."""
 
     seconds: dict[str, float] = field(default_factory=dict)
     lines: dict[str, set[tuple[str, int]]] = field(default_factory=dict)

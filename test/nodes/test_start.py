@@ -1,4 +1,4 @@
-"""What a node imports before it can tick: every second of it is waited for at each start, and in a restart after a fault."""
+"""Imports of a node before it can tick: every second of them is waited for at each start, and in a restart after a fault."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a ROS user meets: parameters that are refused, changed and described, states in the log, arguments of the executables."""
+"""Nodes as a ROS user meets them: parameters that are refused, changed and described, states in the log, arguments of the executables."""
 
 from __future__ import annotations
 
