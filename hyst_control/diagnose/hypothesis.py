@@ -300,7 +300,7 @@ class Member:
                 before, now = (1.0 - keep) / rate - keep, 1.0 - (1.0 - keep) / rate
                 other, _ = lfilter([now, before], [1.0, -keep], other, zi=[other[0] * (1.0 - now)])
             found.append(piece.counted(values["coupling"] * other))
-        return np.asarray(np.concatenate(found) / self.problem.sigma[0], dtype=np.float64)
+        return self.problem.whitened(np.asarray(np.concatenate(found) / self.problem.sigma[0], dtype=np.float64))
 
     @cached_property
     def _line_scale(self) -> float:
@@ -357,7 +357,7 @@ class Member:
         """Signals (N,) of one axis of every piece, as all axes' flat vector."""
         block = np.zeros((sum(map(len, pieces)), len(self.problem.model.axes)))
         block[:, 0 if self.axis is None else self.axis] = np.concatenate(pieces)
-        return block.reshape(-1)
+        return self.problem.whitened(block.reshape(-1))
 
 
 @dataclass(frozen=True)

@@ -151,7 +151,8 @@ def search(
     """
     settings, thresholds = configuration.search, configuration.policy
     beam, depth = settings.beam, settings.depth
-    if leaves >= thresholds.own_error_energy:
+    has_own_error = leaves >= thresholds.own_error_energy or linearised.problem.own_spectrum is not None
+    if has_own_error:
         depth = min(depth, settings.depth_with_own_error)
     strained = partial(_strained, thresholds=thresholds)
     none = Scored(None, settled(linearised), 0.0)
@@ -195,7 +196,7 @@ def search(
     def scored(candidate: Candidate, solution: Solution) -> Scored:
         count = len(candidate.members)
         # Every parameter beyond the first may also follow the model's own error, which is no white noise.
-        further = settings.own_error_parameter * (len(solution.x) - count) if leaves >= thresholds.own_error_energy else 0.0
+        further = settings.own_error_parameter * (len(solution.x) - count) if has_own_error else 0.0
         gain = temper * (none.solution.misfit - solution.misfit)
         return Scored(candidate, solution, gain - _occam(solution, temper) - count * alternatives - further)
 

@@ -213,6 +213,7 @@ def cache_key(linearised: Linearised, members: Sequence[Member], seed: int, conf
         "model": model_to_document(problem.model),
         "sample_time": problem.sample_time,
         "weight": float(f"{problem.weight:.1g}"),  # of the model's own error
+        "own_error": None if problem.own_spectrum is None else problem.own_spectrum.digest(),
         "hold": problem.hold,
         # A noise that is a little different has the same threshold.
         "noise": [float(f"{value:.1g}") for value in problem.sigma],
