@@ -303,8 +303,14 @@ class Member:
         return self.problem.whitened(np.asarray(np.concatenate(found) / self.problem.sigma[0], dtype=np.float64))
 
     @cached_property
+    def _line_size(self) -> float:
+        """Noises per unit of x: what the samples of a fit scatter by, which beside the model's own error is more than the noise."""
+        return float(1.0 / np.sqrt(self.problem.weight))
+
+    @cached_property
     def _line_scale(self) -> float:
-        return float(np.mean(self.problem.sigma))
+        """Measurement unit per unit of x."""
+        return float(np.mean(self.problem.sigma)) * self._line_size
 
     @cached_property
     def _frequency_step(self) -> float:
@@ -350,7 +356,7 @@ class Member:
             time = piece.counted(np.arange(len(piece.command), dtype=np.float64)) * self.problem.sample_time
             span = max(len(piece.command) * self.problem.sample_time, 1e-12)
             shapes = np.polynomial.legendre.legvander(2.0 * time / span - 1.0, self.line.swells - 1)
-            found.append((time, np.asarray(shapes, dtype=np.float64)))
+            found.append((time, np.asarray(self._line_size * shapes, dtype=np.float64)))
         return found
 
     def _flat(self, pieces: Sequence[Array]) -> Array:

@@ -29,7 +29,7 @@ from hyst_control.errors import InputError
 from hyst_control.model_file import model_to_document
 from hyst_control.parallel import map_forked
 
-MANY = 100
+MANY = 20
 """Parameters from which an effect's gain by chance is what its evidence takes off for their number (half a logarithm of the information
 of each, never less than its expected gain): as part of the threshold it would hide all effects of few parameters."""
 
