@@ -27,7 +27,7 @@ from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.configuration import BaselineSettings
 from hyst_control.diagnose.error_spectrum import ErrorSpectrum
-from hyst_control.diagnose.initial_memory import initial_memory, wiped_out
+from hyst_control.diagnose.initial_memory import initial_memory, is_new_ground, wiped_out
 from hyst_control.diagnose.noise_floor import noise_between_periods
 from hyst_control.diagnose.problem import Piece, Problem, check_units
 from hyst_control.diagnose.session import CarriedError, ErrorBasis, LearnedError, SessionZero
@@ -251,13 +251,14 @@ def _beside_own_error(
     if clean is not None:
         left = [without_zero(rows)[0] for rows in errors]
         if known is not None:
-            left = [rows - without_zero(_learned_mean(known, piece, len(rows), clean.sample_time))[0] for rows, piece in zip(left, clean.pieces, strict=True)]
+            left = [
+                rows - without_zero(_learned_mean(known, piece, len(rows), clean.sample_time))[0]
+                for rows, piece in zip(left, clean.pieces, strict=True)
+            ]
         rows = max(len(piece.counted(piece.command)) for piece in problem.pieces)
         spectrum = ErrorSpectrum.of(left, problem.sample_time, rows, _slowest(clean))
         floor = np.zeros_like(excess)
-    beside = replace(
-        problem, model=model, slowest=_slowest(problem), own_error=rest, own_correlation=length, own_spectrum=spectrum
-    )
+    beside = replace(problem, model=model, slowest=_slowest(problem), own_error=rest, own_correlation=length, own_spectrum=spectrum)
     return Baseline(beside, False, error, usual, floor, clean, excess, known, mean)
 
 
@@ -295,11 +296,10 @@ def _carried(
     for piece, found in zip(problem.pieces, matches, strict=True):
         filled = [max(_first_counted(piece), _first_counted(match.clean) - match.shift) for match in found]
         begin, end = max(*(match.begin for match in found), *filled), min(match.end for match in found)
-        wiped = wiped_out(piece.command[begin:end])
-        if wiped <= settings.memory_rows * len(piece.command):
-            begin += wiped
         kept = np.zeros(len(piece.command), dtype=bool)
         kept[begin:end] = True
+        kept &= ~_fills_memory(piece.command, begin, end, settings)
+        begin = int(np.argmax(kept))
         whole = kept.all() and piece.keep is None
         pieces.append(replace(piece, keep=None if whole else kept if piece.keep is None else kept & piece.keep))
         simulated = _simulated(problem, len(series), piece)
@@ -310,9 +310,9 @@ def _carried(
         mean = np.mean(errors, axis=0)
         repeating = [noise_between_periods([column], [piece.command]) for column in mean.T]
         series.append(without_noise(mean, np.array(repeating)))
-        differences += [without_zero((error - errors[0])[begin:end])[0] for error in errors[1:]]
+        differences += [without_zero((error - errors[0])[kept])[0] for error in errors[1:]]
         zeros.append(usual_zero(np.array([without_zero((error - series[-1])[begin:end])[1] for error in errors])))
-        run_to_run += [without_zero((error - errors[0])[begin:end])[0] / np.sqrt(2.0) for error in errors[1:]]
+        run_to_run += [without_zero((error - errors[0])[kept])[0] / np.sqrt(2.0) for error in errors[1:]]
         if len(errors) == 1:
             differences += _between_periods(piece.command[begin:end], errors[0][begin:end], settings)
             run_to_run += _beside_periods(piece.command[begin:end], errors[0][begin:end], settings)
@@ -341,6 +341,22 @@ def _carried(
     error = np.sqrt(np.mean(own**2, axis=0))
     floor = settings.same_floor * repeatability
     return Baseline(beside, True, repeatability, usual, floor, clean, error, mean_zero=np.zeros(usual.shape))
+
+
+def _fills_memory(
+    command: Array, begin: int, end: int, settings: BaselineSettings
+) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Rows (N,) from begin on that are left out, because what they hold of the time before the record differs from record to record."""
+    rows = np.arange(len(command))
+    wiped = begin + wiped_out(command[begin:end])
+    most = settings.memory_rows * len(command)
+    if wiped - begin <= most:
+        return np.asarray(rows < wiped)
+    if command.shape[1] > 1:
+        return np.zeros(len(command), dtype=bool)
+    new_ground = np.zeros(len(command), dtype=bool)
+    new_ground[begin:end] = is_new_ground(command[begin:end, 0])
+    return new_ground if np.count_nonzero(new_ground) <= most else np.zeros(len(command), dtype=bool)
 
 
 def without_noise(error: Array, most: Array | float = np.inf) -> Array:

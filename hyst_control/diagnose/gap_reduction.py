@@ -3,7 +3,8 @@
     shrink = 1 - (E_after² - floor²) / (E_before² - floor²)
 
 raw: the nominal model as given before, and with the effects added after; re-identified: its coefficients fitted within their
-tolerance on both sides. Every other block is fitted and the rest evaluated; then the two sets of blocks change roles.
+tolerance on both sides. Every other block is fitted and the rest evaluated; then the two sets of blocks change roles. Companions (a
+session's zero, its initial memory) are free on the blocks that are evaluated too: what they are there, other blocks do not say.
 """
 
 from __future__ import annotations
@@ -74,16 +75,29 @@ def held_out(
     for held in (0, 1):
         weight = (fold != held).astype(float)
         rows = fold == held
+
+        def left(within: Linearised, simulated: Array, rows: Array = rows) -> Array:
+            return _beside_companions(within, in_noise(linearised.measured - simulated), rows) ** 2
+
         alone = fit(without, z=none.solution.z, weight=weight, rounds=settings.rounds)
-        before_fitted[rows] = in_noise(linearised.measured - linearised.simulate(alone.z))[rows] ** 2
+        before_fitted[rows] = left(without, linearised.simulate(alone.z))
         if unknowns is None:
             after_fitted[rows] = before_fitted[rows]
             continue
         both = fit(within, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=settings.rounds)
-        after_fitted[rows] = in_noise(linearised.measured - linearised.simulate(both.z, unknowns, both.x))[rows] ** 2
-        as_given = linearised.simulate(linearised.companions(both.z), unknowns, both.x)
-        after[rows] = in_noise(linearised.measured - as_given)[rows] ** 2
+        after_fitted[rows] = left(within, linearised.simulate(both.z, unknowns, both.x))
+        after[rows] = left(within, linearised.simulate(linearised.companions(both.z), unknowns, both.x))
     return HeldOut(before, after, before_fitted, after_fitted)
+
+
+def _beside_companions(within: Linearised, residual: Array, rows: Array) -> Array:
+    """Those rows of a residual (M,), without what the companions explain of them within their priors."""
+    found = residual[rows]
+    columns = within.columns[:, within.scatter.companions > 0]
+    if not columns.shape[1]:
+        return found
+    own = np.stack([within.problem.in_noise(column) for column in columns.T], axis=1)[rows]
+    return np.asarray(found - own @ np.linalg.solve(own.T @ own + np.eye(own.shape[1]), own.T @ found), dtype=np.float64)
 
 
 def shrink(

@@ -4,7 +4,8 @@ A record begins anywhere in the loops, and what the machine did before is not in
 one begun at the other differ until the command wipes that out: by the wiping-out property of hysteresis (Mayergoyz, Mathematical
 Models of Hysteresis, 1991), at the latest when it has met both its extremes. These differences, for operators of several widths, nearly
 span what an unknown initial memory adds. They are free in every hypothesis where clean records are at hand, as the session's zero is.
-Beside a clean record of the same command, which tells everything else to the noise, the rows before are left out if they are few.
+Beside a clean record of the same command, which tells everything else to the noise, the rows before are left out if they are few, and
+otherwise those in which the command goes beyond all that it has met: only there does the memory change, and between them it is a constant.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ WIDTHS = (0.03, 0.08, 0.15, 0.25, 0.35, 0.45, 0.49)
 """Half widths of the operators, as shares of the command's span; an operator of half the span never moves."""
 NEARLY = 0.05
 """Distance from an extreme, in shares of the span, at which it is nearly met: the rest of the memory is in few operators."""
+SETTLES = 0.01
+"""Share of a record's rows for which what a change of the memory has set off may go on."""
 LEAST = 1e-3
 """Least size at the rows that count, in the largest one of all rows, of a direction that is kept."""
 
@@ -73,6 +76,27 @@ def wiped_out(command: Array) -> int:
     near = NEARLY * np.ptp(command, axis=0)
     met = np.argmax(command >= command.max(axis=0) - near, axis=0), np.argmax(command <= command.min(axis=0) + near, axis=0)
     return int(np.max(met))
+
+
+def is_new_ground(command: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Find the rows in which a command goes beyond all that it has met since its beginning, and those shortly behind.
+
+    Of a hysteresis without rate dependence two different memories of the time before give outputs whose difference changes in these rows
+    alone: what lies within the extremes met so far is the record's own doing (wiping-out property).
+
+    Parameters
+    ----------
+    command : ndarray, shape (N,)
+        V.
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+    """
+    highest, lowest = np.maximum.accumulate(command), np.minimum.accumulate(command)
+    beyond = np.concatenate([[True], (np.diff(highest) > 0.0) | (np.diff(lowest) < 0.0)])
+    last = np.maximum.accumulate(np.where(beyond, np.arange(len(command)), 0))
+    return np.asarray(np.arange(len(command)) - last <= SETTLES * len(command))
 
 
 @njit(cache=True)

@@ -132,7 +132,7 @@ def lowpass_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     return (
         Parameter("cutoff", "Hz", np.inf, starts, lower, nyquist, 1.5, logarithmic=True),
         Parameter("order", "", 1.0, (1.0, 2.0), 1.0, 2.0, 1.0),
-        Parameter("damping", "", 1.0, (0.9,), 0.4, 1.6, 0.3, told=False),
+        Parameter("damping", "", 1.0, (0.9,), 0.4, 1.1, 0.3, told=False),
     )
 
 

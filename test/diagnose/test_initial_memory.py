@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyst_control.diagnose.initial_memory import left_of_memory
+from hyst_control.diagnose.initial_memory import is_new_ground, left_of_memory
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.records.record import Record, Signal
 
@@ -15,9 +15,9 @@ COMMAND = np.interp((TIME * 5.0 + 0.45) % 1.0, [0.0, 0.5, 1.0], [0.0, SPAN, 0.0]
 FILLED = int(np.flatnonzero(COMMAND == COMMAND.min())[0])
 
 
-def machine(before: tuple[float, ...], seed: int, gain: float = 1.0) -> np.ndarray:
+def machine(before: tuple[float, ...], seed: int, gain: float = 1.0, command: np.ndarray = COMMAND) -> np.ndarray:
     """Relays of Preisach's plane, which were led through the extremes `before` the record; a lag; noise. Of this test alone."""
-    history = np.concatenate([np.interp(np.arange(0.0, len(before) - 1, 0.01), np.arange(len(before)), before), COMMAND])
+    history = np.concatenate([np.interp(np.arange(0.0, len(before) - 1, 0.01), np.arange(len(before)), before), command])
     up, down = np.meshgrid(np.linspace(2.0, 98.0, 49), np.linspace(2.0, 98.0, 49))
     up, down = up[up >= down], down[up >= down]
     weight = np.exp(-(((up - down) / 40.0) ** 2))
@@ -25,12 +25,12 @@ def machine(before: tuple[float, ...], seed: int, gain: float = 1.0) -> np.ndarr
     for row, u in enumerate(history):
         state[u >= up], state[u <= down] = 1.0, -1.0
         output[row] = weight @ state / weight.sum()
-    return gain * 10.0 * output[-len(COMMAND) :] + 2e-3 * np.random.default_rng(seed).standard_normal(len(COMMAND))
+    return gain * 10.0 * output[-len(command) :] + 2e-3 * np.random.default_rng(seed).standard_normal(len(command))
 
 
-def record(measurement: np.ndarray, source: str) -> Record:
+def record(measurement: np.ndarray, source: str, command: np.ndarray = COMMAND) -> Record:
     signals = {
-        "command": Signal(TIME, COMMAND[:, None], ("x",), "V"),
+        "command": Signal(TIME, command[:, None], ("x",), "V"),
         "measurement": Signal(TIME, measurement[:, None], ("x",), "um"),
     }
     return Record(signals, source)
@@ -52,3 +52,26 @@ def test_another_history_is_no_effect_and_hides_none():
     assert abs(report["effects"][0]["parameters"]["gain"]["value"] + 0.05) < 2e-3
     same, *_ = diagnosed([record(machine((20.0, 50.0), 3), "new")], None, cache=False, baseline=[record(clean, "clean")])
     assert same["verdict"] == "no_gap"
+
+
+LATE = 50.0 + (20.0 + 30.0 * (TIME > 0.8)) * np.sin(2.0 * np.pi * 5.0 * TIME)
+"""A sine that grows when two thirds of the record are still to come: both extremes are met late, and seldom is anything new."""
+
+
+def test_memory_changes_on_new_ground_alone():
+    new = is_new_ground(LATE)
+    assert 0.05 < new.mean() < 0.4
+    clean = np.random.default_rng(1).standard_normal(len(LATE)), np.random.default_rng(2).standard_normal(len(LATE))
+    difference = machine((20.0, 60.0), 2, command=LATE) - 2e-3 * clean[1] - machine((0.0, 100.0), 1, command=LATE) + 2e-3 * clean[0]
+    steps = np.abs(np.diff(difference, prepend=difference[0]))
+    assert steps[new].max() > 0.05 and steps[~new].max() < 1e-9
+
+
+def test_an_extreme_that_is_met_late_is_no_effect_and_hides_none():
+    clean = record(machine((0.0, 100.0), 1, command=LATE), "clean", LATE)
+    same, *_ = diagnosed([record(machine((20.0, 60.0), 3, command=LATE), "new", LATE)], None, cache=False, baseline=[clean])
+    assert same["verdict"] == "no_gap"
+    report, *_ = diagnosed([record(machine((20.0, 60.0), 2, 0.95, LATE), "new", LATE)], None, cache=False, baseline=[clean])
+    assert [effect["name"] for effect in report["effects"]] == ["gain"]
+    assert abs(report["effects"][0]["parameters"]["gain"]["value"] + 0.05) < 2e-3
+    assert report["effects"][0]["shrink"] > 0.9
