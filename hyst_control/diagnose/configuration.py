@@ -273,6 +273,9 @@ class BaselineSettings:
     """Clean records beside the new one."""
 
     same_command: float = _setting("share of the range, rms", "difference up to which two commands are the same")
+    similar_command: float = _setting(
+        "share of the range, rms", "difference up to which a model carries its error from one command to another"
+    )
     overlap: float = _setting("share of the new record", "least part of it in which they are")
     zero_share: float = _setting("share of the range", "standard deviation of the zero, drift and curvature of a session")
     memory_share: float = _setting(
@@ -286,7 +289,7 @@ class BaselineSettings:
     usual_share: tuple[float, ...] = _setting(
         "share of the range", "zero, drift and curvature that are usual where few clean records are at hand"
     )
-    same_floor: float = _setting("rms between clean records", "least that an effect must take off")
+    same_floor: float = _setting("own error and noise, rms", "least that an effect must take off")
     other_command: float = _setting("own errors", "size of an effect that is named where no clean record has the same command")
     blocks: int = _setting("blocks", "blocks of a record that a remainder is predicted on, each from the others")
 

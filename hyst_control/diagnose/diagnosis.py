@@ -343,7 +343,7 @@ def _axis(
     record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
     findings = detected(record, checks, thresholds)
     suggested = lines(problem, linearised.unexplained(none.residual), configuration.checks)
-    if baseline is not None and baseline.carried and baseline.clean is not None:
+    if baseline is not None and baseline.clean is not None:
         clean_rows = np.split(_residuals(baseline.clean), np.cumsum(_counts(baseline.clean))[:-1])
         suggested = beyond_clean(suggested, problem.rows(none.residual), clean_rows, problem.sample_time, configuration.checks)
     # The first noise estimate still contained spectral leakage from the gap.
@@ -363,7 +363,8 @@ def _axis(
     null = threshold(linearised, members, seed, cache=cache, configuration=configuration)
     floor = _floor(problem, own, configuration)
     if baseline is not None:
-        floor = max(floor, float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2))))
+        least = float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2)))
+        floor = max(floor, least if problem.own_spectrum is None else configuration.baseline.same_floor)
     leaves = max(stated_energy(own, problem.sigma), 1.0 + problem.own_energy)
     found = search(linearised, members, null + thresholds.margin, floor, leaves, progress, configuration)
     collected = collect(found, null, floor, stated, record, checks, configuration)

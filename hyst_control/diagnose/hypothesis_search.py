@@ -151,8 +151,8 @@ def search(
     """
     settings, thresholds = configuration.search, configuration.policy
     beam, depth = settings.beam, settings.depth
-    has_own_error = leaves >= thresholds.own_error_energy or linearised.problem.own_spectrum is not None
-    if has_own_error:
+    whitened = linearised.problem.own_spectrum is not None
+    if leaves >= thresholds.own_error_energy or whitened:
         depth = min(depth, settings.depth_with_own_error)
     strained = partial(_strained, thresholds=thresholds)
     none = Scored(None, settled(linearised), 0.0)
@@ -196,9 +196,11 @@ def search(
     def scored(candidate: Candidate, solution: Solution) -> Scored:
         count = len(candidate.members)
         # Every parameter beyond the first may also follow the model's own error, which is no white noise.
-        further = settings.own_error_parameter * (len(solution.x) - count) if has_own_error else 0.0
+        further = settings.own_error_parameter * (len(solution.x) - count) if leaves >= thresholds.own_error_energy else 0.0
         gain = temper * (none.solution.misfit - solution.misfit)
-        return Scored(candidate, solution, gain - _occam(solution, temper) - count * alternatives - further)
+        # Beside clean records ranges are as wide as physics allows, and say nothing of how probable an effect is.
+        most = 0.5 * np.log(size) if whitened else np.inf
+        return Scored(candidate, solution, gain - _occam(solution, temper, most) - count * alternatives - further)
 
     def ranked(found: Sequence[tuple[Candidate, Solution]]) -> tuple[Scored, ...]:
         return tuple(sorted((scored(*item) for item in found), key=lambda item: -item.score))
@@ -317,13 +319,13 @@ def _pruned(linearised: Linearised, found: Sequence[tuple[Candidate, Solution]])
     return [(one, found) for one, found in zip(candidates, solutions, strict=True) if found is not None]
 
 
-def _occam(solution: Solution, temper: float) -> float:
-    """½ log of how much narrower the data make the parameters than the prior has them."""
+def _occam(solution: Solution, temper: float, most: float = np.inf) -> float:
+    """½ log of how much narrower the data make the parameters than the prior has them, `most` (nats) for each parameter at most."""
     if not len(solution.information):
         return 0.0
     eye = np.eye(len(solution.information))
     sign, value = np.linalg.slogdet(eye + temper * (solution.information - eye))
-    return 0.5 * max(float(value), 0.0) if sign > 0 else 0.0
+    return min(0.5 * max(float(value), 0.0), most * len(eye)) if sign > 0 else 0.0
 
 
 def _temper(problem: Problem, residual: Array) -> float:

@@ -497,7 +497,7 @@ def _remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float
     # What does not follow the command varies from run to run, and no effect would explain it. Where clean records show how much that
     # is, many times as much is something new all the same.
     left, follows = after - evidence.stated, _residual(evidence, chosen).predictable
-    usual = thresholds.run_to_run * evidence.stated if evidence.stated > 1.0 else np.inf
+    usual = thresholds.run_to_run * evidence.stated if evidence.stated > 1.0 or evidence.whitened else np.inf
     new = follows * left + max((1.0 - follows) * left - usual, 0.0)
     return float(np.clip(new / max(before - evidence.stated, 1e-12), 0.0, 1.0))
 
