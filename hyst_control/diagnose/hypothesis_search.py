@@ -154,6 +154,7 @@ def search(
     whitened = linearised.problem.own_spectrum is not None
     if leaves >= thresholds.own_error_energy or whitened:
         depth = min(depth, settings.depth_with_own_error)
+        beam = max(beam, settings.beam_with_own_error)
     strained = partial(_strained, thresholds=thresholds)
     none = Scored(None, settled(linearised), 0.0)
     wide = inflated(linearised, settings.inflation)
@@ -175,8 +176,12 @@ def search(
     size = len(linearised.measured)
     for size_reached in range(1, depth):
         excess = max(leaves - 1.0 + leaves * settings.spent * size_reached**2, settings.spent_floor * floor**2)
-        if not parents or (_beyond_noise(parents[0][1]) < excess and not strained(parents[0][1])):
+        # The spectrum of the own error is an upper one: what is below it may hold an effect yet.
+        nothing_left = _beyond_noise(parents[0][1]) < excess and not whitened if parents else True
+        if not parents or (nothing_left and not strained(parents[0][1])):
             break  # nothing but noise is left, and no coefficients were strained for it
+        if whitened and none.solution.misfit - parents[0][1].misfit < threshold:
+            break  # there is no gap to explain
         grown = _grown(linearised, parents, members, settings.promise * threshold, none.solution.misfit, progress, configuration)
         if not grown:
             break
@@ -199,7 +204,7 @@ def search(
         further = settings.own_error_parameter * (len(solution.x) - count) if leaves >= thresholds.own_error_energy else 0.0
         gain = temper * (none.solution.misfit - solution.misfit)
         # Beside clean records ranges are as wide as physics allows, and say nothing of how probable an effect is.
-        most = 0.5 * np.log(size) if whitened else np.inf
+        most = _length(candidate, size) if whitened else np.inf
         return Scored(candidate, solution, gain - _occam(solution, temper, most) - count * alternatives - further)
 
     def ranked(found: Sequence[tuple[Candidate, Solution]]) -> tuple[Scored, ...]:
@@ -320,12 +325,21 @@ def _pruned(linearised: Linearised, found: Sequence[tuple[Candidate, Solution]])
 
 
 def _occam(solution: Solution, temper: float, most: float = np.inf) -> float:
-    """½ log of how much narrower the data make the parameters than the prior has them, `most` (nats) for each parameter at most."""
+    """½ log of how much narrower the data make the parameters than the prior has them, `most` nats at most."""
     if not len(solution.information):
         return 0.0
     eye = np.eye(len(solution.information))
     sign, value = np.linalg.slogdet(eye + temper * (solution.information - eye))
-    return min(0.5 * max(float(value), 0.0), most * len(eye)) if sign > 0 else 0.0
+    return min(0.5 * max(float(value), 0.0), most) if sign > 0 else 0.0
+
+
+def _length(candidate: Candidate, size: int) -> float:
+    """Nats that the parameters of a candidate cost at most: ½ log of the samples by effect, and what each further one gains by chance.
+
+    The further ones are realizations of the effect, and no effects of their own.
+    """
+    further = sum(member.size for member in candidate.members) - len(candidate.members)
+    return 0.5 * float(np.log(size)) * len(candidate.members) + 0.5 * max(further, 0)
 
 
 def _temper(problem: Problem, residual: Array) -> float:

@@ -404,7 +404,8 @@ def _explains(one: HypothesisEvidence, evidence: Evidence, thresholds: Threshold
         return True
     if strained(none.strain, evidence.coefficients, thresholds):
         return True
-    return none.energy - one.energy > thresholds.least_explained * gap
+    least = thresholds.least_explained_whitened if evidence.whitened else thresholds.least_explained
+    return none.energy - one.energy > least * gap
 
 
 def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
@@ -450,7 +451,8 @@ def _idle(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thr
 
 def _probabilities(evidence: Evidence, claims: Sequence[int], thresholds: Thresholds) -> dict[tuple[str, ...], float]:
     hypotheses = [evidence.hypotheses[index] for index in claims or (0,)]
-    weights = np.exp(thresholds.sharpness * (np.array([one.score for one in hypotheses]) - hypotheses[0].score))
+    sharpness = thresholds.sharpness_whitened if evidence.whitened else thresholds.sharpness
+    weights = np.exp(sharpness * (np.array([one.score for one in hypotheses]) - hypotheses[0].score))
     weights /= weights.sum()
     probability: dict[tuple[str, ...], float] = {}
     for one, weight in zip(hypotheses, weights, strict=True):
