@@ -192,7 +192,9 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
     matches = [matching(piece.command, clean.pieces, settings.same_command, settings.overlap) for piece in problem.pieces]
     if not all(matches) and any(np.ptp(_simulated(clean, i, piece)) > 0 for i, piece in enumerate(clean.pieces)):
         # What a model leaves changes little from one command to a similar one, and its simulation knows the difference.
-        matches = [matching(piece.command, clean.pieces, settings.similar_command, settings.overlap) for piece in problem.pieces]
+        matches = [
+            matching(piece.command, clean.pieces, settings.similar_command, settings.similar_overlap) for piece in problem.pieces
+        ]
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     if all(matches):
         return _carried(problem, clean, matches, spans, settings)
@@ -254,13 +256,14 @@ def _beside_own_error(
     if clean is not None:
         left = [without_zero(rows)[0] for rows in errors]
         if known is not None:
-            left = [rows - without_zero(_learned_mean(known, piece, len(rows), clean.sample_time))[0] for rows, piece in zip(left, clean.pieces, strict=True)]
+            left = [
+                rows - without_zero(_learned_mean(known, piece, len(rows), clean.sample_time))[0]
+                for rows, piece in zip(left, clean.pieces, strict=True)
+            ]
         rows = max(len(piece.counted(piece.command)) for piece in problem.pieces)
         spectrum = ErrorSpectrum.of(left, problem.sample_time, rows, _slowest(clean))
         floor = np.zeros_like(excess)
-    beside = replace(
-        problem, model=model, slowest=_slowest(problem), own_error=rest, own_correlation=length, own_spectrum=spectrum
-    )
+    beside = replace(problem, model=model, slowest=_slowest(problem), own_error=rest, own_correlation=length, own_spectrum=spectrum)
     return Baseline(beside, False, error, usual, floor, clean, excess, known, mean)
 
 
@@ -336,9 +339,7 @@ def _carried(
         slowest=_slowest(problem),
         own_error=alone if differences else None,
         own_correlation=max((correlation_length(rows) for rows in differences), default=1.0),
-        own_spectrum=ErrorSpectrum.of(run_to_run, problem.sample_time, longest, _slowest(problem), both**2)
-        if run_to_run
-        else None,
+        own_spectrum=ErrorSpectrum.of(run_to_run, problem.sample_time, longest, _slowest(problem), both**2) if run_to_run else None,
     )
     own = np.concatenate([without_zero(rows)[0] for rows in series])
     error = np.sqrt(np.mean(own**2, axis=0))
@@ -400,9 +401,7 @@ def matching(command: Array, clean: Sequence[Piece], same: float, overlap: float
         else:
             shift = _shift(command, other, int(np.ceil(overlap * len(command))))
         begin, end = max(0, -shift), min(len(command), len(other) - shift)
-        if end - begin >= overlap * len(command) and is_same(
-            command[begin:end], other[begin + shift : end + shift], same
-        ):
+        if end - begin >= overlap * len(command) and is_same(command[begin:end], other[begin + shift : end + shift], same):
             found.append(Match(piece, shift, begin, end))
     return found
 

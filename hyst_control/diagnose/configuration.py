@@ -284,6 +284,7 @@ class BaselineSettings:
         "share of the range, rms", "difference up to which a model carries its error from one command to another"
     )
     overlap: float = _setting("share of the new record", "least part of it in which they are")
+    similar_overlap: float = _setting("share of the new record", "the same of a command that is similar only")
     zero_share: float = _setting("share of the range", "standard deviation of the zero, drift and curvature of a session")
     memory_share: float = _setting(
         "share of the mean slope", "standard deviation of the weights by which the initial memory of sessions differs"

@@ -29,7 +29,7 @@ from hyst_control.diagnose.hypothesis import catalogue
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.hypothesis_search import Found, Scored, search
 from hyst_control.diagnose.null_distribution import threshold
-from hyst_control.diagnose.parameter_uncertainty import scatter_of, within_own_error
+from hyst_control.diagnose.parameter_uncertainty import pinned, scatter_of, within_own_error
 from hyst_control.diagnose.policy import Decision, contenders, decide, detected, practical_floor
 from hyst_control.diagnose.problem import Piece, Problem, check_command, check_units, split
 from hyst_control.diagnose.record_checks import effect_found_by, lattice_of, lines, record_evidence
@@ -338,6 +338,8 @@ def _axis(
         checks -= _shown_clean(baseline.clean, checks, configuration)
     progress("coefficients of the model")
     scatter = within_own_error(scatter_of(problem.model), problem)
+    if baseline is not None and baseline.clean is not None and problem.own_spectrum is not None:
+        scatter = pinned(scatter, replace(baseline.clean, own_spectrum=problem.own_spectrum, sigma=problem.own_spectrum.noise))
     linearised = Linearised(problem, scatter)
     none = fit(linearised)
     record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)

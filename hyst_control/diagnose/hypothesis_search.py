@@ -30,6 +30,10 @@ from hyst_control.parallel import map_forked
 from hyst_control.records.correlation import correlation_length
 
 
+REALIZATION = 2.0
+"""Nats that a further parameter of an effect costs beside the own error's spectrum: it tells realizations of it apart, not effects."""
+
+
 @dataclass(frozen=True)
 class Scored:
     """Hypothesis with its fit and its score.
@@ -334,12 +338,9 @@ def _occam(solution: Solution, temper: float, most: float = np.inf) -> float:
 
 
 def _length(candidate: Candidate, size: int) -> float:
-    """Nats that the parameters of a candidate cost at most: ½ log of the samples by effect, and what each further one gains by chance.
-
-    The further ones are realizations of the effect, and no effects of their own.
-    """
+    """Nats that the parameters of a candidate cost at most: ½ log of the samples by effect, and `REALIZATION` for each further one."""
     further = sum(member.size for member in candidate.members) - len(candidate.members)
-    return 0.5 * float(np.log(size)) * len(candidate.members) + 0.5 * max(further, 0)
+    return 0.5 * float(np.log(size)) * len(candidate.members) + REALIZATION * max(further, 0)
 
 
 def _temper(problem: Problem, residual: Array) -> float:
