@@ -29,7 +29,6 @@ from hyst_control.errors import InputError
 from hyst_control.parallel import map_forked
 from hyst_control.records.correlation import correlation_length
 
-
 REALIZATION = 2.0
 """Nats that a further parameter of an effect costs beside the own error's spectrum: it tells realizations of it apart, not effects."""
 
