@@ -250,6 +250,9 @@ def problem_of(
                 )
             if not np.ptp(command):
                 raise InputError(f"{record.source}: the command never moves: record with an excitation")
+            dead = [axis for axis, span in zip(model.axes, np.ptp(measurement, axis=0), strict=True) if not span]
+            if dead:
+                raise InputError(f"{record.source}: the measurement of {', '.join(dead)} never moves: check sensor and import")
             keep = None
             if i or stretch is not stretches[0]:
                 # The piece does not begin at rest: its first rows fill the hysteresis' memory and do not count.
