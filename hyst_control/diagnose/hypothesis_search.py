@@ -29,9 +29,6 @@ from hyst_control.errors import InputError
 from hyst_control.parallel import map_forked
 from hyst_control.records.correlation import correlation_length
 
-REALIZATION = 2.0
-"""Nats that a further parameter of an effect costs beside the own error's spectrum: it tells realizations of it apart, not effects."""
-
 
 @dataclass(frozen=True)
 class Scored:
@@ -206,8 +203,9 @@ def search(
         # Every parameter beyond the first may also follow the model's own error, which is no white noise.
         further = settings.own_error_parameter * (len(solution.x) - count) if leaves >= thresholds.own_error_energy else 0.0
         gain = temper * (none.solution.misfit - solution.misfit)
-        # Beside clean records ranges are as wide as physics allows, and say nothing of how probable an effect is.
-        most = _length(candidate, size) if whitened else np.inf
+        # Beside clean records ranges are as wide as physics allows, and say nothing of how probable an effect is: the information
+        # criterion of Schwarz (1978) is the most that parameters cost.
+        most = 0.5 * np.log(size) * len(solution.x) if whitened else np.inf
         return Scored(candidate, solution, gain - _occam(solution, temper, most) - count * alternatives - further)
 
     def ranked(found: Sequence[tuple[Candidate, Solution]]) -> tuple[Scored, ...]:
@@ -334,12 +332,6 @@ def _occam(solution: Solution, temper: float, most: float = np.inf) -> float:
     eye = np.eye(len(solution.information))
     sign, value = np.linalg.slogdet(eye + temper * (solution.information - eye))
     return min(0.5 * max(float(value), 0.0), most) if sign > 0 else 0.0
-
-
-def _length(candidate: Candidate, size: int) -> float:
-    """Nats that the parameters of a candidate cost at most: ½ log of the samples by effect, and `REALIZATION` for each further one."""
-    further = sum(member.size for member in candidate.members) - len(candidate.members)
-    return 0.5 * float(np.log(size)) * len(candidate.members) + REALIZATION * max(further, 0)
 
 
 def _temper(problem: Problem, residual: Array) -> float:
