@@ -189,7 +189,12 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
     -------
     Baseline
     """
-    matches = [matching(piece.command, clean.pieces, settings) for piece in problem.pieces]
+    matches = [matching(piece.command, clean.pieces, settings.same_command, settings.overlap) for piece in problem.pieces]
+    if not all(matches) and any(np.ptp(_simulated(clean, i, piece)) > 0 for i, piece in enumerate(clean.pieces)):
+        # What a model leaves changes little from one command to a similar one, and its simulation knows the difference.
+        matches = [
+            matching(piece.command, clean.pieces, settings.similar_command, settings.similar_overlap) for piece in problem.pieces
+        ]
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     if all(matches):
         return _carried(problem, clean, matches, spans, settings)
@@ -302,11 +307,11 @@ def _carried(
         begin = int(np.argmax(kept))
         whole = kept.all() and piece.keep is None
         pieces.append(replace(piece, keep=None if whole else kept if piece.keep is None else kept & piece.keep))
-        simulated = _simulated(problem, len(series), piece)
         errors = []
         for match in found:
             rows = np.clip(np.arange(len(piece.command)) + match.shift, 0, len(match.clean.command) - 1)
-            errors.append(match.clean.measurement[rows] - simulated)
+            index = next(i for i, one in enumerate(clean.pieces) if one is match.clean)
+            errors.append((match.clean.measurement - _simulated(clean, index, match.clean))[rows])
         mean = np.mean(errors, axis=0)
         repeating = [noise_between_periods([column], [piece.command]) for column in mean.T]
         series.append(without_noise(mean, np.array(repeating)))
@@ -333,9 +338,7 @@ def _carried(
         slowest=_slowest(problem),
         own_error=alone if differences else None,
         own_correlation=max((correlation_length(rows) for rows in differences), default=1.0),
-        own_spectrum=ErrorSpectrum.of([both * rows for rows in run_to_run], problem.sample_time, longest, _slowest(problem))
-        if run_to_run
-        else None,
+        own_spectrum=ErrorSpectrum.of(run_to_run, problem.sample_time, longest, _slowest(problem), both**2) if run_to_run else None,
     )
     own = np.concatenate([without_zero(rows)[0] for rows in series])
     error = np.sqrt(np.mean(own**2, axis=0))
@@ -387,7 +390,7 @@ def without_noise(error: Array, most: Array | float = np.inf) -> Array:
     return np.asarray(error - rest + np.fft.irfft(kept * spectrum, len(mirrored), axis=0)[: len(rest)], dtype=np.float64)
 
 
-def matching(command: Array, clean: Sequence[Piece], settings: BaselineSettings) -> list[Match]:
+def matching(command: Array, clean: Sequence[Piece], same: float, overlap: float) -> list[Match]:
     """Find the clean records that have the same command up to a shift.
 
     Parameters
@@ -396,8 +399,10 @@ def matching(command: Array, clean: Sequence[Piece], settings: BaselineSettings)
         Command of the new record, V.
     clean : sequence of Piece
         Clean records to search.
-    settings : BaselineSettings
-        Values of the configuration.
+    same : float
+        Difference up to which two commands are the same, rms, as a share of the range.
+    overlap : float
+        Least share of the new record in which they are.
 
     Returns
     -------
@@ -406,14 +411,12 @@ def matching(command: Array, clean: Sequence[Piece], settings: BaselineSettings)
     found = []
     for piece in clean:
         other = piece.command
-        if len(other) >= len(command) and is_same(command, other[: len(command)], settings.same_command):
+        if len(other) >= len(command) and is_same(command, other[: len(command)], same):
             shift = 0
         else:
-            shift = _shift(command, other, int(np.ceil(settings.overlap * len(command))))
+            shift = _shift(command, other, int(np.ceil(overlap * len(command))))
         begin, end = max(0, -shift), min(len(command), len(other) - shift)
-        if end - begin >= settings.overlap * len(command) and is_same(
-            command[begin:end], other[begin + shift : end + shift], settings.same_command
-        ):
+        if end - begin >= overlap * len(command) and is_same(command[begin:end], other[begin + shift : end + shift], same):
             found.append(Match(piece, shift, begin, end))
     return found
 
@@ -447,10 +450,10 @@ def _beside_periods(command: Array, error: Array, settings: BaselineSettings) ->
     if period is None:
         return []
     count = len(command) // period
-    rest, _ = without_zero(error[: count * period])
-    whole = rest.reshape(count, period, -1)
-    beside = (whole - whole.mean(axis=0)) / np.sqrt(1.0 - 1.0 / count)
-    return [np.asarray(beside.reshape(count * period, -1), dtype=np.float64)]
+    whole = error[: count * period].reshape(count, period, -1)
+    # Drift is taken off what the mean period leaves: off the periods themselves it would take a part of their shape.
+    beside, _ = without_zero((whole - whole.mean(axis=0)).reshape(count * period, -1))
+    return [beside / np.sqrt(1.0 - 1.0 / count)]
 
 
 def _first_counted(piece: Piece) -> int:

@@ -34,6 +34,7 @@ class Thresholds:
     rounding_share: float = _setting("1", "the same, as a share of a converter's rounding error")
     margin: float = _setting("nats", "score above the 99 % quantile of the simulated null that a claim needs")
     sharpness: float = _setting("1", "factor of the scores before they become probabilities")
+    sharpness_whitened: float = _setting("1", "the same where the fits know the spectrum of the model's own error")
     sure_probability: float = _setting("1", "probability from which one explanation is named alone")
     listed_probability: float = _setting("1", "probability from which an explanation is listed among what the data cannot separate")
     unknown_share: float = _setting(
@@ -53,6 +54,9 @@ class Thresholds:
         "stated energies", "energy that does not follow the command up to which it is the plant's variation from run to run"
     )
     least_explained: float = _setting("share of the gap's energy", "least that effects must take off to be an explanation")
+    least_explained_whitened: float = _setting(
+        "share of the gap's energy", "the same where the fits know the spectrum of the model's own error"
+    )
     own_error_share: float = _setting("1", "share of the error that a model states of itself which an effect must take off")
     own_error_energy: float = _setting("noise energies", "stated energy from which a model is taken to state an error of its own")
     strain_deviations: float = _setting(
@@ -177,6 +181,9 @@ class SearchSettings:
     """Search for explanations."""
 
     beam: int = _setting("explanations", "explanations that a further effect is added to")
+    beam_with_own_error: int = _setting(
+        "explanations", "the same where the fits know of the model's own error: more effects are alike"
+    )
     depth: int = _setting("effects", "most effects of an explanation")
     depth_with_own_error: int = _setting(
         "effects", "the same where the model states an error of its own: finer parts cannot be told"
@@ -273,7 +280,11 @@ class BaselineSettings:
     """Clean records beside the new one."""
 
     same_command: float = _setting("share of the range, rms", "difference up to which two commands are the same")
+    similar_command: float = _setting(
+        "share of the range, rms", "difference up to which a model carries its error from one command to another"
+    )
     overlap: float = _setting("share of the new record", "least part of it in which they are")
+    similar_overlap: float = _setting("share of the new record", "the same of a command that is similar only")
     zero_share: float = _setting("share of the range", "standard deviation of the zero, drift and curvature of a session")
     memory_share: float = _setting(
         "share of the mean slope", "standard deviation of the weights by which the initial memory of sessions differs"
@@ -286,7 +297,7 @@ class BaselineSettings:
     usual_share: tuple[float, ...] = _setting(
         "share of the range", "zero, drift and curvature that are usual where few clean records are at hand"
     )
-    same_floor: float = _setting("rms between clean records", "least that an effect must take off")
+    same_floor: float = _setting("own error and noise, rms", "least that an effect must take off")
     other_command: float = _setting("own errors", "size of an effect that is named where no clean record has the same command")
     blocks: int = _setting("blocks", "blocks of a record that a remainder is predicted on, each from the others")
 

@@ -29,7 +29,7 @@ from hyst_control.diagnose.hypothesis import catalogue
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.hypothesis_search import Found, Scored, search
 from hyst_control.diagnose.null_distribution import threshold
-from hyst_control.diagnose.parameter_uncertainty import scatter_of, within_own_error
+from hyst_control.diagnose.parameter_uncertainty import pinned, scatter_of, within_own_error
 from hyst_control.diagnose.policy import Decision, contenders, decide, detected, practical_floor
 from hyst_control.diagnose.problem import Piece, Problem, check_command, check_units, split
 from hyst_control.diagnose.record_checks import effect_found_by, lattice_of, lines, record_evidence
@@ -250,6 +250,9 @@ def problem_of(
                 )
             if not np.ptp(command):
                 raise InputError(f"{record.source}: the command never moves: record with an excitation")
+            dead = [axis for axis, span in zip(model.axes, np.ptp(measurement, axis=0), strict=True) if not span]
+            if dead:
+                raise InputError(f"{record.source}: the measurement of {', '.join(dead)} never moves: check sensor and import")
             keep = None
             if i or stretch is not stretches[0]:
                 # The piece does not begin at rest: its first rows fill the hysteresis' memory and do not count.
@@ -338,12 +341,14 @@ def _axis(
         checks -= _shown_clean(baseline.clean, checks, configuration)
     progress("coefficients of the model")
     scatter = within_own_error(scatter_of(problem.model), problem)
+    if baseline is not None and baseline.clean is not None and problem.own_spectrum is not None:
+        scatter = pinned(scatter, replace(baseline.clean, own_spectrum=problem.own_spectrum, sigma=problem.own_spectrum.noise))
     linearised = Linearised(problem, scatter)
     none = fit(linearised)
     record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
     findings = detected(record, checks, thresholds)
     suggested = lines(problem, linearised.unexplained(none.residual), configuration.checks)
-    if baseline is not None and baseline.carried and baseline.clean is not None:
+    if baseline is not None and baseline.clean is not None:
         clean_rows = np.split(_residuals(baseline.clean), np.cumsum(_counts(baseline.clean))[:-1])
         suggested = beyond_clean(suggested, problem.rows(none.residual), clean_rows, problem.sample_time, configuration.checks)
     # The first noise estimate still contained spectral leakage from the gap.
@@ -363,7 +368,8 @@ def _axis(
     null = threshold(linearised, members, seed, cache=cache, configuration=configuration)
     floor = _floor(problem, own, configuration)
     if baseline is not None:
-        floor = max(floor, float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2))))
+        least = float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2)))
+        floor = max(floor, least if problem.own_spectrum is None else configuration.baseline.same_floor)
     leaves = max(stated_energy(own, problem.sigma), 1.0 + problem.own_energy)
     found = search(linearised, members, null + thresholds.margin, floor, leaves, progress, configuration)
     collected = collect(found, null, floor, stated, record, checks, configuration)

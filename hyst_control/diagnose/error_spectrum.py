@@ -4,7 +4,7 @@ A model's error on clean records is hardly ever white: creep and memory are slow
 frequencies. A single number for its size hides what is fast beside what is slow. Residuals are therefore multiplied, in the discrete
 cosine transform of each record, by
 
-    g(f) = 1 / sqrt(1 + S(f) / σ²),    S: power density of the own error, σ²: that of the white noise,
+    g(f) = σ / sqrt(S(f) + max(σ, ν)²),    S: power density of the own error, σ, ν: white noise of the record, and of the clean ones,
 
 so that the own error and the noise together become white noise of size 1 (generalized least squares). Lines of a clean record keep their
 height: S is the upper envelope of its periodogram, for what a model leaves at a frequency of the command is one number, not many.
@@ -24,7 +24,7 @@ from hyst_control.chain.parameter import Array
 
 OCTAVES = 1.0 / 3.0
 """Octaves to either side over which the largest bin counts: another command's lines are elsewhere."""
-FUNDAMENTALS = 3.0
+FUNDAMENTALS = 1.0
 """The same in slowest excited frequencies, at most: a line far above the command, such as mains hum, is no error of the model."""
 SMOOTHED = 3
 """Bins that are averaged before: a line between two bins has its power in both."""
@@ -44,13 +44,16 @@ class ErrorSpectrum:
         Ascending, Hz.
     power : ndarray, shape (F, A)
         Expected square of an orthonormal cosine coefficient, measurement unit squared.
+    noise : ndarray, shape (A,)
+        White noise of the clean records, rms, measurement unit: what takes it off at high frequencies leaves it at low ones.
     """
 
     frequencies: Array
     power: Array
+    noise: Array
 
     @classmethod
-    def of(cls, errors: Sequence[Array], sample_time: float, rows: int, slowest: float) -> ErrorSpectrum:
+    def of(cls, errors: Sequence[Array], sample_time: float, rows: int, slowest: float, factor: float = 1.0) -> ErrorSpectrum:
         """Estimate the spectrum from errors on clean records.
 
         Parameters
@@ -63,6 +66,8 @@ class ErrorSpectrum:
             Rows of the record that it is used for: a line's power grows with the length of a record.
         slowest : float
             Lowest frequency that a command excites, Hz.
+        factor : float
+            Of the power, the white noise left as it is.
 
         Returns
         -------
@@ -70,12 +75,13 @@ class ErrorSpectrum:
         """
         nyquist = 0.5 / sample_time
         frequencies = nyquist * np.arange(rows) / rows
-        power = np.zeros((rows, errors[0].shape[1]))
+        power, noise = np.zeros((rows, errors[0].shape[1])), np.zeros(errors[0].shape[1])
         for error in errors:
-            own = _envelope(error, nyquist, slowest, max(rows / len(error), 1.0))
+            own, white = _envelope(error, nyquist, slowest, max(rows / len(error), 1.0))
+            noise += white / len(errors)
             at = nyquist * np.arange(len(error)) / len(error)
-            power += np.stack([np.interp(frequencies, at, column) for column in own.T], axis=1) / len(errors)
-        return cls(frequencies, power)
+            power += factor / len(errors) * np.stack([np.interp(frequencies, at, column) for column in own.T], axis=1)
+        return cls(frequencies, power, np.sqrt(noise))
 
     def gain(self, rows: int, sigma: Array, sample_time: float) -> Array:
         """Factors of the cosine coefficients that make own error and noise white.
@@ -95,33 +101,18 @@ class ErrorSpectrum:
         """
         at = 0.5 / sample_time * np.arange(rows) / rows
         power = np.stack([np.interp(at, self.frequencies, column) for column in self.power.T], axis=1)
-        return np.asarray(1.0 / np.sqrt(1.0 + power / sigma**2), dtype=np.float64)
+        return np.asarray(sigma / np.sqrt(power + np.maximum(sigma, self.noise) ** 2), dtype=np.float64)
 
     def digest(self) -> str:
         """SHA-256, by which caches tell spectra apart."""
-        return sha256(np.ascontiguousarray(self.power).tobytes()).hexdigest()
-
-    def energy(self, rows: int, sample_time: float) -> Array:
-        """Mean square of the error.
-
-        Parameters
-        ----------
-        rows : int
-            Rows of the record.
-        sample_time : float
-            s.
-
-        Returns
-        -------
-        ndarray, shape (A,)
-            Measurement unit squared.
-        """
-        at = 0.5 / sample_time * np.arange(rows) / rows
-        return np.array([np.mean(np.interp(at, self.frequencies, column)) for column in self.power.T])
+        return sha256(np.ascontiguousarray(self.power).tobytes() + np.asarray(self.noise).tobytes()).hexdigest()
 
 
-def _envelope(error: Array, nyquist: float, slowest: float, longer: float) -> Array:
-    """Power (N, A) of an error beyond its white noise, the largest of the bins around; longer: factor of the power of lines."""
+def _envelope(error: Array, nyquist: float, slowest: float, longer: float) -> tuple[Array, Array]:
+    """Power (N, A) of an error beyond its white noise, the largest of the bins around, and this noise's power (A,).
+
+    longer: factor of the power of lines.
+    """
     power = dct(error, type=2, norm="ortho", axis=0) ** 2
     count = len(power)
     noise = np.median(power[int(UPPER * count) :], axis=0) / MEDIAN
@@ -137,7 +128,7 @@ def _envelope(error: Array, nyquist: float, slowest: float, longer: float) -> Ar
         chance = 1.0 + (np.log(width) + 1.0) / (0.5 * SMOOTHED)  # the largest of so many bins of white noise
         found[here] = (maximum_filter1d(smooth, width, axis=0) - chance * noise)[here]
         broad[here] = (uniform_filter1d(power, width, axis=0) - noise)[here]
-    return np.asarray(np.maximum(np.maximum(longer * found, broad), 0.0), dtype=np.float64)
+    return np.asarray(np.maximum(np.maximum(longer * found, broad), 0.0), dtype=np.float64), noise
 
 
 def filtered(rows: Array, gain: Array) -> Array:

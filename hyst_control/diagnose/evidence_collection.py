@@ -339,7 +339,6 @@ def _flicker(problem: Problem, scored: Scored, configuration: Configuration) -> 
         return None
     command = np.concatenate([piece.counted(piece.command)[:, 0] for piece in problem.pieces])
     seen = flicker(problem.in_noise(scored.solution.residual), command, configuration.flicker)
-    if problem.own_spectrum is not None:  # what exceeds the own error, which may fall with frequency too
-        beyond = flicker(scored.solution.residual, command, configuration.flicker)
-        return replace(seen, gain=beyond.gain, plausible=seen.plausible and beyond.plausible)
+    if problem.own_spectrum is not None:  # the own error may fall with frequency too
+        return seen if float(np.mean(scored.solution.residual**2)) > 1.0 else None
     return replace(seen, gain=problem.weight * seen.gain)

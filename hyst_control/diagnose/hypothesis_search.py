@@ -152,9 +152,10 @@ def search(
     """
     settings, thresholds = configuration.search, configuration.policy
     beam, depth = settings.beam, settings.depth
-    has_own_error = leaves >= thresholds.own_error_energy or linearised.problem.own_spectrum is not None
-    if has_own_error:
+    whitened = linearised.problem.own_spectrum is not None
+    if leaves >= thresholds.own_error_energy or whitened:
         depth = min(depth, settings.depth_with_own_error)
+        beam = max(beam, settings.beam_with_own_error)
     strained = partial(_strained, thresholds=thresholds)
     none = Scored(None, settled(linearised), 0.0)
     wide = inflated(linearised, settings.inflation)
@@ -178,8 +179,12 @@ def search(
     size = len(linearised.measured)
     for size_reached in range(1, depth):
         excess = max(leaves - 1.0 + leaves * settings.spent * size_reached**2, settings.spent_floor * floor**2)
-        if not parents or (_beyond_noise(parents[0][1]) < excess and not strained(parents[0][1])):
+        # The spectrum of the own error is an upper one: what is below it may hold an effect yet.
+        nothing_left = _beyond_noise(parents[0][1]) < excess and not whitened if parents else True
+        if not parents or (nothing_left and not strained(parents[0][1])):
             break  # nothing but noise is left, and no coefficients were strained for it
+        if whitened and none.solution.misfit - parents[0][1].misfit < threshold:
+            break  # there is no gap to explain
         grown = _grown(linearised, parents, members, settings.promise * threshold, none.solution.misfit, progress, configuration)
         if not grown:
             break
@@ -199,10 +204,13 @@ def search(
     def scored(candidate: Candidate, solution: Solution) -> Scored:
         count = len(candidate.members)
         # Every parameter beyond the first may also follow the model's own error, which is no white noise.
-        further = settings.own_error_parameter * (len(solution.x) - count) if has_own_error else 0.0
+        further = settings.own_error_parameter * (len(solution.x) - count) if leaves >= thresholds.own_error_energy else 0.0
         gain = temper * (none.solution.misfit - solution.misfit)
+        # Beside clean records ranges are as wide as physics allows, and say nothing of how probable an effect is: the information
+        # criterion of Schwarz (1978) is the most that parameters cost.
+        most = 0.5 * np.log(size) * len(solution.x) if whitened else np.inf
         among = count * alternatives + sum(np.log(realizations[name]) for name in candidate.names)
-        return Scored(candidate, solution, float(gain - _occam(solution, temper) - among - further))
+        return Scored(candidate, solution, float(gain - _occam(solution, temper, most) - among - further))
 
     def ranked(found: Sequence[tuple[Candidate, Solution]]) -> tuple[Scored, ...]:
         return tuple(sorted((scored(*item) for item in found), key=lambda item: -item.score))
@@ -321,13 +329,13 @@ def _pruned(linearised: Linearised, found: Sequence[tuple[Candidate, Solution]])
     return [(one, found) for one, found in zip(candidates, solutions, strict=True) if found is not None]
 
 
-def _occam(solution: Solution, temper: float) -> float:
-    """½ log of how much narrower the data make the parameters than the prior has them."""
+def _occam(solution: Solution, temper: float, most: float = np.inf) -> float:
+    """½ log of how much narrower the data make the parameters than the prior has them, `most` nats at most."""
     if not len(solution.information):
         return 0.0
     eye = np.eye(len(solution.information))
     sign, value = np.linalg.slogdet(eye + temper * (solution.information - eye))
-    return 0.5 * max(float(value), 0.0) if sign > 0 else 0.0
+    return min(0.5 * max(float(value), 0.0), most) if sign > 0 else 0.0
 
 
 def _temper(problem: Problem, residual: Array) -> float:

@@ -22,9 +22,12 @@ from hyst_control.chain.parameter import Array, Scattering
 from hyst_control.diagnose.problem import Problem
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
+from hyst_control.records.session_zero import without_zero
 
 LARGEST = 0.3
 """Largest relative deviation (1 sigma) of a coefficient beside the model's own error: a direction that the data cannot tell."""
+SMALL = 0.05
+"""Difference step of a coefficient, in its standard deviations."""
 DIFFERENCE = 1e-4
 """Relative change of a coefficient from which its slope is read."""
 
@@ -188,6 +191,51 @@ def within_own_error(scatter: Scatter, problem: Problem) -> Scatter:
             coefficient = replace(coefficient, tolerance=min(coefficient.tolerance, largest))
         limited.append(coefficient)
     return Scatter(scatter.model, tuple(limited))
+
+
+def pinned(scatter: Scatter, clean: Problem) -> Scatter:
+    """Narrow coefficients that scatter together to what clean records allow.
+
+    What a coefficient moves on a clean record by more than the model's own error there, it cannot have moved in the new one either.
+    The nominal values stay: how far a model is off on clean records is its own error.
+
+    Parameters
+    ----------
+    scatter : Scatter
+        Uncertain coefficients.
+    clean : Problem
+        Clean records, with the noise and the spectrum of the model's own error.
+
+    Returns
+    -------
+    Scatter
+        With the posterior covariance; unchanged where each coefficient scatters by itself.
+    """
+    if scatter.joint is None:
+        return scatter
+    own = scatter_of(clean.model)
+    nominal, columns = clean.simulate(own.at(np.zeros(len(own.coefficients)))), []
+    for k in range(scatter.joint.factor.shape[1]):
+        moved = np.zeros(len(own.coefficients))
+        moved[k] = SMALL
+        try:
+            column = (clean.simulate(own.at(moved)) - nominal) / SMALL
+        except InputError:
+            return scatter  # at the edge of what makes a model
+        columns.append(column)
+    design = np.column_stack(columns)
+    if not np.isfinite(design).all() or np.max(np.abs(design), initial=0.0) > 1e12:
+        return scatter
+    begin, rest = 0, []
+    for piece in clean.pieces:  # the zero of each session is its own
+        end = begin + len(piece.counted(piece.measurement)) * len(clean.model.axes)
+        rest.append(without_zero(design[begin:end])[0])
+        begin = end
+    own_rows = np.concatenate(rest)
+    values, vectors = np.linalg.eigh(own_rows.T @ own_rows)
+    narrow = (vectors / np.sqrt(1.0 + np.maximum(values, 0.0))) @ vectors.T
+    joint = replace(scatter.joint, factor=scatter.joint.factor @ narrow)
+    return Scatter(scatter.model, (*_columns(joint), *scatter.coefficients[design.shape[1] :]), joint)
 
 
 def _named(stage: Stage, tolerance: Mapping[str, float]) -> dict[str, float]:

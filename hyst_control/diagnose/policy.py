@@ -404,7 +404,8 @@ def _explains(one: HypothesisEvidence, evidence: Evidence, thresholds: Threshold
         return True
     if strained(none.strain, evidence.coefficients, thresholds):
         return True
-    return none.energy - one.energy > thresholds.least_explained * gap
+    least = thresholds.least_explained_whitened if evidence.whitened else thresholds.least_explained
+    return none.energy - one.energy > least * gap
 
 
 def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
@@ -450,11 +451,12 @@ def _idle(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thr
 
 def _probabilities(evidence: Evidence, claims: Sequence[int], thresholds: Thresholds) -> dict[tuple[str, ...], float]:
     hypotheses = [evidence.hypotheses[index] for index in claims or (0,)]
+    sharpness = thresholds.sharpness_whitened if evidence.whitened else thresholds.sharpness
     # Of an effect's realizations the best one counts: several that are alike make the effect no likelier.
     best: dict[tuple[str, ...], float] = {}
     for one in hypotheses:
         best[key(one)] = max(best.get(key(one), -np.inf), one.score)
-    weights = np.exp(thresholds.sharpness * (np.array(list(best.values())) - max(best.values())))
+    weights = np.exp(sharpness * (np.array(list(best.values())) - max(best.values())))
     return dict(zip(best, (weights / weights.sum()).tolist(), strict=True))
 
 
@@ -497,7 +499,7 @@ def _remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float
     # What does not follow the command varies from run to run, and no effect would explain it. Where clean records show how much that
     # is, many times as much is something new all the same.
     left, follows = after - evidence.stated, _residual(evidence, chosen).predictable
-    usual = thresholds.run_to_run * evidence.stated if evidence.stated > 1.0 else np.inf
+    usual = thresholds.run_to_run * evidence.stated if evidence.stated > 1.0 or evidence.whitened else np.inf
     new = follows * left + max((1.0 - follows) * left - usual, 0.0)
     return float(np.clip(new / max(before - evidence.stated, 1e-12), 0.0, 1.0))
 

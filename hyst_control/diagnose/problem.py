@@ -113,9 +113,7 @@ class Problem:
 
     def measured(self) -> Array:
         """The measurement in the same form."""
-        return self.whitened(
-            np.concatenate([(piece.counted(piece.measurement) / self.sigma).reshape(-1) for piece in self.pieces])
-        )
+        return self.whitened(np.concatenate([(piece.counted(piece.measurement) / self.sigma).reshape(-1) for piece in self.pieces]))
 
     def rows(self, flat: Array) -> Array:
         """A flat vector as rows (M, A) in the measurement's unit."""

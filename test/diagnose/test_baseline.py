@@ -220,9 +220,10 @@ def test_the_same_command_is_found_up_to_a_shift(shift, length):
     random = np.random.default_rng(shift * 1000 + length)
     command = np.cumsum(random.standard_normal((500, 1)), axis=0)
     part = command[shift : shift + length]
-    found = matching(part, [Piece(command, command)], SETTINGS)
+    found = matching(part, [Piece(command, command)], SETTINGS.same_command, SETTINGS.overlap)
     assert [match.shift for match in found] == [shift]
-    assert not matching(part, [Piece(command + random.standard_normal(command.shape), command)], SETTINGS)
+    other = Piece(command + random.standard_normal(command.shape), command)
+    assert not matching(part, [other], SETTINGS.same_command, SETTINGS.overlap)
 
 
 @settings(max_examples=20, deadline=None)

@@ -9,6 +9,9 @@ import pytest
 
 from hyst_control.cli import main as hyst
 from hyst_control.config_files import config_path
+from hyst_control.diagnose.diagnosis import diagnose
+from hyst_control.errors import InputError
+from hyst_control.model_file import load_model
 from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
 
@@ -80,3 +83,11 @@ def refused(arguments: list[str], folder, capsys) -> str:
     assert said and "\n" not in said
     assert not any(path.exists() for path in outputs)
     return said
+
+
+def test_a_measurement_that_never_moves_is_refused_from_python_too():
+    with pytest.raises(InputError, match="record: the measurement of x never moves"):
+        diagnose(
+            [record(measurement=replace(GOOD["measurement"], values=np.full((COUNT, 1), 3.0)))],
+            load_model(config_path("models/pea_hampi.yaml")),
+        )

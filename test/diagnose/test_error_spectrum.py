@@ -1,0 +1,111 @@
+"""Spectrum of a model's own error: what it makes white, and what it leaves of an effect beside it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from hyst_control.chain import Chain
+from hyst_control.chain.memoryless import Gain
+from hyst_control.diagnose.error_spectrum import ErrorSpectrum, filtered
+from hyst_control.diagnose.hypothesis_fit import Linearised, fit
+from hyst_control.diagnose.parameter_uncertainty import pinned, scatter_of
+from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.model_file import Model
+
+STEP, ROWS, NOISE = 0.005, 1200, 0.05
+
+
+def slow_error(seed: int) -> np.ndarray:
+    """Red noise of 0.2 rms, correlated over 100 samples, beside white noise."""
+    random = np.random.default_rng(seed)
+    keep = np.exp(-1.0 / 100.0)
+    red = lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], random.standard_normal(ROWS + 1000))[1000:]
+    return (0.2 * red + NOISE * random.standard_normal(ROWS))[:, None]
+
+
+def spectrum_of(*seeds: int) -> ErrorSpectrum:
+    return ErrorSpectrum.of([slow_error(seed) for seed in seeds], STEP, ROWS, 1.0)
+
+
+def model(tolerance: float = 0.0) -> Model:
+    units = {"command": "V", "measurement": "um"}
+    found = Model("gain", ("x",), units, STEP, Chain((Gain(2.0),)))
+    factor = {"parameters": ["gain.gain"], "factor": [[2.0 * tolerance]]}
+    return replace(found, uncertainty=factor) if tolerance else found
+
+
+def problem(measurement: np.ndarray, command: np.ndarray, **given: object) -> Problem:
+    return Problem(model(), (Piece(command, measurement),), STEP, "foh", np.array([NOISE]), **given)  # type: ignore[arg-type]
+
+
+def test_own_error_and_noise_of_another_record_become_white():
+    gain = spectrum_of(1, 2).gain(ROWS, np.array([NOISE]), STEP)
+    rows = np.array([filtered(slow_error(seed), gain)[:, 0] / NOISE for seed in range(3, 23)])
+    assert 0.3 < np.mean(rows**2) < 1.2  # the envelope is an upper one
+    neighbours = np.mean(rows[:, 1:] * rows[:, :-1]) / np.mean(rows**2)
+    assert abs(neighbours) < 0.25
+    plain = np.array([slow_error(seed)[:, 0] for seed in range(3, 23)])
+    assert np.mean(plain[:, 1:] * plain[:, :-1]) / np.mean(plain**2) > 0.85
+
+
+def test_a_line_of_the_clean_records_hides_its_own_frequency_alone():
+    time = STEP * np.arange(ROWS)
+    clean = slow_error(1) + 0.2 * np.sin(2 * np.pi * 50.0 * time)[:, None]
+    gain = ErrorSpectrum.of([clean], STEP, ROWS, 1.0).gain(ROWS, np.array([NOISE]), STEP)[:, 0]
+    frequencies = np.arange(ROWS) / (2.0 * ROWS * STEP)
+    assert gain[np.argmin(np.abs(frequencies - 50.0))] < 0.1
+    assert gain[np.argmin(np.abs(frequencies - 60.0))] > 0.7
+
+
+def test_a_low_pass_that_takes_noise_off_makes_a_record_no_better_than_a_clean_one():
+    spectrum = spectrum_of(1, 2)
+    quiet = spectrum.gain(ROWS, np.array([NOISE / 10.0]), STEP) / (NOISE / 10.0)
+    usual = spectrum.gain(ROWS, np.array([NOISE]), STEP) / NOISE
+    assert quiet == pytest.approx(usual, rel=0.1)
+
+
+def test_vectors_of_a_problem_come_back_in_their_unit():
+    command = np.sin(2 * np.pi * STEP * np.arange(ROWS))[:, None]
+    keep = np.arange(ROWS) >= 200
+    whole = problem(2.0 * command + slow_error(5), command, own_error=np.array([0.2]), own_spectrum=spectrum_of(1))
+    part = replace(whole, pieces=(replace(whole.pieces[0], keep=keep),))
+    assert part.rows(part.measured()) == pytest.approx(whole.pieces[0].measurement[keep])
+    assert part.in_noise(part.whitened(part.measured())) == pytest.approx(part.measured())
+    assert not np.allclose(part.measured(), part.in_noise(part.measured()))
+
+
+def test_what_is_fast_beside_a_slow_error_counts_in_full():
+    """Nearly ½ |fast|² / noise² nats, and not what a weight for the size of the error leaves of it."""
+    time = STEP * np.arange(ROWS)
+    command, fast = np.sin(2 * np.pi * time)[:, None], 0.05 * np.sin(2 * np.pi * 80.0 * time)[:, None]
+    clean = slow_error(7)
+
+    def gained(given: Problem) -> float:
+        rows = [
+            replace(given, pieces=(Piece(command, y),)).measured() for y in (2.0 * command + clean + fast, 2.0 * command + clean)
+        ]
+        return 0.5 * given.weight * float((rows[0] - rows[1]) @ (rows[0] - rows[1]))
+
+    sized = problem(clean, command, own_error=np.array([0.2]), own_correlation=100.0)
+    exact = 0.5 * ROWS * np.mean(fast**2) / NOISE**2
+    assert gained(replace(sized, own_spectrum=spectrum_of(1, 2))) > 0.6 * exact
+    assert gained(sized) < 0.01 * exact
+
+
+def test_coefficients_are_pinned_by_clean_records():
+    """A gain that is known to 30 % is known to what the own error of a clean record allows."""
+    command = 3.0 * np.sin(2 * np.pi * STEP * np.arange(ROWS))[:, None]
+    clean = Problem(model(0.3), (Piece(command, 2.0 * command + slow_error(1)),), STEP, "foh", np.array([NOISE]))
+    clean = replace(clean, own_spectrum=spectrum_of(1))
+    narrow = pinned(scatter_of(clean.model), clean)
+    assert narrow.joint is not None
+    rest = clean.simulate(Chain((Gain(1.0),)).stages) * 2.0
+    exact = 0.6 / np.sqrt(1.0 + 0.3**2 * float(rest @ rest))
+    assert abs(narrow.joint.factor[0, 0]) == pytest.approx(exact, rel=0.02)
+    other = problem(1.4 * command, command, own_error=np.array([0.2]), own_spectrum=spectrum_of(1))
+    assert abs(fit(Linearised(other, scatter_of(clean.model))).z[0]) < 1.1  # within 30 %
+    assert abs(fit(Linearised(other, narrow)).z[0]) > 5.0  # many deviations: the gain of the clean record does not take it up
