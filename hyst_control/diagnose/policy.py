@@ -529,10 +529,12 @@ def _unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> flo
     the energy. What an effect outside the catalogue does to the output is taken up by coefficients in just this way.
     """
     one, before = evidence.hypotheses[chosen], evidence.hypotheses[0].energy - evidence.stated
-    if not (one.names or one.coefficients_alone) or before <= thresholds.least_excess * evidence.stated:
+    if not (one.names or one.coefficients_alone):
         return 0.0
-    left = float(np.clip((_residual(evidence, chosen).energy - evidence.stated) / before, 0.0, 1.0))
-    return max(left, (1.0 - min(thresholds.many_tolerances / max(one.farthest, 1e-300), 1.0)) ** 2)
+    beyond = (1.0 - min(thresholds.many_tolerances / max(one.farthest, 1e-300), 1.0)) ** 2
+    if before <= thresholds.least_excess * evidence.stated:
+        return beyond  # coefficients took all of it
+    return max(beyond, float(np.clip((_residual(evidence, chosen).energy - evidence.stated) / before, 0.0, 1.0)))
 
 
 def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:

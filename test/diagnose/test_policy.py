@@ -684,6 +684,8 @@ def test_what_coefficients_take_up_far_beyond_their_tolerance_is_unexplained():
     assert found.unexplained == pytest.approx(0.81)
     near = decide(evidence(coefficients(farthest=0.9 * LIMITS.many_tolerances), base=none(strain=500.0)), LIMITS)
     assert near.unexplained == 0.0
+    taken_up = decide(evidence(coefficients(farthest=far), base=none(energy=1.03, strain=500.0)), LIMITS)
+    assert taken_up.unexplained == pytest.approx(0.81)  # also where the tolerances alone, strained, leave nothing
 
 
 def test_a_remainder_too_small_for_a_verdict_is_still_told():
