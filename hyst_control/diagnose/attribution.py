@@ -13,6 +13,7 @@ from hyst_control.diagnose.diagnosis import AxisDiagnosis, Diagnosis
 from hyst_control.diagnose.gap_reduction import HeldOut, held_out, shares, shrink
 from hyst_control.diagnose.hypothesis_search import Scored
 from hyst_control.diagnose.record_checks import effect_found_by
+from hyst_control.effects import EFFECTS
 
 Value = tuple[float, tuple[float, float], str]
 """Value of a parameter, its 90 % interval and its unit."""
@@ -131,7 +132,11 @@ def _waveforms(diagnosis: Diagnosis) -> list[Named]:
     whole = sum(float(none[part.axes].before.sum()) for part in diagnosis.parts)
     named = []
     for name, places in found.items():
-        values = _joined([_values(part, scored, index, diagnosis.configuration.attribution) for part, scored, index, _ in places])
+        each = [_values(part, scored, index, diagnosis.configuration.attribution) for part, scored, index, _ in places]
+        values = _joined(each)
+        if EFFECTS[name].couples and len(places) > 1:  # a way from one axis to another is not that back
+            for (part, *_), own in zip(places, each, strict=True):
+                values |= {f"{one}_{diagnosis.model.axes[part.axes[0]]}": value for one, value in own.items()}
         axes = tuple(diagnosis.model.axes[axis] for part, scored, index, _ in places for axis in _axes_of(part, scored, index))
         # On axes that this effect is not on, what explains those: effects that are named together shrink the gap together.
         chosen = {

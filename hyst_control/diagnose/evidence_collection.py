@@ -152,7 +152,11 @@ def residual_evidence(
     counted = [outliers(rows[:, axis], configuration.checks) for axis in range(len(problem.model.axes))]
     return ResidualEvidence(
         float(np.mean(leftover(problem, scored, steps) ** 2)),
-        tuple(white_noise(problem, rows, axis, configuration.noise) for axis in range(len(problem.model.axes))),
+        tuple(
+            # What is left has all of its white noise in it: the upper spectrum of a short record says more by chance.
+            min(white_noise(problem, rows, axis, configuration.noise), float(np.sqrt(np.mean(rows[:, axis] ** 2))))
+            for axis in range(len(problem.model.axes))
+        ),
         tuple(count for count, _ in counted),
         tuple(rms for _, rms in counted),
         _flicker(problem, scored, configuration) if RecordCheck.FALLING_SPECTRUM in checks else None,

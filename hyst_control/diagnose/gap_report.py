@@ -77,7 +77,7 @@ def gap_report(
             "parameters": [{"name": name, "z": _number(z)} for name, z in attribution.parameters],
             "next_experiment": next_experiment(diagnosis) if with_next else None,
             "augmented_model": augmented,
-            "unexplained_share": _number(joint.remainder),
+            "unexplained_share": _number(joint.unexplained),
             "replay": [{"name": block.name, "faithful": block.faithful, "rms": block.rms, "text": block.text} for block in blocks],
             "notes": list(diagnosis.notes),
             "distortions": [

@@ -125,6 +125,8 @@ class Decision:
         Zero and drift of the session, where they are named.
     distortions : tuple of DistortionEvidence
         Distortion tests for which an explanation is none, the clearest first.
+    unexplained : float
+        Share of the gap's energy that no known effect explains with coefficients that are near their tolerances, however small.
 
     """
 
@@ -138,6 +140,7 @@ class Decision:
     outliers: tuple[Outliers, ...] = ()
     companions: tuple[CompanionEvidence, ...] = ()
     distortions: tuple[DistortionEvidence, ...] = ()
+    unexplained: float = 0.0
 
     def of(self, name: str) -> float:
         """Probability that an effect is at work.
@@ -158,11 +161,12 @@ class Decision:
 
 @dataclass(frozen=True)
 class JointDecision:
-    """Decision over all axes: the verdict that prevails, its reasons, and the largest remainder."""
+    """Decision over all axes: the verdict that prevails, its reasons, and the largest remainder and unexplained share."""
 
     verdict: Verdict
     reasons: tuple[Reason, ...]
     remainder: float
+    unexplained: float = 0.0
 
 
 def join(decisions: Sequence[Decision]) -> JointDecision:
@@ -181,7 +185,12 @@ def join(decisions: Sequence[Decision]) -> JointDecision:
     """
     prevailing = min((decision.verdict for decision in decisions), key=list(Verdict).index)
     reasons = {reason for decision in decisions if decision.verdict is prevailing for reason in decision.reasons}
-    return JointDecision(prevailing, _ordered(reasons), max(decision.remainder for decision in decisions))
+    return JointDecision(
+        prevailing,
+        _ordered(reasons),
+        max(decision.remainder for decision in decisions),
+        max(decision.unexplained for decision in decisions),
+    )
 
 
 def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
@@ -239,7 +248,19 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
     else:
         beyond = any(_beats_null(one, evidence, thresholds) for one in evidence.hypotheses)
         verdict, reasons = Verdict.NO_GAP, {Reason.BELOW_PRACTICAL_SIZE if beyond else Reason.BELOW_NULL}
-    return Decision(verdict, _ordered(reasons), chosen, listed, probability, remainder, findings, outliers, companions, distorted)
+    return Decision(
+        verdict,
+        _ordered(reasons),
+        chosen,
+        listed,
+        probability,
+        remainder,
+        findings,
+        outliers,
+        companions,
+        distorted,
+        max(remainder, _unexplained(evidence, chosen, thresholds)),
+    )
 
 
 def contenders(evidence: Evidence, thresholds: Thresholds) -> tuple[int, ...]:
@@ -502,6 +523,21 @@ def _remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float
     usual = thresholds.run_to_run * evidence.stated if evidence.stated > 1.0 or evidence.whitened else np.inf
     new = follows * left + max((1.0 - follows) * left - usual, 0.0)
     return float(np.clip(new / max(before - evidence.stated, 1e-12), 0.0, 1.0))
+
+
+def _unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
+    """Share of the gap's energy that the chosen explanation leaves, or takes off by coefficients many tolerances away only.
+
+    Of a change that needs a coefficient n times as far away as the most that is believed, that most takes off all but (1 - 1/n)² of
+    the energy. What an effect outside the catalogue does to the output is taken up by coefficients in just this way.
+    """
+    one, before = evidence.hypotheses[chosen], evidence.hypotheses[0].energy - evidence.stated
+    if not (one.names or one.coefficients_alone):
+        return 0.0
+    beyond = (1.0 - min(thresholds.many_tolerances / max(one.farthest, 1e-300), 1.0)) ** 2
+    if before <= thresholds.least_excess * evidence.stated:
+        return beyond  # coefficients took all of it
+    return max(beyond, float(np.clip((_residual(evidence, chosen).energy - evidence.stated) / before, 0.0, 1.0)))
 
 
 def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:

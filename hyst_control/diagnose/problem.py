@@ -29,8 +29,8 @@ FAR_POLE = 5.0
 class Piece:
     """A gapless stretch of a record: command (N, A) in V, measurement (N, A), and which rows (N,) count (None: all).
 
-    others: measurement (N, B) of the plant's other axes, which a simulation of these axes alone does not give. foreseen: whether it is
-    a run to come, whose session is not known.
+    others, driven_beside: measurement and command (N, B) of the plant's other axes, which a simulation of these axes alone does not
+    give. foreseen: whether it is a run to come, whose session is not known.
     """
 
     command: Array
@@ -38,6 +38,7 @@ class Piece:
     keep: np.ndarray[tuple[int, ...], np.dtype[np.bool_]] | None = None
     others: Array | None = None
     foreseen: bool = False
+    driven_beside: Array | None = None
 
     def counted(self, values: Array) -> Array:
         """Select the rows that count.
@@ -255,6 +256,7 @@ def split(problem: Problem) -> list[Problem]:
                 np.ascontiguousarray(piece.measurement[:, axis : axis + 1]),
                 piece.keep,
                 np.delete(piece.measurement, axis, axis=1),
+                driven_beside=np.delete(piece.command, axis, axis=1),
             )
             for piece in problem.pieces
         )

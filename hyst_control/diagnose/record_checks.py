@@ -266,7 +266,8 @@ def outliers(residual: Array, settings: CheckSettings = CONFIGURATION.checks) ->
 def lines(problem: Problem, unexplained: Array, settings: CheckSettings = CONFIGURATION.checks) -> dict[str, list[float]]:
     """Frequencies at which the residual's spectrum has a narrow line.
 
-    A line of the command's is none, nor a harmonic of a command that is nearly one sine: any nonlinearity has those.
+    A line of the command's of any axis is none, since the axes couple; nor a harmonic of a command that is nearly one sine: any
+    nonlinearity has those.
 
     Parameters
     ----------
@@ -288,18 +289,15 @@ def lines(problem: Problem, unexplained: Array, settings: CheckSettings = CONFIG
     of_mains, others = [], []
     rows = problem.rows(unexplained)
     commands = [piece.counted(piece.command) for piece in problem.pieces]
-    longest = max(commands, key=len)
-    begin = 0
-    for command in commands:
-        count = len(command)
-        if command is longest:
-            break
-        begin += count
+    index = int(np.argmax([len(command) for command in commands]))
+    longest, piece = commands[index], problem.pieces[index]
+    begin, count = sum(len(command) for command in commands[:index]), len(longest)
+    driving = longest if piece.driven_beside is None else np.hstack([longest, piece.counted(piece.driven_beside)])
     rate = 1.0 / problem.sample_time
     for axis in range(rows.shape[1]):
         signal = rows[begin : begin + count, axis]
         frequency, power = periodogram(signal, rate, "hann")
-        _, driven = periodogram(longest[:, axis], rate, "hann", detrend="linear")
+        spectra = periodogram(driving, rate, "hann", detrend="linear", axis=0)[1].T
         width = rate / count
         ratio = power / np.maximum(_background(power, settings.background_bins), 1e-300)
         mains = _mains(mains_effect, problem)
@@ -310,10 +308,12 @@ def lines(problem: Problem, unexplained: Array, settings: CheckSettings = CONFIG
                 of_mains.append(fundamental)
         sure = ratio > settings.line_ratio
         # In a band that is driven evenly, as by a sweep, a line is none of the command's; where the command has lines, it may be.
-        of_command = driven > settings.driven_share * driven.max()
-        of_command &= driven > settings.driven_ratio * _background(driven, settings.background_bins)
-        sure &= (frequency > settings.lowest_line_bins * width) & ~np.convolve(of_command, np.ones(3), "same").astype(bool)
-        sure &= ~_harmonics(frequency, driven, settings)
+        sure &= frequency > settings.lowest_line_bins * width
+        for driven in spectra:
+            of_command = driven > settings.driven_share * driven.max()
+            of_command &= driven > settings.driven_ratio * _background(driven, settings.background_bins)
+            sure &= ~np.convolve(of_command, np.ones(3), "same").astype(bool)
+            sure &= ~_harmonics(frequency, driven, settings)
         for fundamental in mains:
             for harmonic in settings.mains_harmonics:
                 reach = max(settings.mains_width, settings.mains_harmonic_bins * width)

@@ -16,7 +16,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     corner = Parameter(
         "corner", "Hz", 0.5 * nyquist, (0.1 * nyquist, 0.5 * nyquist), 3.0 / around.duration, 5.0 * nyquist, 1.5, True
     )
-    return (Parameter("coupling", "", 0.0, (0.01,), -0.2, 0.2, 0.03), corner)
+    return (Parameter("coupling", "", 0.0, (0.01,), -0.5, 0.5, 0.03), corner)
 
 
 def coupled_parameters(around: Surroundings) -> tuple[Parameter, ...]:

@@ -674,3 +674,27 @@ def test_a_higher_null_makes_no_new_claim(found, more):
     singles = replace(found, hypotheses=tuple(one for one in found.hypotheses if len(one.names) < 2), checks=frozenset())
     here, there = decide(singles, LIMITS), decide(replace(singles, null=singles.null + more), LIMITS)
     assert set(there.probability) - {()} <= set(here.probability)
+
+
+def test_what_coefficients_take_up_far_beyond_their_tolerance_is_unexplained():
+    """Ten times as far as is believed: (1 - 1/10)² of the energy is left by what is believed."""
+    far = 10.0 * LIMITS.many_tolerances
+    found = decide(evidence(coefficients(farthest=far), base=none(strain=500.0)), LIMITS)
+    assert (found.verdict, found.remainder) == (Verdict.PARAMETERS, 0.0)
+    assert found.unexplained == pytest.approx(0.81)
+    near = decide(evidence(coefficients(farthest=0.9 * LIMITS.many_tolerances), base=none(strain=500.0)), LIMITS)
+    assert near.unexplained == 0.0
+    taken_up = decide(evidence(coefficients(farthest=far), base=none(energy=1.03, strain=500.0)), LIMITS)
+    assert taken_up.unexplained == pytest.approx(0.81)  # also where the tolerances alone, strained, leave nothing
+
+
+def test_a_remainder_too_small_for_a_verdict_is_still_told():
+    found = decide(evidence(effect("a", left=1.05)), LIMITS)
+    assert (found.verdict, found.remainder) == (Verdict.EFFECT, 0.0)
+    assert found.unexplained == pytest.approx(0.05 / (BEFORE - 1.0))
+
+
+def test_of_realizations_that_are_alike_only_the_best_counts():
+    """Eight holds of one command as good as one delay: the hold is no likelier for being told in eight ways."""
+    found = decide(evidence(effect("delay"), *(effect("dac_hold", 999.99) for _ in range(8))), LIMITS)
+    assert found.probability[("delay",)] > found.probability[("dac_hold",)]

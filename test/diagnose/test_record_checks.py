@@ -46,6 +46,19 @@ def test_a_harmonic_of_a_sine_that_swells_is_no_vibration(frequency, due):
     assert found == pytest.approx(due, abs=0.05)
 
 
+def test_a_line_of_another_axis_command_is_no_vibration():
+    """Axes couple: what the other one is driven at is seen on this one too."""
+    random = np.random.default_rng(5)
+    command = random.standard_normal((len(TIME), 1))
+    beside = 5.0 * np.sin(2 * np.pi * 22.5 * TIME)[:, None]
+    model = Model("gain", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain((TransferFunction((1.0,), (1.0,)),)))
+    residual = random.standard_normal(len(TIME)) + np.sin(2 * np.pi * 22.5 * TIME)
+    for driven_beside, due in ((None, [22.5]), (beside, [])):
+        piece = Piece(command, command, others=beside, driven_beside=driven_beside)
+        found = lines(Problem(model, (piece,), STEP, "zoh", np.array([1e-3])), residual)["vibration"]
+        assert found == pytest.approx(due, abs=0.05)
+
+
 def test_a_gain_of_all_coupled_axes_is_one_effect():
     """Both axes of a coupled plant are 4 % weak: one value on both, not an effect per axis."""
     w = 2 * np.pi * 300.0
