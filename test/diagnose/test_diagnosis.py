@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
+from hyst_control import parallel
 from hyst_control.config_files import config_path
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
@@ -141,8 +142,10 @@ def test_the_gap_is_what_a_simulation_leaves(answer):
     assert document["gap"]["nrmse"] == pytest.approx(100 * document["gap"]["rms"] / float(np.ptp(piece.measurement)), rel=1e-6)
 
 
-def test_the_same_answer_on_every_run(answer, tmp_path):
+def test_the_same_answer_on_every_run_and_any_number_of_cores(answer, tmp_path, monkeypatch):
     document, _, _ = answer(PEA, DELAY)
+    monkeypatch.setattr(parallel, "_serial", False)
+    monkeypatch.setattr(parallel, "cores", lambda: 2)
     again, _, _ = diagnosed([record_of(PEA, [dict(DELAY)])], nominal(PEA))
     write_json(tmp_path / "one.json", document)
     write_json(tmp_path / "two.json", again)
