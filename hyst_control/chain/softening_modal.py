@@ -187,7 +187,7 @@ class Numbers(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What a `SofteningModal` remembers, updated in place.
+    """Memory of a `SofteningModal`, updated in place.
 
     Parameters
     ----------
