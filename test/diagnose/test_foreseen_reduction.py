@@ -19,6 +19,7 @@ from hyst_control.diagnose import workflow
 from hyst_control.diagnose.baseline import Baseline
 from hyst_control.diagnose.foreseen_reduction import foresee, own_error_energy
 from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.effects import EFFECTS
 from hyst_control.errors import InputError
 from hyst_control.identify.learned_discrepancy import learn
 from hyst_control.model_file import save_model, simulate
@@ -28,6 +29,8 @@ from hyst_control.records.session_zero import without_zero
 NOISE = 5e-4
 DRAWN = {"pea_published": {"name": "dac_hold", "samples": 4.0}, "fsm_published": {"name": "cross_coupling", "coupling": 0.03}}
 
+RIVALS = {"dac_hold", "cross_coupling", "delay", "gain", "backlash", "resonance", "sensor_lowpass"}
+"""Effects that are looked for: how far the gap shrinks on another command is asked of the one that is named."""
 DURATION = {"pea_published": 1.5, "fsm_published": 0.75}
 """s; of the stage as long as its shrink on the record itself is another one than on the command to come."""
 
@@ -40,7 +43,7 @@ def answer():
     def found(plant):
         case = Case("case", plant, "single", "rich", NOISE, 21, (DRAWN[plant],), duration=DURATION[plant])
         model, record = nominal(plant, NOISE), record_of(case, run_case(case))
-        return case, record, model, *diagnosed([record], model)
+        return case, record, model, *diagnosed([record], model, without=[name for name in EFFECTS if name not in RIVALS])
 
     return found
 
