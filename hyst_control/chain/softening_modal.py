@@ -208,6 +208,37 @@ class Memory(NamedTuple):
 
 
 @njit(cache=True)
+def softening_forces(linear: Array, a: float, numbers: Numbers, strain: Array, force: Array) -> None:
+    """Compute the forces that follow the elongation: n and p, each less its mean at the slow amplitude.
+
+    Parameters
+    ----------
+    linear
+        (A,): output without forces.
+    a
+        Slow amplitude, V.
+    numbers
+        Of the stage.
+    strain, force
+        (A,) and ((K + T) A + P,): elongation, which is filled in, and forces, of which n and p are.
+    """
+    axes, exponent, force_mean, product_mean = len(strain), numbers.exponent, numbers.force_mean, numbers.product_mean
+    for j in range(axes):
+        q = 0.0
+        for o in range(axes):
+            q += numbers.k[j, o] * linear[o]
+        for e in range(exponent.size):
+            at = e * axes + j
+            force[at] = q * (abs(q) ** exponent[e] - force_mean[at] * a ** exponent[e])
+        strain[j] = q
+    at = force_mean.size + numbers.stop_mean.size
+    for j in range(axes):
+        for e in range(j, axes):
+            force[at] = strain[j] * strain[e] - product_mean[at - force_mean.size - numbers.stop_mean.size] * a * a
+            at += 1
+
+
+@njit(cache=True)
 def advance_softening_modal(
     block: Array, smooth: float, step: float, last: Array, numbers: Numbers, memory: Memory, output: Array
 ) -> None:
@@ -226,15 +257,15 @@ def advance_softening_modal(
     numbers, memory
         Of the stage.
     """
-    exponent, amplitude = numbers.exponent, numbers.amplitude
+    amplitude = numbers.amplitude
     decay, frequency, decay_change, frequency_change = (
         numbers.decay,
         numbers.frequency,
         numbers.decay_change,
         numbers.frequency_change,
     )
-    c, b, b_change, d, k, h, h_d = numbers.c, numbers.b, numbers.b_change, numbers.d, numbers.k, numbers.h, numbers.h_d
-    force_mean, threshold, stop_mean, product_mean = numbers.force_mean, numbers.threshold, numbers.stop_mean, numbers.product_mean
+    c, b, b_change, d, h, h_d = numbers.c, numbers.b, numbers.b_change, numbers.d, numbers.h, numbers.h_d
+    force_mean, threshold, stop_mean = numbers.force_mean, numbers.threshold, numbers.stop_mean
     state, mean_square, force, play = memory
     modes, axes = c.shape
     held = np.isnan(last[0])
@@ -280,19 +311,7 @@ def advance_softening_modal(
                 output[row, o] += twice * (c[i, o] * state[1, i]).real
         for o in range(axes):
             output[row, o] += linear[o]
-        for j in range(axes):
-            q = 0.0
-            for o in range(axes):
-                q += k[j, o] * linear[o]
-            for e in range(exponent.size):
-                at = e * axes + j
-                force[at] = q * (abs(q) ** exponent[e] - force_mean[at] * a ** exponent[e])
-            strain[j] = q
-        at = force_mean.size + stop_mean.size
-        for j in range(axes):
-            for e in range(j, axes):
-                force[at] = strain[j] * strain[e] - product_mean[at - force_mean.size - stop_mean.size] * a * a
-                at += 1
+        softening_forces(linear, a, numbers, strain, force)
 
 
 @njit(cache=True)
@@ -306,15 +325,15 @@ def settle_softening_modal(value: Array, numbers: Numbers, memory: Memory, outpu
     numbers, memory
         Of the stage.
     """
-    exponent, amplitude = numbers.exponent, numbers.amplitude
+    amplitude = numbers.amplitude
     decay, frequency, decay_change, frequency_change = (
         numbers.decay,
         numbers.frequency,
         numbers.decay_change,
         numbers.frequency_change,
     )
-    c, b, b_change, d, k, h, h_d = numbers.c, numbers.b, numbers.b_change, numbers.d, numbers.k, numbers.h, numbers.h_d
-    force_mean, threshold, stop_mean, product_mean = numbers.force_mean, numbers.threshold, numbers.stop_mean, numbers.product_mean
+    c, b, b_change, d, h, h_d = numbers.c, numbers.b, numbers.b_change, numbers.d, numbers.h, numbers.h_d
+    force_mean, threshold, stop_mean = numbers.force_mean, numbers.threshold, numbers.stop_mean
     state, mean_square, force, play = memory
     modes, axes = c.shape
     power = 0.0
@@ -344,19 +363,7 @@ def settle_softening_modal(value: Array, numbers: Numbers, memory: Memory, outpu
         twice = 1.0 if frequency[i] == 0.0 else 2.0
         for o in range(axes):
             linear[o] += twice * (c[i, o] * state[0, i]).real
-    for j in range(axes):
-        q = 0.0
-        for o in range(axes):
-            q += k[j, o] * linear[o]
-        for e in range(exponent.size):
-            at = e * axes + j
-            force[at] = q * (abs(q) ** exponent[e] - force_mean[at] * a ** exponent[e])
-        strain[j] = q
-    at = force_mean.size + stop_mean.size
-    for j in range(axes):
-        for e in range(j, axes):
-            force[at] = strain[j] * strain[e] - product_mean[at - force_mean.size - stop_mean.size] * a * a
-            at += 1
+    softening_forces(linear, a, numbers, strain, force)
     for o in range(axes):
         output[o] = linear[o]
         for j in range(force.size):
