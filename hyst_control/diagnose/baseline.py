@@ -26,6 +26,7 @@ from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.configuration import BaselineSettings
+from hyst_control.diagnose.error_spectrum import ErrorSpectrum
 from hyst_control.diagnose.initial_memory import initial_memory, wiped_out
 from hyst_control.diagnose.noise_floor import noise_between_periods
 from hyst_control.diagnose.problem import Piece, Problem, check_units
@@ -195,7 +196,7 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
     # A record that begins anywhere fills the memory first: what the model leaves there is no error of it.
     errors = [(piece.measurement - _simulated(clean, i, piece))[_first_counted(piece) :] for i, piece in enumerate(clean.pieces)]
     stated = discrepancy_of([piece.command for piece in clean.pieces], errors, clean.sample_time)
-    return _beside_own_error(problem, stated, clean, settings)
+    return _beside_own_error(problem, stated, clean, settings, errors)
 
 
 def with_discrepancy(problem: Problem, settings: BaselineSettings) -> Baseline:
@@ -215,8 +216,17 @@ def with_discrepancy(problem: Problem, settings: BaselineSettings) -> Baseline:
     return _beside_own_error(problem, problem.model.discrepancy, None, settings)
 
 
-def _beside_own_error(problem: Problem, stated: Mapping[str, Any], clean: Problem | None, settings: BaselineSettings) -> Baseline:
-    """Make the baseline of a model whose own error is known from other commands, in the form that a model file has it."""
+def _beside_own_error(
+    problem: Problem,
+    stated: Mapping[str, Any],
+    clean: Problem | None,
+    settings: BaselineSettings,
+    errors: Sequence[Array] = (),
+) -> Baseline:
+    """Make the baseline of a model whose own error is known from other commands, in the form that a model file has it.
+
+    errors: those of the clean records, each (N, A), from which its spectrum is read; a model file states none.
+    """
     error = np.asarray(stated["rms"], dtype=float)
     zeros = stated.get("zero")
     mean = np.asarray(stated.get("zero_mean", np.zeros((len(error), len(SHAPES)))), dtype=float)
@@ -235,9 +245,26 @@ def _beside_own_error(problem: Problem, stated: Mapping[str, Any], clean: Proble
     excess = np.sqrt(np.maximum(error**2 - noise**2, 0.0))
     usual = np.fmin(usual, np.array(settings.usual_share) * spans[:, None])
     length = max(seconds / problem.sample_time, 1.0)
-    beside = replace(problem, model=model, slowest=_slowest(problem), own_error=rest, own_correlation=length)
     known = learned[0] if len(learned) == len(error) == 1 else None
-    return Baseline(beside, False, error, usual, settings.other_command * excess, clean, excess, known, mean)
+    spectrum = None
+    floor = settings.other_command * excess
+    if clean is not None:
+        left = [without_zero(rows)[0] for rows in errors]
+        if known is not None:
+            left = [rows - without_zero(_learned_mean(known, piece, len(rows), clean.sample_time))[0] for rows, piece in zip(left, clean.pieces, strict=True)]
+        rows = max(len(piece.counted(piece.command)) for piece in problem.pieces)
+        spectrum = ErrorSpectrum.of(left, problem.sample_time, rows, _slowest(clean))
+        floor = np.zeros_like(excess)
+    beside = replace(
+        problem, model=model, slowest=_slowest(problem), own_error=rest, own_correlation=length, own_spectrum=spectrum
+    )
+    return Baseline(beside, False, error, usual, floor, clean, excess, known, mean)
+
+
+def _learned_mean(learned: LearnedDiscrepancy, piece: Piece, rows: int, sample_time: float) -> Array:
+    """The last rows (N, 1) of what a learned error predicts on a record."""
+    features = learned.features.rows(np.ascontiguousarray(piece.command[:, 0]), sample_time)
+    return np.asarray((features @ learned.mean)[-rows:, None], dtype=np.float64)
 
 
 def _predicted(problem: Problem, learned: LearnedDiscrepancy) -> LearnedError:
@@ -263,6 +290,7 @@ def _carried(
     pieces: list[Piece] = []
     series: list[Array] = []
     differences: list[Array] = []
+    run_to_run: list[Array] = []
     zeros: list[Array] = []
     for piece, found in zip(problem.pieces, matches, strict=True):
         filled = [max(_first_counted(piece), _first_counted(match.clean) - match.shift) for match in found]
@@ -284,12 +312,16 @@ def _carried(
         series.append(without_noise(mean, np.array(repeating)))
         differences += [without_zero((error - errors[0])[begin:end])[0] for error in errors[1:]]
         zeros.append(usual_zero(np.array([without_zero((error - series[-1])[begin:end])[1] for error in errors])))
+        run_to_run += [without_zero((error - errors[0])[begin:end])[0] / np.sqrt(2.0) for error in errors[1:]]
         if len(errors) == 1:
             differences += _between_periods(piece.command[begin:end], errors[0][begin:end], settings)
+            run_to_run += _beside_periods(piece.command[begin:end], errors[0][begin:end], settings)
     repeatability = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if differences else np.zeros(len(spans))
     usual = np.fmin(np.max(zeros, axis=0), np.array(settings.usual_share) * spans[:, None])
     # Both records of a difference have noise, and the mean of n clean ones a part of it; what is carried has none.
-    alone = repeatability / np.sqrt(1.0 + 1.0 / min(len(found) for found in matches))
+    both = float(np.sqrt(1.0 + 1.0 / min(len(found) for found in matches)))
+    alone = repeatability / both
+    longest = max(len(piece.counted(piece.command)) for piece in pieces)
     memory = _memory(replace(problem, pieces=tuple(pieces)), settings)
     stages = (*problem.model.chain.stages, CarriedError(tuple(series)), *memory)
     zero = _zero(replace(problem, model=problem.model.with_stages(stages)), spans, settings)
@@ -301,6 +333,9 @@ def _carried(
         slowest=_slowest(problem),
         own_error=alone if differences else None,
         own_correlation=max((correlation_length(rows) for rows in differences), default=1.0),
+        own_spectrum=ErrorSpectrum.of([both * rows for rows in run_to_run], problem.sample_time, longest, _slowest(problem))
+        if run_to_run
+        else None,
     )
     own = np.concatenate([without_zero(rows)[0] for rows in series])
     error = np.sqrt(np.mean(own**2, axis=0))
@@ -388,6 +423,18 @@ def _between_periods(command: Array, error: Array, settings: BaselineSettings) -
     count = len(command) // period
     whole = error[: count * period].reshape(count, period, -1)
     return [without_zero(later - earlier)[0] for earlier, later in zip(whole[:-1], whole[1:], strict=True)]
+
+
+def _beside_periods(command: Array, error: Array, settings: BaselineSettings) -> list[Array]:
+    """The error (N, A) without its mean over the periods of a periodic command; empty if it is not periodic."""
+    period = period_of(command, settings.same_command)
+    if period is None:
+        return []
+    count = len(command) // period
+    rest, _ = without_zero(error[: count * period])
+    whole = rest.reshape(count, period, -1)
+    beside = (whole - whole.mean(axis=0)) / np.sqrt(1.0 - 1.0 / count)
+    return [np.asarray(beside.reshape(count * period, -1), dtype=np.float64)]
 
 
 def _first_counted(piece: Piece) -> int:

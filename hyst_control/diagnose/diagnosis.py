@@ -19,6 +19,7 @@ from hyst_control.diagnose.evidence import Evidence, Finding
 from hyst_control.diagnose.evidence_collection import (
     collect,
     companions,
+    known_error,
     residual_evidence,
     stated_energy,
     stated_noise,
@@ -331,7 +332,7 @@ def _axis(
         problem = _with_noise(baseline.problem, _residuals(baseline.problem), configuration)
         without = [*without, *(name for name, effect in EFFECTS.items() if effect.companion is not None)]
     stated = stated_noise(problem.model)
-    own = stated if problem.own_error is None else np.maximum(stated, problem.own_error)
+    own = known_error(problem, stated)
     checks = frozenset(check for check in RecordCheck if _is_used(check, without))
     if baseline is not None and baseline.clean is not None:
         checks -= _shown_clean(baseline.clean, checks, configuration)
@@ -429,7 +430,7 @@ def _without_truncation(linearised: Linearised, findings: Sequence[Finding], con
         if finding.check is RecordCheck.VALUE_LATTICE:
             constant = np.zeros((len(gap) // len(shift), len(shift)))
             constant[:, finding.axis] = 1.0 / problem.sigma[finding.axis]
-            column = constant.reshape(-1)
+            column = problem.whitened(constant.reshape(-1))
             steps = float(column @ gap / (column @ linearised.unexplained(column))) / finding.value
             if abs(abs(steps) - 0.5) < configuration.checks.truncation:
                 shift[finding.axis] = -0.5 * np.sign(steps) * finding.value

@@ -239,6 +239,8 @@ class Evidence:
         Weight of a sample in the fits, below 1 where they know of the model's own error.
     clean_noise : bool
         True where a single clean record is carried over, so that its own noise is in the residual and nobody knows how much that is.
+    whitened : bool
+        True where the fits know the spectrum of the model's own error: energies are then in units of it and the noise together.
 
     """
 
@@ -256,6 +258,7 @@ class Evidence:
     checks: frozenset[RecordCheck] = frozenset()
     weight: float = 1.0
     clean_noise: bool = False
+    whitened: bool = False
 
     def with_residuals(self, residuals: Mapping[int, ResidualEvidence]) -> Evidence:
         """Add what hypotheses leave.

@@ -95,7 +95,7 @@ def collect(
         null,
         floor,
         max(
-            stated_energy(stated if problem.own_error is None else np.maximum(stated, problem.own_error), problem.sigma),
+            stated_energy(known_error(problem, stated), problem.sigma),
             1.0 + problem.own_energy,
         ),
         tuple(float(value) for value in problem.sigma),
@@ -106,6 +106,7 @@ def collect(
         checks,
         problem.weight,
         problem.slowest is not None and problem.own_error is None,
+        problem.own_spectrum is not None,
     )
     return Collected(evidence, hypotheses)
 
@@ -234,6 +235,26 @@ def stated_noise(model: Model) -> Array:
     return np.broadcast_to(stated, (len(model.axes),)).copy()
 
 
+def known_error(problem: Problem, stated: Array) -> Array:
+    """Choose what a model is known to leave beside the whitened error: its stated noise, or its own error.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and model.
+    stated : ndarray, shape (A,)
+        Noise (rms) that the model states, measurement unit.
+
+    Returns
+    -------
+    ndarray, shape (A,)
+        Rms, measurement unit.
+    """
+    if problem.own_spectrum is not None:
+        return np.zeros_like(stated)  # fits have it in their weights
+    return stated if problem.own_error is None else np.maximum(stated, problem.own_error)
+
+
 def stated_energy(stated: Array, noise: Array) -> float:
     """Energy that a model itself says it leaves.
 
@@ -317,5 +338,8 @@ def _flicker(problem: Problem, scored: Scored, configuration: Configuration) -> 
     if len(problem.model.axes) > 1 or any(_has_holes(piece) for piece in problem.pieces):
         return None
     command = np.concatenate([piece.counted(piece.command)[:, 0] for piece in problem.pieces])
-    seen = flicker(scored.solution.residual, command, configuration.flicker)
-    return None if seen is None else replace(seen, gain=problem.weight * seen.gain)
+    seen = flicker(problem.in_noise(scored.solution.residual), command, configuration.flicker)
+    if problem.own_spectrum is not None:  # what exceeds the own error, which may fall with frequency too
+        beyond = flicker(scored.solution.residual, command, configuration.flicker)
+        return replace(seen, gain=beyond.gain, plausible=seen.plausible and beyond.plausible)
+    return replace(seen, gain=problem.weight * seen.gain)

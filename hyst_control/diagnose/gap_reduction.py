@@ -64,7 +64,8 @@ def held_out(
     count = len(linearised.measured)
     fold = (np.arange(count) * settings.blocks // count) % 2
     unknowns = scored.candidate.unknowns() if scored.candidate else None
-    before = (linearised.measured - linearised.simulate(linearised.companions(none.solution.z))) ** 2
+    in_noise = linearised.problem.in_noise
+    before = in_noise(linearised.measured - linearised.simulate(linearised.companions(none.solution.z))) ** 2
     after, before_fitted, after_fitted = before.copy(), np.empty(count), np.empty(count)
     without = Linearised(linearised.problem, linearised.scatter, none.solution.z)
     within = (
@@ -74,13 +75,14 @@ def held_out(
         weight = (fold != held).astype(float)
         rows = fold == held
         alone = fit(without, z=none.solution.z, weight=weight, rounds=settings.rounds)
-        before_fitted[rows] = (linearised.measured - linearised.simulate(alone.z))[rows] ** 2
+        before_fitted[rows] = in_noise(linearised.measured - linearised.simulate(alone.z))[rows] ** 2
         if unknowns is None:
             after_fitted[rows] = before_fitted[rows]
             continue
         both = fit(within, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=settings.rounds)
-        after_fitted[rows] = (linearised.measured - linearised.simulate(both.z, unknowns, both.x))[rows] ** 2
-        after[rows] = (linearised.measured - linearised.simulate(linearised.companions(both.z), unknowns, both.x))[rows] ** 2
+        after_fitted[rows] = in_noise(linearised.measured - linearised.simulate(both.z, unknowns, both.x))[rows] ** 2
+        as_given = linearised.simulate(linearised.companions(both.z), unknowns, both.x)
+        after[rows] = in_noise(linearised.measured - as_given)[rows] ** 2
     return HeldOut(before, after, before_fitted, after_fitted)
 
 

@@ -300,11 +300,17 @@ class Member:
                 before, now = (1.0 - keep) / rate - keep, 1.0 - (1.0 - keep) / rate
                 other, _ = lfilter([now, before], [1.0, -keep], other, zi=[other[0] * (1.0 - now)])
             found.append(piece.counted(values["coupling"] * other))
-        return np.asarray(np.concatenate(found) / self.problem.sigma[0], dtype=np.float64)
+        return self.problem.whitened(np.asarray(np.concatenate(found) / self.problem.sigma[0], dtype=np.float64))
+
+    @cached_property
+    def _line_size(self) -> float:
+        """Noises per unit of x: what the samples of a fit scatter by, which beside the model's own error is more than the noise."""
+        return float(1.0 / np.sqrt(self.problem.weight))
 
     @cached_property
     def _line_scale(self) -> float:
-        return float(np.mean(self.problem.sigma))
+        """Measurement unit per unit of x."""
+        return float(np.mean(self.problem.sigma)) * self._line_size
 
     @cached_property
     def _frequency_step(self) -> float:
@@ -350,14 +356,14 @@ class Member:
             time = piece.counted(np.arange(len(piece.command), dtype=np.float64)) * self.problem.sample_time
             span = max(len(piece.command) * self.problem.sample_time, 1e-12)
             shapes = np.polynomial.legendre.legvander(2.0 * time / span - 1.0, self.line.swells - 1)
-            found.append((time, np.asarray(shapes, dtype=np.float64)))
+            found.append((time, np.asarray(self._line_size * shapes, dtype=np.float64)))
         return found
 
     def _flat(self, pieces: Sequence[Array]) -> Array:
         """Signals (N,) of one axis of every piece, as all axes' flat vector."""
         block = np.zeros((sum(map(len, pieces)), len(self.problem.model.axes)))
         block[:, 0 if self.axis is None else self.axis] = np.concatenate(pieces)
-        return block.reshape(-1)
+        return self.problem.whitened(block.reshape(-1))
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 The weight of a candidate is its evidence (Laplace) relative to "no effect":
 
-    score = τ (Φ_0 - Φ_c) - ½ log det(1 + τ (I_c - 1)) - log(number of alternatives)
+    score = τ (Φ_0 - Φ_c) - ½ log det(1 + τ (I_c - 1)) - log(number of effects) - log(realizations of the effect)
 
 τ ≤ 1 reduces the weight of the misfit when even the best explanation leaves more than noise: that residual is correlated along
 the record, so its samples are not independent.
@@ -10,6 +10,7 @@ the record, so its samples are not independent.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -151,14 +152,17 @@ def search(
     """
     settings, thresholds = configuration.search, configuration.policy
     beam, depth = settings.beam, settings.depth
-    if leaves >= thresholds.own_error_energy:
+    has_own_error = leaves >= thresholds.own_error_energy or linearised.problem.own_spectrum is not None
+    if has_own_error:
         depth = min(depth, settings.depth_with_own_error)
     strained = partial(_strained, thresholds=thresholds)
     none = Scored(None, settled(linearised), 0.0)
     wide = inflated(linearised, settings.inflation)
     parameters = Scored(None, settled(wide, none.solution.z / settings.inflation), 0.0, True, settings.inflation)
     fits: list[tuple[Candidate, Solution]] = []
-    alternatives = np.log(max(len(members), 1))
+    # Every effect is as likely as any other before the record is seen, however many realizations it has.
+    realizations = Counter(member.name for member in members)
+    alternatives = np.log(max(len(realizations), 1))
     members = _screened(linearised, members, settings.realizations)
     alone = [Candidate((member,)) for member in members]
     solutions = map_forked(lambda i: _fitted(linearised, alone[i], alone[i].starts(), settings), len(alone))
@@ -195,9 +199,10 @@ def search(
     def scored(candidate: Candidate, solution: Solution) -> Scored:
         count = len(candidate.members)
         # Every parameter beyond the first may also follow the model's own error, which is no white noise.
-        further = settings.own_error_parameter * (len(solution.x) - count) if leaves >= thresholds.own_error_energy else 0.0
+        further = settings.own_error_parameter * (len(solution.x) - count) if has_own_error else 0.0
         gain = temper * (none.solution.misfit - solution.misfit)
-        return Scored(candidate, solution, gain - _occam(solution, temper) - count * alternatives - further)
+        among = count * alternatives + sum(np.log(realizations[name]) for name in candidate.names)
+        return Scored(candidate, solution, float(gain - _occam(solution, temper) - among - further))
 
     def ranked(found: Sequence[tuple[Candidate, Solution]]) -> tuple[Scored, ...]:
         return tuple(sorted((scored(*item) for item in found), key=lambda item: -item.score))

@@ -138,6 +138,7 @@ def _distance(part: AxisDiagnosis, rivals: Sequence[Scored], command: Array) -> 
         problem.slowest,
         problem.own_error,
         problem.own_correlation,
+        problem.own_spectrum,
     )
     linearised = Linearised(fresh, replace(part.linearised.scatter))
     predictions = []

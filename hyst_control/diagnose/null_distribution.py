@@ -29,7 +29,7 @@ from hyst_control.errors import InputError
 from hyst_control.model_file import model_to_document
 from hyst_control.parallel import map_forked
 
-MANY = 100
+MANY = 20
 """Parameters from which an effect's gain by chance is what its evidence takes off for their number (half a logarithm of the information
 of each, never less than its expected gain): as part of the threshold it would hide all effects of few parameters."""
 
@@ -213,6 +213,7 @@ def cache_key(linearised: Linearised, members: Sequence[Member], seed: int, conf
         "model": model_to_document(problem.model),
         "sample_time": problem.sample_time,
         "weight": float(f"{problem.weight:.1g}"),  # of the model's own error
+        "own_error": None if problem.own_spectrum is None else problem.own_spectrum.digest(),
         "hold": problem.hold,
         # A noise that is a little different has the same threshold.
         "noise": [float(f"{value:.1g}") for value in problem.sigma],

@@ -442,19 +442,20 @@ def _idle(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thr
     relieved = strained(best.strain, evidence.coefficients, thresholds) and not strained(
         one.strain, evidence.coefficients, thresholds
     )
-    share = thresholds.added_share if evidence.weight == 1.0 else thresholds.added_share_with_own_error
+    alone = evidence.weight == 1.0 and not evidence.whitened
+    share = thresholds.added_share if alone else thresholds.added_share_with_own_error
     small = better <= share * (evidence.hypotheses[0].misfit - one.misfit)
     return evidence.temper * better <= evidence.null + thresholds.margin or (small and not relieved)
 
 
 def _probabilities(evidence: Evidence, claims: Sequence[int], thresholds: Thresholds) -> dict[tuple[str, ...], float]:
     hypotheses = [evidence.hypotheses[index] for index in claims or (0,)]
-    weights = np.exp(thresholds.sharpness * (np.array([one.score for one in hypotheses]) - hypotheses[0].score))
-    weights /= weights.sum()
-    probability: dict[tuple[str, ...], float] = {}
-    for one, weight in zip(hypotheses, weights, strict=True):
-        probability[key(one)] = probability.get(key(one), 0.0) + float(weight)
-    return probability
+    # Of an effect's realizations the best one counts: several that are alike make the effect no likelier.
+    best: dict[tuple[str, ...], float] = {}
+    for one in hypotheses:
+        best[key(one)] = max(best.get(key(one), -np.inf), one.score)
+    weights = np.exp(thresholds.sharpness * (np.array(list(best.values())) - max(best.values())))
+    return dict(zip(best, (weights / weights.sum()).tolist(), strict=True))
 
 
 def _listed(
@@ -553,7 +554,19 @@ def _flicker(evidence: Evidence, first: int, thresholds: Thresholds) -> FlickerE
         if large and seen.gain > evidence.null + thresholds.margin + thresholds.flicker_margin:
             if index == first or _outweighs(seen, evidence, first):
                 return seen
+        if large and index == first and _falls_to_the_top(seen, evidence, first, thresholds):
+            return seen
     return None
+
+
+def _falls_to_the_top(seen: FlickerEvidence, evidence: Evidence, first: int, thresholds: Thresholds) -> bool:
+    """True where noise in excess of the stated one falls with frequency up to the top of the spectrum, so that it is not white.
+
+    The weight of a sample, by the model's own error, is for what is slow; at the top of the spectrum the noise is what there is.
+    """
+    (white, *_), (stated, *_) = _residual(evidence, first).white, evidence.stated_noise
+    sure = seen.gain > evidence.weight * (evidence.null + thresholds.margin + thresholds.flicker_margin)
+    return 0.0 < thresholds.excess_ratio * stated < white and seen.top > thresholds.flicker_hides and sure
 
 
 def _outweighs(noise: FlickerEvidence, evidence: Evidence, first: int) -> bool:

@@ -12,6 +12,7 @@ import numpy as np
 from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.linear import LinearStage
 from hyst_control.chain.parameter import Array
+from hyst_control.diagnose.error_spectrum import ErrorSpectrum, filtered
 from hyst_control.effects.effect import Surroundings
 from hyst_control.effects.placement import mechanics_index
 from hyst_control.errors import InputError
@@ -69,6 +70,8 @@ class Problem:
     """Rms (A,) of what the model leaves on clean records, measurement unit; None where it is not known."""
     own_correlation: float = 1.0
     """Samples of that error per independent one."""
+    own_spectrum: ErrorSpectrum | None = None
+    """Spectrum of that error, by which flat vectors are whitened; None: its size and its correlation alone are known."""
 
     @property
     def weight(self) -> float:
@@ -81,8 +84,11 @@ class Problem:
 
     @property
     def own_energy(self) -> float:
-        """Energy of the model's own error in noise energies, without the noise that was in it: a record of more noise has it too."""
-        if self.own_error is None:
+        """Energy of the model's own error in noise energies, without the noise that was in it: a record of more noise has it too.
+
+        0 where the error is whitened by its spectrum together with the noise.
+        """
+        if self.own_error is None or self.own_spectrum is not None:
             return 0.0
         stated = np.atleast_1d(np.asarray(self.model.noise.get("sigma", 0.0), dtype=float))
         noise = np.where(stated > 0.0, np.minimum(stated, self.sigma), self.sigma)
@@ -92,7 +98,9 @@ class Problem:
         """Simulated measurement of all rows that count, (M,), in units of the noise. Raises `InputError` like the stages do."""
         sampling = Sampling(self.sample_time, len(self.model.axes), self.hold)
         with np.errstate(all="ignore"):  # a fit may try a chain that is unstable, and turns back
-            return np.concatenate([self._piece(stages, sampling, index, piece) for index, piece in enumerate(self.pieces)])
+            return self.whitened(
+                np.concatenate([self._piece(stages, sampling, index, piece) for index, piece in enumerate(self.pieces)])
+            )
 
     def _piece(self, stages: Sequence[Stage], sampling: Sampling, index: int, piece: Piece) -> Array:
         record = None if piece.foreseen else index
@@ -105,11 +113,41 @@ class Problem:
 
     def measured(self) -> Array:
         """The measurement in the same form."""
-        return np.concatenate([(piece.counted(piece.measurement) / self.sigma).reshape(-1) for piece in self.pieces])
+        return self.whitened(
+            np.concatenate([(piece.counted(piece.measurement) / self.sigma).reshape(-1) for piece in self.pieces])
+        )
 
     def rows(self, flat: Array) -> Array:
         """A flat vector as rows (M, A) in the measurement's unit."""
-        return flat.reshape(-1, len(self.model.axes)) * self.sigma
+        return self.in_noise(flat).reshape(-1, len(self.model.axes)) * self.sigma
+
+    def whitened(self, flat: Array) -> Array:
+        """Make the model's own error and the noise of a flat vector (M,) in units of the noise white, where its spectrum is known."""
+        if self.own_spectrum is None or not np.isfinite(flat).all():
+            return flat
+        rows = np.split(flat.reshape(-1, len(self.model.axes)), self._edges)
+        return np.concatenate([filtered(one, gain).reshape(-1) for one, gain in zip(rows, self._gains, strict=True)])
+
+    def in_noise(self, flat: Array) -> Array:
+        """Take a flat vector (M,) back to units of the noise: the inverse of `whitened`."""
+        if self.own_spectrum is None or not np.isfinite(flat).all():
+            return flat
+        rows = np.split(flat.reshape(-1, len(self.model.axes)), self._edges)
+        return np.concatenate([filtered(one, 1.0 / gain).reshape(-1) for one, gain in zip(rows, self._gains, strict=True)])
+
+    @cached_property
+    def _counts(self) -> list[int]:
+        """Rows that count, by piece."""
+        return [len(piece.command) if piece.keep is None else int(np.count_nonzero(piece.keep)) for piece in self.pieces]
+
+    @cached_property
+    def _edges(self) -> Array:
+        return np.cumsum(self._counts)[:-1]
+
+    @cached_property
+    def _gains(self) -> list[Array]:
+        assert self.own_spectrum is not None
+        return [self.own_spectrum.gain(count, self.sigma, self.sample_time) for count in self._counts]
 
     @cached_property
     def surroundings(self) -> Surroundings:

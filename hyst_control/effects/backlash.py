@@ -10,7 +10,7 @@ import numpy as np
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
 from hyst_control.chain.prandtl_ishlinskii import PlayFilter, PlayOperator
 from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalars, register
-from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.effects.effect import Effect, Parameter, Surroundings
 
 
 @register
@@ -53,15 +53,28 @@ class BegunFilter(Filter):
         return self.running.process(block)
 
 
+def parameters(around: Surroundings) -> tuple[Parameter, ...]:
+    """Play up to half of the stroke, from several starts: a linear step from a narrow one says little of a wide one.
+
+    Parameters
+    ----------
+    around
+        Record that the sizes are judged by.
+    """
+    size = around.stroke
+    scale = 0.01 * size if around.slowest is None else 0.05 * size
+    return (
+        Parameter("half_width", "unit", 0.0, (0.002 * size, 0.01 * size, 0.05 * size, 0.2 * size), 0.0, 0.5 * size, scale),
+        Parameter("start", "", 0.0, (-0.7, 0.7, -0.7, 0.7), -1.0, 1.0, 0.5, told=False),
+        Parameter("begun", "", 0.0, (0.0, 1.0), 0.0, 1.0, 1.0, told=False),
+    )
+
+
 EFFECT = Effect(
     "backlash",
     "motion",
     "Something between mechanics and sensor has play.",
-    lambda around: (
-        Parameter("half_width", "unit", 0.0, (0.002 * around.stroke,), 0.0, 0.05 * around.stroke, 0.01 * around.stroke),
-        Parameter("start", "", 0.0, (-0.7, 0.7), -1.0, 1.0, 0.5, told=False),
-        Parameter("begun", "", 0.0, (0.0, 1.0), 0.0, 1.0, 1.0, told=False),
-    ),
+    parameters,
     lambda values, around: Backlash(values["half_width"], values["start"] if np.any(values.get("begun", 0.0)) else None),
     variants=lambda around: ({"start": 0.0, "begun": 0.0}, {"begun": 1.0}),
     phrase="backlash of ±{half_width}",

@@ -143,7 +143,12 @@ EFFECT = Effect(
     "gain_drift",
     "sensor",
     "The gain changes over the record.",
-    lambda around: (Parameter("change", "", 0.0, (0.01,), -0.3, 0.3, 0.03), *drift_parameters(around)),
+    lambda around: (
+        Parameter("change", "", 0.0, (0.01,), -0.3, 0.3, 0.03)
+        if around.slowest is None
+        else Parameter("change", "", 0.0, (0.01,), -0.8, 1.0, 0.1),
+        *drift_parameters(around),
+    ),
     lambda values, around: GainDrift(values["change"], values["tau"], values.get("decades", 0.0), values.get("initial", 0.0)),
     also_at=("drive",),
     phrase="a gain drift of {change}",

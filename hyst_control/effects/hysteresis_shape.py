@@ -152,14 +152,19 @@ def _reach(around: Surroundings) -> float:
     return 0.1 if around.slowest is None else 0.25
 
 
+def _usual(around: Surroundings) -> float:
+    """Usual bend, in shares of the stroke."""
+    return 0.2 * _reach(around)
+
+
 EFFECT = Effect(
     "hysteresis_shape",
     "hysteresis",
     "The single-valued curve under the loops is bent, evenly or oddly, or tilted.",
     lambda around: (
-        Parameter("even", "", 0.0, (0.005,), -_reach(around), _reach(around), 0.02, told=False),
-        Parameter("odd", "", 0.0, (0.0,), -_reach(around), _reach(around), 0.02, told=False),
-        Parameter("tilt", "", 0.0, (0.0,), -2.0 * _reach(around), 2.0 * _reach(around), 0.03, told=False),
+        Parameter("even", "", 0.0, (0.005,), -_reach(around), _reach(around), _usual(around), told=False),
+        Parameter("odd", "", 0.0, (0.0,), -_reach(around), _reach(around), _usual(around), told=False),
+        Parameter("tilt", "", 0.0, (0.0,), -2.0 * _reach(around), 2.0 * _reach(around), 1.5 * _usual(around), told=False),
         Parameter("behind", "", 0.0, (0.0, 1.0), 0.0, 1.0, 1.0, told=False),
     ),
     shape,

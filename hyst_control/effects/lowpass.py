@@ -130,7 +130,7 @@ def lowpass_parameters(around: Surroundings) -> tuple[Parameter, ...]:
         starts = tuple(share * nyquist for share in (0.03, 0.2, 0.7))
         lower = min(3.0 / around.duration, 0.01 * nyquist)
     return (
-        Parameter("cutoff", "Hz", np.inf, starts, lower, 5.0 * nyquist, 1.5, logarithmic=True),
+        Parameter("cutoff", "Hz", np.inf, starts, lower, nyquist, 1.5, logarithmic=True),
         Parameter("order", "", 1.0, (1.0, 2.0), 1.0, 2.0, 1.0),
         Parameter("damping", "", 1.0, (0.9,), 0.4, 1.6, 0.3, told=False),
     )

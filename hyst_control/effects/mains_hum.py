@@ -65,13 +65,14 @@ EFFECT = Effect(
     "The mains and its harmonics come into the measurement.",
     lambda around: (
         Parameter(
-            "amplitude", "unit", 0.0, (0.005 * around.stroke,), -0.2 * around.stroke, 0.2 * around.stroke, 0.01 * around.stroke
+            "amplitude", "unit", 0.0, (0.005 * around.stroke,), -0.5 * around.stroke, 0.5 * around.stroke, 0.01 * around.stroke
         ),
         Parameter("frequency", "Hz", 50.0, (50.0, 60.0), 45.0, 65.0, 1.0),
     ),
     lambda values, around: MainsHum(values["amplitude"], values["frequency"], values.get("phase", 0.0)),
     exercised=lambda around: 0.5 / around.sample_time > 65.0,
     line=Line(harmonics=(1, 2, 3, 5, 7)),
+    further_lines=(Line(),),
     record_check=RecordCheck.MAINS_LINE,
     phrase="mains hum at {frequency}",
 )

@@ -109,11 +109,22 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     wide = 1.0 if around.slowest is None else 5.0
     most, fewer = 0.05 * wide * size, 0.02 * wide * size
     return (
-        *(Parameter(name, "unit", 0.0, (0.002 * size,), -most, most, 0.01 * size) for name in ("second", "third")),
+        *(Parameter(name, "unit", 0.0, (0.002 * size,), -most, most, 0.01 * wide * size) for name in ("second", "third")),
         Parameter("ratio", "", 0.0, (0.0,), -8.0, 8.0, 2.0, told=False),
         *(Parameter(name, "unit", 0.0, (0.0,), -fewer, fewer, 0.1 * fewer, told=False) for name in ("fourth", "fifth")),
         *([Parameter("slope", "", 0.0, (0.0,), -8.0, 8.0, 2.0, told=False)] if around.slowest is not None else []),
     )
+
+
+def variants(around: Surroundings) -> tuple[Values, ...]:
+    """Beside clean records also the second and third term alone: of more the model's own error leaves nothing to be told.
+
+    Parameters
+    ----------
+    around
+        Record that the sizes are judged by.
+    """
+    return ({},) if around.slowest is None else ({}, {"ratio": 0.0, "fourth": 0.0, "fifth": 0.0, "slope": 0.0})
 
 
 def stage(values: Values, around: Surroundings) -> SensorNonlinearity:
@@ -148,6 +159,7 @@ EFFECT = Effect(
     "The sensor's characteristic is bent.",
     parameters,
     stage,
+    variants=variants,
     exercised=lambda around: around.stroke > 0,
     phrase="a sensor nonlinearity",
 )

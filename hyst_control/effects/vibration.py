@@ -56,7 +56,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     starts = tuple(np.geomspace(min(10.0, 0.1 * nyquist), 0.8 * nyquist, 8))
     size = around.stroke
     return (
-        Parameter("amplitude", "unit", 0.0, (0.005 * size,), -0.2 * size, 0.2 * size, 0.01 * size),
+        Parameter("amplitude", "unit", 0.0, (0.005 * size,), -0.5 * size, 0.5 * size, 0.01 * size),
         Parameter("frequency", "Hz", starts[4], starts, min(1.0, 0.05 * nyquist), 0.98 * nyquist, 1.5, True),
     )
 
@@ -68,7 +68,7 @@ EFFECT = Effect(
     parameters,
     lambda values, around: Vibration(values["amplitude"], values["frequency"], values.get("phase", 0.0)),
     line=Line(swells=24, skirt=0.05),
-    further_lines=(Line(harmonics=(1, 2, 3), swells=6, skirt=0.05),),
+    further_lines=(Line(skirt=0.05), Line(harmonics=(1, 2, 3), swells=6, skirt=0.05)),
     record_check=RecordCheck.SPECTRAL_LINE,
     phrase="vibration at {frequency}",
 )

@@ -11,6 +11,7 @@ from hyst_control.chain import Chain
 from hyst_control.chain.linear import TransferFunction
 from hyst_control.chain.memoryless import Gain
 from hyst_control.diagnose.evidence_collection import _has_holes
+from hyst_control.diagnose.hypothesis import Candidate, catalogue
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.parameter_uncertainty import scatter_of, within_own_error
 from hyst_control.diagnose.problem import Piece, Problem
@@ -56,6 +57,21 @@ def test_the_posterior_of_a_coefficient_is_that_of_independent_samples():
     precision = 1.0 / tolerance**2 + np.sum(COMMAND**2) / (length * (error**2 - 0.01**2) + 0.01**2)
     assert np.sqrt(found.covariance[0, 0]) * tolerance == pytest.approx(precision**-0.5, rel=0.02)
     assert found.z[0] * tolerance == pytest.approx(0.02, rel=0.02)
+
+
+def test_a_line_of_ten_times_the_own_error_is_as_large_as_it_is():
+    """Its prior is as wide as what the samples scatter by, not as the noise, of which the line is two hundred."""
+    line = 2.0 * np.sin(2 * np.pi * 61.0 * STEP * np.arange(len(COMMAND)) + 0.4)
+    seen = problem(Chain((Gain(1.0),)), COMMAND + line[:, None], own_error=np.array([0.2]), own_correlation=200.0)
+    linearised, found = Linearised(seen, scatter_of(seen.model)), []
+    for member in catalogue(seen, {"vibration": [61.0]}):
+        if member.name == "vibration":
+            unknowns = Candidate((member,)).unknowns()
+            found.append((member, fit(linearised, unknowns, member.starts()[0])))
+    assert (1, 1) in {(len(member.line.harmonics), member.line.swells) for member, _ in found}  # a pure tone is the simplest
+    for member, solution in found:
+        assert member.values(solution.x)["amplitude"] == pytest.approx(2.0, rel=0.02)
+        assert np.mean(solution.residual**2) < 1e-3 * np.mean((line / 0.01) ** 2)
 
 
 def test_a_tolerance_of_many_times_the_value_is_cut_to_what_the_own_error_allows():

@@ -1,0 +1,157 @@
+"""Spectrum of a model's own error: how large it is at each frequency, and the filter that makes it white.
+
+A model's error on clean records is hardly ever white: creep and memory are slow, a gain that is a little off stands at the command's own
+frequencies. A single number for its size hides what is fast beside what is slow. Residuals are therefore multiplied, in the discrete
+cosine transform of each record, by
+
+    g(f) = 1 / sqrt(1 + S(f) / σ²),    S: power density of the own error, σ²: that of the white noise,
+
+so that the own error and the noise together become white noise of size 1 (generalized least squares). Lines of a clean record keep their
+height: S is the upper envelope of its periodogram, for what a model leaves at a frequency of the command is one number, not many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+
+import numpy as np
+from scipy.fft import dct, idct
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
+
+from hyst_control.chain.parameter import Array
+
+OCTAVES = 1.0 / 3.0
+"""Octaves to either side over which the largest bin counts: another command's lines are elsewhere."""
+FUNDAMENTALS = 3.0
+"""The same in slowest excited frequencies, at most: a line far above the command, such as mains hum, is no error of the model."""
+SMOOTHED = 3
+"""Bins that are averaged before: a line between two bins has its power in both."""
+UPPER = 0.6
+"""Share of the Nyquist frequency above which the median bin is the white noise's."""
+MEDIAN = 0.4549
+"""Median of a squared normal variable."""
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorSpectrum:
+    """Power density of a model's own error beyond the white noise.
+
+    Parameters
+    ----------
+    frequencies : ndarray, shape (F,)
+        Ascending, Hz.
+    power : ndarray, shape (F, A)
+        Expected square of an orthonormal cosine coefficient, measurement unit squared.
+    """
+
+    frequencies: Array
+    power: Array
+
+    @classmethod
+    def of(cls, errors: Sequence[Array], sample_time: float, rows: int, slowest: float) -> ErrorSpectrum:
+        """Estimate the spectrum from errors on clean records.
+
+        Parameters
+        ----------
+        errors : sequence of ndarray, shape (N, A)
+            What the model leaves, zero and drift taken off, measurement unit.
+        sample_time : float
+            s.
+        rows : int
+            Rows of the record that it is used for: a line's power grows with the length of a record.
+        slowest : float
+            Lowest frequency that a command excites, Hz.
+
+        Returns
+        -------
+        ErrorSpectrum
+        """
+        nyquist = 0.5 / sample_time
+        frequencies = nyquist * np.arange(rows) / rows
+        power = np.zeros((rows, errors[0].shape[1]))
+        for error in errors:
+            own = _envelope(error, nyquist, slowest, max(rows / len(error), 1.0))
+            at = nyquist * np.arange(len(error)) / len(error)
+            power += np.stack([np.interp(frequencies, at, column) for column in own.T], axis=1) / len(errors)
+        return cls(frequencies, power)
+
+    def gain(self, rows: int, sigma: Array, sample_time: float) -> Array:
+        """Factors of the cosine coefficients that make own error and noise white.
+
+        Parameters
+        ----------
+        rows : int
+            Rows N of the record.
+        sigma : ndarray, shape (A,)
+            White noise, rms, measurement unit.
+        sample_time : float
+            s.
+
+        Returns
+        -------
+        ndarray, shape (N, A)
+        """
+        at = 0.5 / sample_time * np.arange(rows) / rows
+        power = np.stack([np.interp(at, self.frequencies, column) for column in self.power.T], axis=1)
+        return np.asarray(1.0 / np.sqrt(1.0 + power / sigma**2), dtype=np.float64)
+
+    def digest(self) -> str:
+        """SHA-256, by which caches tell spectra apart."""
+        return sha256(np.ascontiguousarray(self.power).tobytes()).hexdigest()
+
+    def energy(self, rows: int, sample_time: float) -> Array:
+        """Mean square of the error.
+
+        Parameters
+        ----------
+        rows : int
+            Rows of the record.
+        sample_time : float
+            s.
+
+        Returns
+        -------
+        ndarray, shape (A,)
+            Measurement unit squared.
+        """
+        at = 0.5 / sample_time * np.arange(rows) / rows
+        return np.array([np.mean(np.interp(at, self.frequencies, column)) for column in self.power.T])
+
+
+def _envelope(error: Array, nyquist: float, slowest: float, longer: float) -> Array:
+    """Power (N, A) of an error beyond its white noise, the largest of the bins around; longer: factor of the power of lines."""
+    power = dct(error, type=2, norm="ortho", axis=0) ** 2
+    count = len(power)
+    noise = np.median(power[int(UPPER * count) :], axis=0) / MEDIAN
+    smooth, broad = uniform_filter1d(power, SMOOTHED, axis=0), np.empty_like(power)
+    found, bins = np.empty_like(power), np.arange(count)
+    octave = np.maximum((2.0**OCTAVES - 1.0) * bins, 1.0)
+    most = max(FUNDAMENTALS * slowest / nyquist * count, 1.0)
+    reach = np.minimum(octave, most)
+    # Few different reaches, each a filter of the whole record.
+    for half in sorted({int(2.0 ** np.ceil(np.log2(value))) for value in (*reach[reach < most][:: max(count // 64, 1)], most)}):
+        here = np.ceil(np.log2(reach)) == np.ceil(np.log2(half))
+        width = 2 * half + 1
+        chance = 1.0 + (np.log(width) + 1.0) / (0.5 * SMOOTHED)  # the largest of so many bins of white noise
+        found[here] = (maximum_filter1d(smooth, width, axis=0) - chance * noise)[here]
+        broad[here] = (uniform_filter1d(power, width, axis=0) - noise)[here]
+    return np.asarray(np.maximum(np.maximum(longer * found, broad), 0.0), dtype=np.float64)
+
+
+def filtered(rows: Array, gain: Array) -> Array:
+    """Multiply the cosine coefficients of a record.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (N, A)
+        Any unit.
+    gain : ndarray, shape (N, A)
+        Factors of the coefficients, by ascending frequency.
+
+    Returns
+    -------
+    ndarray, shape (N, A)
+    """
+    return np.asarray(idct(gain * dct(rows, type=2, norm="ortho", axis=0), type=2, norm="ortho", axis=0), dtype=np.float64)

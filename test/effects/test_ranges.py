@@ -1,0 +1,53 @@
+"""Ranges of the catalogue's effects: as large as physics allows, on a record of any size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from hyst_control.effects import EFFECTS
+from hyst_control.effects.effect import Surroundings
+
+STEP = 1e-4
+AROUND = Surroundings(STEP, 1.0, (-20.0, 30.0), 1e4, (-1.0, 2.0), 1)
+STROKE = 3.0
+
+
+def reach(name: str, parameter: str, beside_own_error: bool) -> tuple[float, float]:
+    around = replace(AROUND, slowest=5.0) if beside_own_error else AROUND
+    found = next(one for one in EFFECTS[name].parameters(around) if one.name == parameter)
+    return found.lower, found.upper
+
+
+@pytest.mark.parametrize("beside_own_error", [False, True])
+@pytest.mark.parametrize(
+    "name, parameter, least",
+    [
+        ("vibration", "amplitude", 0.5 * STROKE),
+        ("mains_hum", "amplitude", 0.5 * STROKE),
+        ("backlash", "half_width", 0.5 * STROKE),
+        ("creep", "gamma", 0.5),
+        ("offset_drift", "change", 0.5 * STROKE),
+    ],
+)
+def test_an_effect_may_be_half_of_the_range(name, parameter, least, beside_own_error):
+    assert reach(name, parameter, beside_own_error)[1] >= least
+
+
+def test_a_gain_may_be_a_third_of_the_model_s():
+    assert reach("gain", "gain", True)[0] < -0.65 and reach("gain_drift", "change", True)[0] < -0.65
+
+
+@pytest.mark.parametrize("name", ["amplifier_lowpass", "sensor_lowpass"])
+@pytest.mark.parametrize("beside_own_error", [False, True])
+def test_a_filter_ends_at_the_nyquist_frequency(name, beside_own_error):
+    """Above it a low-pass is a delay: no sample shows that it takes anything off."""
+    lower, upper = reach(name, "cutoff", beside_own_error)
+    assert upper == pytest.approx(0.5 / STEP)
+    assert not beside_own_error or lower <= 0.5
+
+
+def test_wide_and_narrow_play_are_both_begun_at():
+    starts = next(one for one in EFFECTS["backlash"].parameters(AROUND) if one.name == "half_width").starts
+    assert min(starts) < 0.01 * STROKE and max(starts) > 0.1 * STROKE
