@@ -45,6 +45,12 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def compute_serially() -> None:
+    """Let `map_forked` and `map_spawned` compute in this process from now on: others like it keep all cores busy."""
+    global _serial
+    _serial = True
+
+
 @contextmanager
 def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bool = True) -> Iterator[Executor]:
     """Provide worker processes for independent pieces of a computation.
@@ -323,8 +329,7 @@ LOST = {"CommClosedError", "FutureCancelledError", "TimeoutError"}
 
 def _serially(work: Callable[[Job], Result], job: Job) -> Result:
     """Compute a job in a worker that others started: it computes serially inside."""
-    global _serial
-    _serial = True
+    compute_serially()
     return work(job)
 
 

@@ -10,10 +10,13 @@ from pathlib import Path
 import browser as browsers
 import pytest
 
+from hyst_control.parallel import compute_serially
 from hyst_control.processes import environment
 from hyst_control.processes.ros_domain import own_domain
 
 environment.prepare()
+if "PYTEST_XDIST_WORKER" in os.environ:  # a worker a core: forks of each would cost a third of the processor time of a diagnosis
+    compute_serially()
 ROOT = Path(__file__).resolve().parent.parent
 collect_ignore_glob = [] if find_spec("rclpy") else ["nodes/*"]
 

@@ -198,7 +198,7 @@ def hyst(place: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 def test_a_record_is_simulated_and_diagnosed_with_the_stage_and_the_effect_of_a_plugin(place):
     """The gap is the plugin's effect: nothing in this package's catalogue is periodic in the position."""
-    excitation = ["--excitation", "diagnostic", "lowest=0", "highest=10", "duration=1"]
+    excitation = ["--excitation", "diagnostic", "lowest=0", "highest=10", "duration=0.5"]
     hyst(place, "simulate", "rippled.yaml", *excitation, "--seed", "1", "--output", "record")
     hyst(place, "diagnose", "record", "--model", "model.yaml", "--json", "gap.json", "--augmented", "better.yaml")
     found = json.loads((place / "gap.json").read_text())

@@ -28,6 +28,25 @@ REPEATS = 9
 
 
 @dataclass(frozen=True)
+class Pair:
+    """A kernel of this package and the same loop in C.
+
+    Parameters
+    ----------
+    case
+        Name of the kernel in the table.
+    own
+        Runs this package's kernel over `ROWS` samples and returns its output.
+    other
+        Runs the C loop over the same samples.
+    """
+
+    case: str
+    own: Callable[[], Array]
+    other: Callable[[], Array]
+
+
+@dataclass(frozen=True)
 class KernelRate:
     """Samples per second of one kernel; subject "hyst" or "c"."""
 
@@ -44,18 +63,17 @@ def run() -> list[KernelRate]:
     rows: list[KernelRate] = []
     with tempfile.TemporaryDirectory() as folder:
         library = compiled_library(Path(folder))
-        for case, own, other in (prandtl_ishlinskii(library), linear(library), madelung(library)):
-            outputs = own(), other()
-            if not np.allclose(*outputs, rtol=1e-9, atol=1e-12):
-                raise AssertionError(f"{case}: the two kernels do not compute the same")
+        for pair in (prandtl_ishlinskii(library), linear(library), madelung(library)):
+            if not np.allclose(pair.own(), pair.other(), rtol=1e-9, atol=1e-12):
+                raise AssertionError(f"{pair.case}: the two kernels do not compute the same")
             times: tuple[list[float], list[float]] = ([], [])
             for _ in range(REPEATS):
-                for seconds, call in zip(times, (own, other), strict=True):
+                for seconds, call in zip(times, (pair.own, pair.other), strict=True):
                     begin = time.perf_counter()
                     call()
                     seconds.append(time.perf_counter() - begin)
             for subject, seconds in zip(("hyst", "c"), times, strict=True):
-                rows.append(KernelRate(case, subject, ROWS / min(seconds)))
+                rows.append(KernelRate(pair.case, subject, ROWS / min(seconds)))
     return rows
 
 
@@ -87,7 +105,7 @@ def compiled_library(folder: Path) -> ctypes.CDLL:
     return library
 
 
-def prandtl_ishlinskii(library: ctypes.CDLL) -> tuple[str, Callable[[], Array], Callable[[], Array]]:
+def prandtl_ishlinskii(library: ctypes.CDLL) -> Pair:
     """Set up HAMPI's modified Prandtl-Ishlinskii model with ten operators on one axis.
 
     Parameters
@@ -97,12 +115,8 @@ def prandtl_ishlinskii(library: ctypes.CDLL) -> tuple[str, Callable[[], Array], 
 
     Returns
     -------
-    name
-        Name of the kernel in the table.
-    own
-        Runs this package's kernel over `ROWS` samples and returns its output.
-    other
-        Runs the C loop over the same samples.
+    Pair
+        The kernel and the C loop.
     """
     stage = ModifiedPrandtlIshlinskii(
         np.linspace(0.5, 49.0, 10), np.linspace(0.5, 0.1, 10), m1=7.7e-7, m2=2.5e-7, k=-6.4e-4, b=0.025
@@ -153,10 +167,10 @@ def prandtl_ishlinskii(library: ctypes.CDLL) -> tuple[str, Callable[[], Array], 
         )
         return output.copy()
 
-    return "modified_prandtl_ishlinskii", own, other
+    return Pair("modified_prandtl_ishlinskii", own, other)
 
 
-def linear(library: ctypes.CDLL) -> tuple[str, Callable[[], Array], Callable[[], Array]]:
+def linear(library: ctypes.CDLL) -> Pair:
     """Set up HAMPI's third-order G(s) (HAMPI paper Eq. 1).
 
     Parameters
@@ -166,12 +180,8 @@ def linear(library: ctypes.CDLL) -> tuple[str, Callable[[], Array], Callable[[],
 
     Returns
     -------
-    name
-        Name of the kernel in the table.
-    own
-        Runs this package's kernel over `ROWS` samples and returns its output.
-    other
-        Runs the C loop over the same samples.
+    Pair
+        The kernel and the C loop.
     """
     running = TransferFunction([-340.5, 4.249e6, 3.461e7], [1.0, 8610.0, 5.989e7, 4.751e8]).filter(Sampling(5e-5, 1))
     block = np.ascontiguousarray(np.sin(0.01 * np.arange(ROWS))).reshape(-1, 1)
@@ -207,10 +217,10 @@ def linear(library: ctypes.CDLL) -> tuple[str, Callable[[], Array], Callable[[],
         )
         return output.copy()
 
-    return "transfer_function", own, other
+    return Pair("transfer_function", own, other)
 
 
-def madelung(library: ctypes.CDLL) -> tuple[str, Callable[[], Array], Callable[[], Array]]:
+def madelung(library: ctypes.CDLL) -> Pair:
     """Set up a Madelung hysteresis with the MHL paper's quintic curves (Table 1, scaled to close).
 
     Parameters
@@ -220,12 +230,8 @@ def madelung(library: ctypes.CDLL) -> tuple[str, Callable[[], Array], Callable[[
 
     Returns
     -------
-    name
-        Name of the kernel in the table.
-    own
-        Runs this package's kernel over `ROWS` samples and returns its output.
-    other
-        Runs the C loop over the same samples.
+    Pair
+        The kernel and the C loop.
     """
     up = np.array([-0.4624, 1.788, -2.398, 2.037, 2.228])
     down = np.array([0.9457, -3.005, 3.248, -2.083, 4.104])
@@ -263,7 +269,7 @@ def madelung(library: ctypes.CDLL) -> tuple[str, Callable[[], Array], Callable[[
         )
         return output.copy()
 
-    return "madelung", own, other
+    return Pair("madelung", own, other)
 
 
 def _long(value: int) -> ctypes.c_long:

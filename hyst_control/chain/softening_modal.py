@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -150,34 +150,97 @@ class SofteningModal(Stage):
         return SofteningModalFilter(self, sampling)
 
 
+class Numbers(NamedTuple):
+    """The numbers of a `SofteningModal` as its kernels take them, for M modes and A axes.
+
+    Parameters
+    ----------
+    exponent, amplitude
+        (K,) of the softening force; V.
+    decay, frequency, decay_change, frequency_change
+        (M,), as of the stage.
+    c, b, b_change, d, k
+        Outputs (M, A), inputs and their change (M, A), feedthrough (A, A), elongation (A, A).
+    h, h_d
+        Inputs (M, (K + T) A + P) and feedthrough (A, (K + T) A + P) of all forces.
+    force_mean, threshold, stop_mean, product_mean
+        (K A,): mean of n; (T,) and (T A,): of the stop operators; (P,): mean of p.
+    """
+
+    exponent: Array
+    amplitude: float
+    decay: Array
+    frequency: Array
+    decay_change: Array
+    frequency_change: Array
+    c: NDArray[np.complex128]
+    b: NDArray[np.complex128]
+    b_change: NDArray[np.complex128]
+    d: Array
+    k: Array
+    h: NDArray[np.complex128]
+    h_d: Array
+    force_mean: Array
+    threshold: Array
+    stop_mean: Array
+    product_mean: Array
+
+
+class Memory(NamedTuple):
+    """Memory of a `SofteningModal`, updated in place.
+
+    Parameters
+    ----------
+    state
+        (2, M) complex: x and w.
+    mean_square
+        (1,): a².
+    force
+        ((K + T) A + P,): n of the tick that begins the interval, s of the interval, and p as n.
+    play
+        (T A,): command less what the stop operators hold.
+    """
+
+    state: NDArray[np.complex128]
+    mean_square: Array
+    force: Array
+    play: Array
+
+
+@njit(cache=True)
+def softening_forces(linear: Array, a: float, numbers: Numbers, strain: Array, force: Array) -> None:
+    """Compute the forces that follow the elongation: n and p, each less its mean at the slow amplitude.
+
+    Parameters
+    ----------
+    linear
+        (A,): output without forces.
+    a
+        Slow amplitude, V.
+    numbers
+        Of the stage.
+    strain, force
+        (A,) and ((K + T) A + P,): elongation, which is filled in, and forces, of which n and p are.
+    """
+    axes, exponent, force_mean, product_mean = len(strain), numbers.exponent, numbers.force_mean, numbers.product_mean
+    for j in range(axes):
+        q = 0.0
+        for o in range(axes):
+            q += numbers.k[j, o] * linear[o]
+        for e in range(exponent.size):
+            at = e * axes + j
+            force[at] = q * (abs(q) ** exponent[e] - force_mean[at] * a ** exponent[e])
+        strain[j] = q
+    at = force_mean.size + numbers.stop_mean.size
+    for j in range(axes):
+        for e in range(j, axes):
+            force[at] = strain[j] * strain[e] - product_mean[at - force_mean.size - numbers.stop_mean.size] * a * a
+            at += 1
+
+
 @njit(cache=True)
 def advance_softening_modal(
-    block: Array,
-    smooth: float,
-    step: float,
-    exponent: Array,
-    amplitude: float,
-    last: Array,
-    state: NDArray[np.complex128],
-    mean_square: Array,
-    decay: Array,
-    frequency: Array,
-    decay_change: Array,
-    frequency_change: Array,
-    c: NDArray[np.complex128],
-    b: NDArray[np.complex128],
-    b_change: NDArray[np.complex128],
-    d: Array,
-    k: Array,
-    h: NDArray[np.complex128],
-    h_d: Array,
-    force_mean: Array,
-    threshold: Array,
-    stop_mean: Array,
-    product_mean: Array,
-    force: Array,
-    play: Array,
-    output: Array,
+    block: Array, smooth: float, step: float, last: Array, numbers: Numbers, memory: Memory, output: Array
 ) -> None:
     """Run the equations of `SofteningModal` over a block.
 
@@ -189,21 +252,21 @@ def advance_softening_modal(
         1 - e^(-step/memory).
     step
         s.
-    exponent, amplitude, decay, frequency, decay_change, frequency_change, c, b, b_change, d, k, h, h_d
-        The stage's matrices, as `SofteningModalFilter` prepares them.
-    force_mean, threshold, stop_mean, product_mean
-        (K A,): mean of n; (T,) and (T A,): of the stop operators; (P,): mean of p.
-    force
-        ((K + T) A + P,): n of the tick that begins the interval, s of the interval, and p as n, updated.
-    play
-        (T A,): command less what the stop operators hold, updated.
     last
         (A,), command before, with which it is averaged for a sampled smooth source (`last[0]` NaN: a held command); updated.
-    state
-        (2, M) complex: x and w, updated.
-    mean_square
-        (1,): a², updated.
+    numbers, memory
+        Of the stage.
     """
+    amplitude = numbers.amplitude
+    decay, frequency, decay_change, frequency_change = (
+        numbers.decay,
+        numbers.frequency,
+        numbers.decay_change,
+        numbers.frequency_change,
+    )
+    c, b, b_change, d, h, h_d = numbers.c, numbers.b, numbers.b_change, numbers.d, numbers.h, numbers.h_d
+    force_mean, threshold, stop_mean = numbers.force_mean, numbers.threshold, numbers.stop_mean
+    state, mean_square, force, play = memory
     modes, axes = c.shape
     held = np.isnan(last[0])
     drive, linear, strain = np.empty(axes), np.empty(axes), np.empty(axes)
@@ -248,60 +311,30 @@ def advance_softening_modal(
                 output[row, o] += twice * (c[i, o] * state[1, i]).real
         for o in range(axes):
             output[row, o] += linear[o]
-        for j in range(axes):
-            q = 0.0
-            for o in range(axes):
-                q += k[j, o] * linear[o]
-            for e in range(exponent.size):
-                at = e * axes + j
-                force[at] = q * (abs(q) ** exponent[e] - force_mean[at] * a ** exponent[e])
-            strain[j] = q
-        at = force_mean.size + stop_mean.size
-        for j in range(axes):
-            for e in range(j, axes):
-                force[at] = strain[j] * strain[e] - product_mean[at - force_mean.size - stop_mean.size] * a * a
-                at += 1
+        softening_forces(linear, a, numbers, strain, force)
 
 
 @njit(cache=True)
-def settle_softening_modal(
-    value: Array,
-    exponent: Array,
-    amplitude: float,
-    state: NDArray[np.complex128],
-    mean_square: Array,
-    decay: Array,
-    frequency: Array,
-    decay_change: Array,
-    frequency_change: Array,
-    c: NDArray[np.complex128],
-    b: NDArray[np.complex128],
-    b_change: NDArray[np.complex128],
-    d: Array,
-    k: Array,
-    h: NDArray[np.complex128],
-    h_d: Array,
-    force_mean: Array,
-    threshold: Array,
-    stop_mean: Array,
-    product_mean: Array,
-    force: Array,
-    play: Array,
-    output: Array,
-) -> None:
+def settle_softening_modal(value: Array, numbers: Numbers, memory: Memory, output: Array) -> None:
     """Bring `SofteningModal` to rest at a constant command.
 
     Parameters
     ----------
     value, output
         (A,): command, and the output that is filled in.
-    exponent, amplitude, decay, frequency, decay_change, frequency_change, c, b, b_change, d, k, h, h_d
-        As for `advance_softening_modal`.
-    force_mean, threshold, stop_mean, product_mean
-        As for `advance_softening_modal`.
-    state, mean_square, force, play
-        As there; filled in.
+    numbers, memory
+        Of the stage.
     """
+    amplitude = numbers.amplitude
+    decay, frequency, decay_change, frequency_change = (
+        numbers.decay,
+        numbers.frequency,
+        numbers.decay_change,
+        numbers.frequency_change,
+    )
+    c, b, b_change, d, h, h_d = numbers.c, numbers.b, numbers.b_change, numbers.d, numbers.h, numbers.h_d
+    force_mean, threshold, stop_mean = numbers.force_mean, numbers.threshold, numbers.stop_mean
+    state, mean_square, force, play = memory
     modes, axes = c.shape
     power = 0.0
     for j in range(axes):
@@ -330,19 +363,7 @@ def settle_softening_modal(
         twice = 1.0 if frequency[i] == 0.0 else 2.0
         for o in range(axes):
             linear[o] += twice * (c[i, o] * state[0, i]).real
-    for j in range(axes):
-        q = 0.0
-        for o in range(axes):
-            q += k[j, o] * linear[o]
-        for e in range(exponent.size):
-            at = e * axes + j
-            force[at] = q * (abs(q) ** exponent[e] - force_mean[at] * a ** exponent[e])
-        strain[j] = q
-    at = force_mean.size + stop_mean.size
-    for j in range(axes):
-        for e in range(j, axes):
-            force[at] = strain[j] * strain[e] - product_mean[at - force_mean.size - stop_mean.size] * a * a
-            at += 1
+    softening_forces(linear, a, numbers, strain, force)
     for o in range(axes):
         output[o] = linear[o]
         for j in range(force.size):
@@ -367,76 +388,46 @@ class SofteningModalFilter(Filter):
 
     def __init__(self, stage: SofteningModal, sampling: Sampling) -> None:
         arrays = stage.arrays(sampling.axes)
-        self.arguments: tuple[Any, ...] = tuple(
-            np.ascontiguousarray(arrays[field])
-            for field in (
-                "decay",
-                "frequency",
-                "decay_change",
-                "frequency_change",
-                "outputs",
-                "inputs",
-                "inputs_change",
-                "feedthrough",
-                "elongation",
-            )
+        self.numbers = Numbers(
+            exponent=np.atleast_1d(np.asarray(stage.exponent, dtype=float)),
+            amplitude=stage.amplitude,
+            decay=np.ascontiguousarray(arrays["decay"]),
+            frequency=np.ascontiguousarray(arrays["frequency"]),
+            decay_change=np.ascontiguousarray(arrays["decay_change"]),
+            frequency_change=np.ascontiguousarray(arrays["frequency_change"]),
+            c=np.ascontiguousarray(arrays["outputs"]),
+            b=np.ascontiguousarray(arrays["inputs"]),
+            b_change=np.ascontiguousarray(arrays["inputs_change"]),
+            d=np.ascontiguousarray(arrays["feedthrough"]),
+            k=np.ascontiguousarray(arrays["elongation"]),
+            h=np.concatenate([arrays["force_inputs"], arrays["stop_inputs"], arrays["product_inputs"]], axis=1),
+            h_d=np.concatenate([arrays["force_feedthrough"], arrays["stop_feedthrough"], arrays["product_feedthrough"]], axis=1),
+            force_mean=arrays["force_mean"],
+            threshold=np.atleast_1d(np.asarray(stage.stop_threshold, dtype=float)),
+            stop_mean=arrays["stop_mean"],
+            product_mean=arrays["product_mean"],
         )
-        self.arguments = (
-            *self.arguments,
-            np.concatenate([arrays["force_inputs"], arrays["stop_inputs"], arrays["product_inputs"]], axis=1),
-            np.concatenate([arrays["force_feedthrough"], arrays["stop_feedthrough"], arrays["product_feedthrough"]], axis=1),
-            arrays["force_mean"],
-            np.atleast_1d(np.asarray(stage.stop_threshold, dtype=float)),
-            arrays["stop_mean"],
-            arrays["product_mean"],
-        )
-        exponent = np.atleast_1d(np.asarray(stage.exponent, dtype=float))
-        self.scalars: tuple[Any, ...] = (
-            1.0 - np.exp(-sampling.sample_time / stage.memory),
-            sampling.sample_time,
-            exponent,
-            stage.amplitude,
-        )
+        self.smooth, self.step = 1.0 - np.exp(-sampling.sample_time / stage.memory), sampling.sample_time
         self.held = sampling.hold == "zoh"
         modes = len(arrays["decay"])
-        self.state = np.zeros((2, modes), dtype=complex)
-        self.mean_square, self.last = np.zeros(1), np.full(sampling.axes, np.nan)
-        self.play = np.zeros(arrays["stop_mean"].size)
-        self.force = np.zeros(arrays["force_mean"].size + self.play.size + arrays["product_mean"].size)
+        self.last = np.full(sampling.axes, np.nan)
+        plays = arrays["stop_mean"].size
+        forces = arrays["force_mean"].size + plays + arrays["product_mean"].size
+        self.memory = Memory(np.zeros((2, modes), dtype=complex), np.zeros(1), np.zeros(forces), np.zeros(plays))
 
     def settle(self, value: Array) -> Array:
         value = np.array(value, dtype=float)
         settled = np.empty_like(value)
         self.last[:] = np.nan if self.held else value
-        exponent_and_amplitude: tuple[Any, ...] = self.scalars[2:]
-        state: tuple[Any, ...] = (self.state, self.mean_square)
-        settle_softening_modal(value, *exponent_and_amplitude, *state, *self.arguments, self.force, self.play, settled)  # type: ignore[call-arg]
+        settle_softening_modal(value, self.numbers, self.memory, settled)
         return settled
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
-        state: tuple[Any, ...] = (self.last, self.state, self.mean_square)
-        advance_softening_modal(block, *self.scalars, *state, *self.arguments, self.force, self.play, output)  # type: ignore[call-arg]
+        advance_softening_modal(block, self.smooth, self.step, self.last, self.numbers, self.memory, output)
         return output
 
     def c_code(self) -> CCode:
-        names = (
-            "decay",
-            "frequency",
-            "decay_change",
-            "frequency_change",
-            "c",
-            "b",
-            "b_change",
-            "d",
-            "k",
-            "h",
-            "h_d",
-            "force_mean",
-            "threshold",
-            "stop_mean",
-            "product_mean",
-        )
         texts = (
             "log(1/s)",
             "rad/s",
@@ -454,32 +445,33 @@ class SofteningModalFilter(Filter):
             "mean of the stop operators",
             "mean of the products",
         )
-        smooth, step, exponent, amplitude = self.scalars
+        numbers, memory = self.numbers, self.memory
+        names = Numbers._fields[2:]
         return CCode(
             "softening modal",
             ADVANCE,
             COME_TO_REST,
             {
-                "MODES": self.state.shape[1],
-                "FORCES": self.force.size,
-                "EXPONENTS": exponent.size,
-                "THRESHOLDS": self.play.size // len(self.last),
+                "MODES": memory.state.shape[1],
+                "FORCES": memory.force.size,
+                "EXPONENTS": numbers.exponent.size,
+                "THRESHOLDS": memory.play.size // len(self.last),
                 "HELD": int(self.held),
             },
             {
-                **{name: reals(_pairs(value), text) for name, value, text in zip(names, self.arguments, texts, strict=True)},
-                "exponent": reals(exponent, "of the softening force"),
-                "amplitude": reals(amplitude, "V"),
-                "smooth": reals(smooth, "share by which the mean square follows in a step"),
-                "time": reals(step, "s, of a step"),
+                **{name: reals(_pairs(value), text) for name, value, text in zip(names, numbers[2:], texts, strict=True)},
+                "exponent": reals(numbers.exponent, "of the softening force"),
+                "amplitude": reals(numbers.amplitude, "V"),
+                "smooth": reals(self.smooth, "share by which the mean square follows in a step"),
+                "time": reals(self.step, "s, of a step"),
                 "span": reals(1.0 - np.sqrt(0.5), "of the root of the amplitude where g falls by 1"),
             },
             {
-                "x": reals(_pairs(self.state), "modes driven by the command, and by the force; complex"),
+                "x": reals(_pairs(memory.state), "modes driven by the command, and by the force; complex"),
                 "mean_square": reals(0.0, "V^2"),
                 "last": reals(self.last, "V, command before"),
-                "force": reals(self.force, "of the tick that begins the interval, with the stop operators and the products"),
-                "play": reals(self.play, "V, command less what the stop operators hold"),
+                "force": reals(memory.force, "of the tick that begins the interval, with the stop operators and the products"),
+                "play": reals(memory.play, "V, command less what the stop operators hold"),
             },
             (COMPLEX, MODES),
         )

@@ -33,7 +33,7 @@ from std_srvs.srv import SetBool, Trigger
 from hyst_control.dashboard.live_state import LiveState, NodeState
 from hyst_control.errors import InputError
 from hyst_control.nodes import interrupts
-from hyst_control.nodes.base import EndingNode
+from hyst_control.nodes.ending_node import EndingNode
 from hyst_control.nodes.live_view import LiveView
 from hyst_control.nodes.message_io import CallbackSubscription
 from hyst_control.nodes.run import close, spin

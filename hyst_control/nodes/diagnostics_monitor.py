@@ -6,7 +6,7 @@ import json
 
 from diagnostic_msgs.msg import DiagnosticArray
 
-from hyst_control.nodes.base import EndingNode
+from hyst_control.nodes.ending_node import EndingNode
 from hyst_control.nodes.run import main as run_main
 
 

@@ -12,7 +12,7 @@ from hyst_control.errors import InputError
 from hyst_control.identify.estimator import described, every_option
 from hyst_control.identify.options import Option
 from hyst_control.identify.workflow import identify_bags
-from hyst_control.nodes.base import EndingNode
+from hyst_control.nodes.ending_node import EndingNode
 from hyst_control.nodes.parameters import Setting, declare
 from hyst_control.nodes.run import main as run_main
 

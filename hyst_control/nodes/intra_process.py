@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 
 from rclpy.executors import Executor
 
-from hyst_control.nodes.base import EndingNode, SignalNode
+from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.ending_node import EndingNode
 from hyst_control.nodes.message_io import CallbackSubscription, LocalReceiver
 
 MOST_AT_ONCE = 64

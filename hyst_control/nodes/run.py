@@ -22,7 +22,8 @@ from rclpy.utilities import remove_ros_args
 
 from hyst_control.errors import InputError
 from hyst_control.nodes import command_line, interrupts
-from hyst_control.nodes.base import EndingNode, SignalNode
+from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.ending_node import EndingNode
 from hyst_control.nodes.exit_watchdog import exit_within
 from hyst_control.nodes.intra_process import hand_over
 from hyst_control.processes import environment

@@ -295,19 +295,22 @@ def held_out_loops(extent: Extent) -> tuple[Array, list[Place]]:
     places
         Rows of the last cycles of each loop.
     """
-    pieces, places = [excitation.rest(SAMPLE_TIME, 0.02)], []
-    for peak in extent.peaks:
-        for frequency in extent.frequencies:
-            begin = sum(map(len, pieces))
-            wave = excitation.loops(SAMPLE_TIME, frequency, peak, CYCLES)
-            scored = int(round(SCORED_CYCLES / frequency / SAMPLE_TIME))
-            places.append(Place(peak, frequency, begin + len(wave) - scored, begin + len(wave)))
-            pieces += [wave, excitation.rest(SAMPLE_TIME, 0.02)]
-    return np.concatenate(pieces)[:, None], places
+    return _between_rests(
+        [
+            (
+                peak,
+                frequency,
+                excitation.loops(SAMPLE_TIME, frequency, peak, CYCLES),
+                round(SCORED_CYCLES / frequency / SAMPLE_TIME),
+            )
+            for peak in extent.peaks
+            for frequency in extent.frequencies
+        ]
+    )
 
 
 def harmonic_drive(extent: Extent) -> tuple[Array, list[Place]]:
-    """Build sines of 0 to 50 V (paper Fig. 4, Table 1).
+    """Build sines of 0 to 50 V (paper Fig. 4, Table 1), of which the second half of each is scored.
 
     Parameters
     ----------
@@ -321,13 +324,8 @@ def harmonic_drive(extent: Extent) -> tuple[Array, list[Place]]:
     places
         Rows of the last whole cycles of each sine.
     """
-    pieces, places = [excitation.rest(SAMPLE_TIME, 0.02)], []
-    for frequency in extent.lags:
-        begin, cycles = sum(map(len, pieces)), max(2, int(round(0.05 * frequency)))
-        wave = excitation.loops(SAMPLE_TIME, frequency, LOW, cycles)
-        places.append(Place(LOW, frequency, begin + len(wave) // 2, begin + len(wave)))
-        pieces += [wave, excitation.rest(SAMPLE_TIME, 0.02)]
-    return np.concatenate(pieces)[:, None], places
+    sines = [excitation.loops(SAMPLE_TIME, frequency, LOW, max(2, round(0.05 * frequency))) for frequency in extent.lags]
+    return _between_rests([(LOW, frequency, sine, _second_half(sine)) for frequency, sine in zip(extent.lags, sines, strict=True)])
 
 
 def tracking_reference(extent: Extent) -> tuple[Array, list[Place]]:
@@ -346,15 +344,44 @@ def tracking_reference(extent: Extent) -> tuple[Array, list[Place]]:
         Scored rows of each sine.
     """
     ts, top = SAMPLE_TIME, OFFSET + STROKE
-    pieces = [excitation.rest(ts, 0.02), excitation.cosine_ramp(ts, 0.0, top, 0.1), excitation.cosine_ramp(ts, top, OFFSET, 0.1)]
-    places = []
-    for frequency in extent.tracked:
-        pieces.append(excitation.rest(ts, 0.02, OFFSET))
-        begin, cycles = sum(map(len, pieces)), max(4, int(round(0.08 * frequency)))
-        wave = OFFSET + excitation.loops(ts, frequency, STROKE, cycles)
-        places.append(Place(STROKE, frequency, begin + len(wave) // 2, begin + len(wave)))
-        pieces.append(wave)
-    pieces.append(excitation.rest(ts, 0.02, OFFSET))
+    lead = [excitation.rest(ts, 0.02), excitation.cosine_ramp(ts, 0.0, top, 0.1), excitation.cosine_ramp(ts, top, OFFSET, 0.1)]
+    sines = [OFFSET + excitation.loops(ts, frequency, STROKE, max(4, round(0.08 * frequency))) for frequency in extent.tracked]
+    scored = [(STROKE, frequency, sine, _second_half(sine)) for frequency, sine in zip(extent.tracked, sines, strict=True)]
+    return _between_rests(scored, lead, OFFSET)
+
+
+def _second_half(signal: Array) -> int:
+    """Rows of the second half of a signal."""
+    return len(signal) - len(signal) // 2
+
+
+def _between_rests(
+    waves: Sequence[tuple[float, float, Array, int]], lead: Sequence[Array] = (), level: float = 0.0
+) -> tuple[Array, list[Place]]:
+    """Waves one after another behind a lead, a rest at a level before and behind each, and where each is scored.
+
+    Parameters
+    ----------
+    waves
+        Peak, frequency (Hz), samples (N,) and scored rows at the end of each wave.
+    lead
+        Samples of what comes first.
+    level
+        Level of the rests.
+
+    Returns
+    -------
+    signal
+        (N, 1).
+    places
+        Scored rows of each wave.
+    """
+    rest = excitation.rest(SAMPLE_TIME, 0.02, level)
+    pieces, places = [*lead, rest], []
+    for peak, frequency, wave, scored in waves:
+        end = sum(map(len, pieces)) + len(wave)
+        places.append(Place(peak, frequency, end - scored, end))
+        pieces += [wave, rest]
     return np.concatenate(pieces)[:, None], places
 
 

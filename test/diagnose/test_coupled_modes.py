@@ -20,6 +20,8 @@ pytestmark = pytest.mark.long_file
 STEP, COUNT, SHORT, SIGMA = 1e-4, 6000, 2500, 1e-3
 MODES = ((310.0, 0.02), (820.0, 0.015), (1900.0, 0.03))
 LOST = 1
+RIVALS = {"resonance", "cross_coupling", "gain", "delay", "added_mass", "creep", "sensor_lowpass", "amplifier_lowpass", "vibration"}
+"""Effects that are looked for where a mode is missing: all that change a linear response, and a line."""
 
 
 def modal() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -62,7 +64,8 @@ def answer():
     record = Record(
         {"command": Signal(time, command, ("x", "y"), "V"), "measurement": Signal(time, measured, ("x", "y"), "um")}, "drive"
     )
-    report, diagnosis, better = diagnosed([record], model, cache=False)
+    others = [name for name in EFFECTS if name not in RIVALS]
+    report, diagnosis, better = diagnosed([record], model, cache=False, without=others)
     return model, report, better, diagnosis.problem
 
 

@@ -18,11 +18,19 @@ from hyst_control.errors import InputError
 from hyst_control.reporting.provenance import provenance
 
 DELAY = (("name", "delay"), ("tau", 2e-4))
+CATALOGUE = {"delay", "gain", "offset", "backlash", "saturation", "slew_limit", "dac_hold", "quantization", "sensor_lowpass"}
+"""Effects that are looked for: a page shows few as it shows many."""
 
 
 @pytest.fixture(scope="module")
-def page(answer, tmp_path_factory):
-    document, diagnosis, better = answer("pea_published", DELAY)
+def few(answer):
+    """Answers of the published stage with some effects, from that catalogue."""
+    return lambda *effects: answer("pea_published", *effects, without=tuple(name for name in EFFECTS if name not in CATALOGUE))
+
+
+@pytest.fixture(scope="module")
+def page(few, tmp_path_factory):
+    document, diagnosis, better = few(DELAY)
     path = tmp_path_factory.mktemp("page") / "gap.html"
     write_page(path, document, diagnosis, better, provenance([("model", [config_path("models/pea_hampi.yaml")])]))
     return path, document
@@ -40,14 +48,14 @@ def test_the_page_says_the_verdict_and_stands_alone(page):
     assert len(marked) == 1  # the delay's one place
 
 
-def test_the_page_of_no_gap_is_written_too(answer, tmp_path):
-    write_page(tmp_path / "none.html", *answer("pea_published"))
+def test_the_page_of_no_gap_is_written_too(few, tmp_path):
+    write_page(tmp_path / "none.html", *few())
     assert "No gap beyond" in (tmp_path / "none.html").read_text(encoding="utf-8")
 
 
-def test_a_folder_that_is_none_is_refused(answer, tmp_path):
+def test_a_folder_that_is_none_is_refused(few, tmp_path):
     with pytest.raises(InputError, match="choose a folder"):
-        write_page(tmp_path / "missing" / "gap.html", *answer("pea_published"))
+        write_page(tmp_path / "missing" / "gap.html", *few())
 
 
 def test_an_envelope_keeps_every_extreme():
@@ -72,8 +80,8 @@ def test_what_kinds_do_not_describe_is_not_called_unexplained(page):
     assert "unexplained" not in {row["name"] for row in document["where"]["kind"]}
 
 
-def test_rejected_rivals_are_behind_and_have_a_reason(answer):
-    document, diagnosis, _ = answer("pea_published", DELAY)
+def test_rejected_rivals_are_behind_and_have_a_reason(few):
+    document, diagnosis, _ = few(DELAY)
     rows = rejected(diagnosis, 100)
     assert len(rows) > 5 and all(row.why for row in rows)
     named_effects = {effect["name"].replace("_", " ") for effect in document["effects"]}
@@ -86,8 +94,8 @@ def test_rejected_rivals_are_behind_and_have_a_reason(answer):
     assert min(abs(row.left - left) for row in rows if row.name == "gain") < 1e-9
 
 
-def test_coefficients_have_the_values_that_their_deviation_says(answer):
-    _, diagnosis, _ = answer("pea_published", DELAY)
+def test_coefficients_have_the_values_that_their_deviation_says(few):
+    _, diagnosis, _ = few(DELAY)
     tolerance = diagnosis.model.tolerance
     rows = coefficient_changes(diagnosis, 100)
     assert len(rows) == len([one for one in diagnosis.parts[0].linearised.scatter.coefficients if not one.companion])

@@ -51,13 +51,13 @@ def rows(study):
 
 
 def test_a_study_is_taken_up_where_something_changed(fleet, capsys):
-    words = ["fleet", "validate", str(fleet / "manifest.csv"), "--output", str(fleet / "study"), "--workers", "2"]
+    words = ["fleet", "validate", str(fleet / "manifest.csv"), "--output", str(fleet / "study"), "--json", str(fleet / "out.json")]
 
-    def run():
-        assert main([*words, "--json", str(fleet / "out.json")]) == 0
+    def run(workers=1):
+        assert main([*words, "--workers", str(workers)]) == 0
         return json.loads((fleet / "out.json").read_text())
 
-    first = run()
+    first = run(workers=2)
     assert (first["records"], first["computed"], first["kept"], first["failed"]) == (6, 6, 0, [])
     before = rows(fleet / "study")
     assert [(row["unit"], row["time"], row["temperature"]) for row in before[:2]] == [("u0", "0", "20.5"), ("u0", "1", "21.5")]
@@ -82,6 +82,7 @@ def test_a_bag_that_cannot_be_read_costs_itself(fleet):
     file.write_bytes(b"nothing")
     shutil.rmtree(fleet / "bags" / "u0_0")
     words = ["fleet", "validate", str(fleet / "manifest.csv"), "--output", str(fleet / "study"), "--json", str(fleet / "out.json")]
+    words += ["--workers", "1"]
     assert main(words) == 0
     out = json.loads((fleet / "out.json").read_text())
     assert {Path(each["bag"]).name for each in out["failed"]} == {"u2_1", "u0_0"}

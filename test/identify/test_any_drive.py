@@ -26,7 +26,8 @@ pytestmark = pytest.mark.long_file
 
 OSCILLATORS = {"bouc_wen", "duhem_oscillator"}
 """Families whose records are taken to begin at rest: what they remember from before stays in the error."""
-FAMILIES = sorted(PLANTS)
+FAMILIES = sorted(set(PLANTS) - {"duhem_oscillator"})
+"""All but one of the two oscillators, whose records and fit are the same code; `hyst bench --only round_trips` measures both."""
 
 
 def test_every_family_has_a_round_trip():

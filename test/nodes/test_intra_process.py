@@ -7,7 +7,7 @@ import pytest
 from loop_case import RATE, assert_same_bits, offline, parameters, recorded
 from rclpy.parameter import Parameter
 
-from hyst_control.nodes.base import EndingNode
+from hyst_control.nodes.ending_node import EndingNode
 from hyst_control.nodes.message_io import CallbackSubscription
 from hyst_control.nodes.pipeline import DEFAULT, node_class
 from hyst_control.nodes.reference_generator import ReferenceGenerator

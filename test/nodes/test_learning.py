@@ -108,15 +108,15 @@ def test_what_was_learned_before_is_played_and_learned_on(tmp_path, ros_context)
     assert_same(tmp_path / "bag", expected)
 
 
-def test_five_processes_learn_alike(tmp_path, domain):
+def test_a_feedforward_in_a_process_of_its_own_learns_alike(tmp_path, domain):
     before = np.sin(2 * np.pi * np.arange(PERIOD) / PERIOD)[:, None]
     np.save(tmp_path / "before.npy", before)
     given = settings(tmp_path, **TRIALS, learned_file=str(tmp_path / "before.npy"))
     with Processes(tmp_path / "log", domain) as processes:
-        for name in CLASSES:
-            processes.start(name, given[name])
-        processes.wait("plant", "recorder", timeout=90)
-        assert processes.stop() == dict.fromkeys(CLASSES, 0)
+        processes.compose({name: own for name, own in given.items() if name != "hampi_feedforward"})
+        processes.start("hampi_feedforward", given["hampi_feedforward"])
+        processes.wait("pipeline", timeout=90)
+        assert set(processes.stop().values()) == {0}
     assert_same(tmp_path / "bag", offline(learner_of_trials(before)))
 
 

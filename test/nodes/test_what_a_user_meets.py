@@ -16,8 +16,8 @@ from std_srvs.srv import Trigger
 
 from hyst_control.errors import InputError
 from hyst_control.nodes import command_line
-from hyst_control.nodes.base import EndingNode
 from hyst_control.nodes.common_parameters import COMMON
+from hyst_control.nodes.ending_node import EndingNode
 from hyst_control.nodes.hampi_feedforward import HampiFeedforward
 from hyst_control.nodes.identification import Identification
 from hyst_control.nodes.node_diagnostics import NodeHealth, StateLog
