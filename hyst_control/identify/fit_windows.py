@@ -12,7 +12,7 @@ from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.record_segmentation import REST_TIME, resting_stretches, stretches_between_rests
 from hyst_control.identify.reversal_points import turning_points
 from hyst_control.records.quantization_step import rounding_weights
-from hyst_control.records.row_store import column, empty_rows, first_row, way
+from hyst_control.records.row_store import column, empty_rows, first_row, total_variation
 
 SETTLE_TIME = 0.25
 """Time (s) after which a window's linear transient is over, the slow pair's included; its rows before that do not count."""
@@ -189,7 +189,7 @@ def virgin_rows(command: Array) -> int:
     0 where less than half of the motion would be left.
     """
     first = memory_filled(command)
-    return first if way(command, first) > 0.5 * way(command) else 0
+    return first if total_variation(command, first) > 0.5 * total_variation(command) else 0
 
 
 def first_motion(command: Array) -> int:

@@ -395,7 +395,7 @@ def gram_matrices(
     total = columns + size + extra * groups + 1
     grams = np.zeros((2, total, total))
     rows = [0, 0]
-    blocks = []
+    blocks: list[Array] = []
     samplings = {Sampling(window.sample_time, 1, window.hold) for window in windows}
     systems = {
         sampling: [structure.discretized(vector, sampling) for vector in (parameters, *(parameters + step * np.eye(size)))]

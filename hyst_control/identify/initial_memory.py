@@ -19,7 +19,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify.dataset import Beginning, BeginningRow, Dataset
 from hyst_control.identify.fit_windows import closed_loop, memory_filled
 from hyst_control.identify.reversal_points import turning_points
-from hyst_control.records.row_store import all_finite, way
+from hyst_control.records.row_store import all_finite, total_variation
 
 OPERATORS, ROWS, TURNS = 12, 2000, 9
 """Play operators of the fit; its rows before and behind the first visit to both extremes; further turning points that are tried."""
@@ -130,8 +130,8 @@ def share_of_motion(command: Array, row: int) -> float:
     float
         Share, 0 to 1.
     """
-    whole = way(command)
-    return way(command, row) / whole if whole else 1.0
+    whole = total_variation(command)
+    return total_variation(command, row) / whole if whole else 1.0
 
 
 def estimated_memory(command: Array, measurement: Array, *, closed: bool = False) -> Memory:

@@ -442,7 +442,8 @@ def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: AxisFit, 
     axis, dynamics = found.axis, found.axis.split(found.vector)[2]
     signals = []
     for data in datasets:
-        error = data.measurement - simulated_rows(model, data)
+        error = simulated_rows(model, data)
+        np.subtract(data.measurement, error, out=error)  # in place: a long record's is on a file
         begin = virgin_rows(data.command[:, index])
         signals.append((data.command[begin:, index], error[begin:, index]))
     frequency = unexplained_frequency(signals, axis.sample_time)

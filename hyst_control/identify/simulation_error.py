@@ -230,7 +230,8 @@ def gram_matrices(
     """
     size, extra = len(parameters) * derivatives, NUISANCES[nuisance]
     total = size + extra * groups + 1
-    grams, rows, blocks = np.zeros((2, total, total)), [0, 0], []
+    grams, rows = np.zeros((2, total, total)), [0, 0]
+    blocks: list[Array] = []
     vectors = [parameters, *(parameters + STEP * unit for unit in np.eye(len(parameters))[:size])]
     chains = [tuple(parametrization.stages(vector)) for vector in vectors]
     clocks: dict[Sampling, Bundle] = {}
@@ -245,8 +246,8 @@ def gram_matrices(
         running = clocks[sampling]
         signal, first = driving_signal(window)
         running.settle(float(signal[0, 0]))
-        for part in row_blocks(first):
-            running.process(signal[part])
+        for earlier in row_blocks(first):
+            running.process(signal[earlier])
         n = len(window.command)
         for chunk in range(0, n, CHUNK):
             stop = min(chunk + CHUNK, n)

@@ -84,10 +84,10 @@ def column(values: Array, index: int) -> Array:
     return found
 
 
-def way(values: Array, begin: int = 0) -> float:
+def total_variation(values: Array, begin: int = 0) -> float:
     """Sum of the changes' sizes of `values` (N,) from row `begin` on; block by block."""
     rest = values[begin:]
-    return sum(float(np.abs(np.diff(rest[part.start : part.stop + 1])).sum()) for part in blocks(len(rest)))
+    return float(sum(np.abs(np.diff(rest[part.start : part.stop + 1])).sum() for part in blocks(len(rest))))
 
 
 def largest_change(values: Array) -> float:
@@ -108,7 +108,7 @@ def first_row(count: int, found: Callable[[slice], NDArray[np.bool_]]) -> int:
     for part in blocks(count):
         rows = np.flatnonzero(found(part))
         if len(rows):
-            return part.start + int(rows[0])
+            return int(part.start + rows[0])
     return count
 
 
