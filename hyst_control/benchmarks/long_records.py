@@ -67,7 +67,7 @@ def run(table: Table, minutes: Sequence[float], commands: Sequence[str] = COMMAN
 
 
 def add_hour(table: Table, command: str, measurements: Sequence[tuple[float, float, float]]) -> None:
-    """Add how time and memory grow, and what an hour would take.
+    """Add how time and memory grow, and what an hour would take; memory that falls is taken to stay.
 
     Parameters
     ----------
@@ -84,7 +84,9 @@ def add_hour(table: Table, command: str, measurements: Sequence[tuple[float, flo
         slope = (value - earlier) / (length - shorter)
         case = f"{shorter:g} to {length:g} min"
         table.add("long records, growth", case, command, f"{quantity}_per_minute", f"{unit}/min", slope)
-        table.add("long records, growth", "an hour, extrapolated", command, quantity, unit, value + slope * (HOUR - length))
+        table.add(
+            "long records, growth", "an hour, extrapolated", command, quantity, unit, value + max(slope, 0.0) * (HOUR - length)
+        )
 
 
 def plant() -> Model:

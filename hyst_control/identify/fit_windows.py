@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -52,6 +53,28 @@ def whole_records(datasets: Sequence[Dataset], axis: int, *, weighted: bool = Tr
             )
         )
     return windows
+
+
+def with_sign(window: Window, sign: float) -> Window:
+    """Multiply the measurement of a window by 1 or -1.
+
+    Parameters
+    ----------
+    window
+        A stretch of a record.
+    sign
+        The factor.
+
+    Returns
+    -------
+    Window
+        The stretch, whose measurement is on a file where it is long; the window itself where nothing changes.
+    """
+    if sign == 1.0:
+        return window
+    measurement = empty_rows(len(window.measurement))
+    np.multiply(window.measurement, sign, out=measurement)
+    return replace(window, measurement=measurement)
 
 
 def balanced_weights(data: Dataset, axis: int) -> Array | None:

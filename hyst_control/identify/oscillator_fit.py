@@ -19,7 +19,7 @@ from hyst_control.chain.parameter import Scattering
 from hyst_control.chain.stage import Array, Sampling
 from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report
 from hyst_control.identify.fit_report import SPECTRUM_ROWS, command_bandwidth, noise_sigma, record_rows
-from hyst_control.identify.fit_windows import whole_records
+from hyst_control.identify.fit_windows import whole_records, with_sign
 from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.madelung import mean_offset
 from hyst_control.identify.parameter_covariance import Uncertainty, independent_axes
@@ -260,9 +260,7 @@ def problem_of(datasets: Sequence[Dataset], axis: int, nuisance: str) -> Problem
         One axis of all records.
     """
     linear = linear_start(datasets, axis)
-    windows = [
-        replace(window, measurement=linear.sign * window.measurement) for window in whole_records(datasets, axis, weighted=False)
-    ]
+    windows = [with_sign(window, linear.sign) for window in whole_records(datasets, axis, weighted=False)]
     return Problem(windows, linear, nuisance)
 
 

@@ -15,9 +15,10 @@ from hyst_control.chain.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.identify import fit_report, gram_sums, identify, learned_discrepancy
 from hyst_control.identify.bounded_least_squares import covariance
 from hyst_control.identify.dataset import Dataset
-from hyst_control.identify.fit_windows import first_motion, memory_filled, virgin_rows
+from hyst_control.identify.fit_windows import first_motion, memory_filled, virgin_rows, with_sign
 from hyst_control.identify.gram_sums import Operators, Window
 from hyst_control.identify.learned_discrepancy import discrepancy_of, learn
+from hyst_control.identify.madelung import response_sign
 from hyst_control.identify.simulation_error import driving_signal
 from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.model_file import Model, simulate
@@ -109,19 +110,39 @@ def test_the_error_of_a_long_record_takes_the_memory_of_blocks(small):
     assert taken < 4 * 8 * ROWS  # the features alone of one record are 28 such columns
 
 
-def test_a_fit_of_a_long_record_takes_the_memory_of_blocks(small):
-    command = loops(2.0)[:, None] + 10.0
+LONG = 2**18
+
+
+@pytest.fixture(scope="module")
+def long_record():
+    """A rounded record of play operators that begins on the virgin curve."""
+    command = loops(2.0, LONG)[:, None] + 10.0 * np.minimum(np.arange(LONG) / 500.0, 1.0)[:, None]
     plant = Model(
         "", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain((PrandtlIshlinskii([2.0, 5.0], [0.3, 0.2], w0=1.0),))
     )
-    noise = 0.01 * np.random.default_rng(4).standard_normal((ROWS, 1))
-    measured = np.round((simulate(plant, command) + noise) / 0.01) * 0.01
-    data = Dataset("long", command, measured, STEP, ("x",), "um", start="auto")
-    identify([data.rows(0, 3000)], "pi", thresholds=(0.0, 2.0, 5.0))  # compiles what it needs
+    noise = 0.01 * np.random.default_rng(4).standard_normal((LONG, 1))
+    return Dataset("long", command, np.round((simulate(plant, command) + noise) / 0.01) * 0.01, STEP, ("x",), "um", start="auto")
+
+
+@pytest.mark.parametrize("family, options", [("pi", {"thresholds": (0.0, 2.0, 5.0)}), ("madelung", {})])
+def test_the_memory_of_a_fit_does_not_grow_with_the_record(long_record, small, family, options):
+    """Twice the rows take less than half a column of them more."""
+    half = long_record.rows(0, LONG // 2)
+    identify([half.rows(0, 3000)], family, **options)  # compiles what it needs
     fits = []
-    taken = peak(lambda: fits.append(identify([data], "pi", thresholds=(0.0, 2.0, 5.0))))
-    assert fits[0].report["records"][0]["nrmse"] < 0.5
-    assert taken < 4 * 8 * ROWS
+    shorter, longer = (peak(lambda data=data: fits.append(identify([data], family, **options))) for data in (half, long_record))
+    assert fits[1].report["records"][0]["nrmse"] < 0.5
+    assert longer - shorter < 0.5 * 8 * (LONG // 2)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_sign_of_a_response_is_found_and_turned(small, sign):
+    command = loops(2.0, 5000)
+    window = Window(command, sign * (0.5 * command + 3.0), STEP, "zoh", 0, 0)
+    assert response_sign([window]) == sign
+    turned = with_sign(window, sign)
+    assert (turned is window) == (sign == 1.0)
+    np.testing.assert_array_equal(turned.measurement, 0.5 * command + 3.0)
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
