@@ -69,12 +69,12 @@ def largest_size(values: Array) -> float:
 
 
 def all_finite(values: Array) -> bool:
-    """Whether all of the `values` (N, ...) are finite; block by block."""
+    """Check that all `values` (N, ...) are finite, block by block."""
     return all(bool(np.all(np.isfinite(values[part]))) for part in blocks(len(values)))
 
 
 def column(values: Array, index: int) -> Array:
-    """Column (N,) of an array (N, A), contiguous; on a temporary file where it is large and has to be copied."""
+    """Column `index` (N,) of an array `values` (N, A), contiguous; on a temporary file where it is large and has to be copied."""
     one = values[:, index]
     if one.flags.c_contiguous:
         return one

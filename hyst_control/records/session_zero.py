@@ -69,7 +69,7 @@ def zero_of(rows: Iterable[tuple[slice, Array]], count: int) -> Array:
 
 
 def basis(part: slice, count: int) -> Array:
-    """Legendre polynomials (n, 3) at some of `count` rows, which span -1 to 1."""
+    """Legendre polynomials (n, 3) at `part` of `count` rows, which span -1 to 1."""
     place = -1.0 + 2.0 * np.arange(part.start, part.stop) / max(count - 1, 1)
     return np.asarray(np.polynomial.legendre.legvander(place, len(SHAPES) - 1), dtype=np.float64)
 
