@@ -120,8 +120,10 @@ class Simulator:
         return self._filter.process(np.ascontiguousarray(commands, dtype=float))
 
 
-def simulate(model: Model, commands: Array, sample_time: float | None = None, hold: str | None = None) -> Array:
-    """Simulate a record that starts settled at its first command.
+def simulate(
+    model: Model, commands: Array, sample_time: float | None = None, hold: str | None = None, memory: Array | None = None
+) -> Array:
+    """Simulate a record that starts settled at its first command, or at the first of those that precede it.
 
     Parameters
     ----------
@@ -131,6 +133,8 @@ def simulate(model: Model, commands: Array, sample_time: float | None = None, ho
         (N, A) in V.
     sample_time, hold
         Of the record; by default the model's.
+    memory
+        Commands (M, A) in V that precede the record.
 
     Returns
     -------
@@ -146,7 +150,13 @@ def simulate(model: Model, commands: Array, sample_time: float | None = None, ho
     commands = np.ascontiguousarray(commands, dtype=float)
     hold = hold or model.hold
     running = model.filter(sample_time, hold)
-    before = running.settle(commands[0])[None]
+    if memory is None:
+        before = running.settle(commands[0])[None]
+    else:
+        memory = np.ascontiguousarray(memory, dtype=float)
+        running.settle(memory[0])
+        for part in blocks(len(memory)):
+            before = running.process(memory[part])[-1:]
     measurements = empty_rows(*commands.shape)
     for part in blocks(len(commands)):
         output = running.process(commands[part])

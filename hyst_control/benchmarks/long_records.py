@@ -28,11 +28,14 @@ RATE = 50e3
 INTERVAL = 0.02
 """s between looks at the memory."""
 BLOCK = 1 << 20
-COMMANDS = ("import", "simulate", "validate", "identify")
+COMMANDS = ("import", "simulate", "validate", "identify", "identify hampi", "identify madelung")
+"""`identify` alone: play operators. A second word is another family."""
+HOUR = 60.0
+"""min."""
 
 
 def run(table: Table, minutes: Sequence[float], commands: Sequence[str] = COMMANDS) -> None:
-    """Measure every command on records of several lengths.
+    """Measure every command on records of several lengths, and draw the line of the two longest of them on to an hour.
 
     Parameters
     ----------
@@ -43,7 +46,8 @@ def run(table: Table, minutes: Sequence[float], commands: Sequence[str] = COMMAN
     commands
         The commands; `import` makes the bag that the others read.
     """
-    for length in minutes:
+    found: dict[str, list[tuple[float, float, float]]] = {command: [] for command in commands}
+    for length in sorted(minutes):
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             rows = write_recording(folder / "recording.npy", length)
@@ -56,6 +60,33 @@ def run(table: Table, minutes: Sequence[float], commands: Sequence[str] = COMMAN
                 table.add("long records", case, command, "processor_time_per_million_samples", "s", 1e6 * processor / rows, n=rows)
                 table.add("long records", case, command, "time", "s", seconds, n=rows)
                 table.add("long records", case, command, "memory", "MiB", memory, n=rows)
+                found[command].append((length, processor, memory))
+    for command, measurements in found.items():
+        if len(measurements) > 1:
+            add_hour(table, command, measurements)
+
+
+def add_hour(table: Table, command: str, measurements: Sequence[tuple[float, float, float]]) -> None:
+    """Add how time and memory grow, and what an hour would take; memory that falls is taken to stay.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    command
+        The command.
+    measurements
+        Length (min), processor time (s) and memory (MiB) by rising length, two or more. The last two tell how either grows.
+    """
+    length, *last = measurements[-1]
+    (shorter, *before) = measurements[-2]
+    for quantity, unit, value, earlier in zip(("processor_time", "memory"), ("s", "MiB"), last, before, strict=True):
+        slope = (value - earlier) / (length - shorter)
+        case = f"{shorter:g} to {length:g} min"
+        table.add("long records, growth", case, command, f"{quantity}_per_minute", f"{unit}/min", slope)
+        table.add(
+            "long records, growth", "an hour, extrapolated", command, quantity, unit, value + max(slope, 0.0) * (HOUR - length)
+        )
 
 
 def plant() -> Model:
@@ -113,12 +144,14 @@ def arguments_of(command: str, folder: Path) -> list[str]:
     """
     bag, model, recording = (str(folder / name) for name in ("bag", "model.yaml", "recording.npy"))
     columns = ["--columns", "command=1[V],measurement=2[um]", "--rate", f"{RATE:g}"]
+    verb, *family = command.split()
+    options = ["--model", family[0]] if family else ["--model", "pi", "--operators", "5"]
     return {
         "import": ["import", recording, "--output", bag, *columns],
         "simulate": ["simulate", model, bag, "--output", str(folder / "simulated")],
         "validate": ["validate", model, bag],
-        "identify": ["identify", bag, "--model", "pi", "--operators", "5", "--output", str(folder / "identified.yaml")],
-    }[command]
+        "identify": ["identify", bag, *options, "--output", str(folder / "identified.yaml")],
+    }[verb]
 
 
 def measured(arguments: Sequence[str]) -> tuple[float, float, float]:

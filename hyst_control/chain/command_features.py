@@ -8,7 +8,7 @@ that what was learned on one command can be used on another.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -28,6 +28,8 @@ CREEPS = (0.3, 3.0)
 """Time constants of low-passed copies, as shares of the longest record."""
 LEAST_REVERSAL = 0.01
 """Share of the range by which a command has to come back before its turning point counts as a reversal."""
+LONGEST, BLOCK = 2**20, 2**18
+"""Samples of a command from which quantiles of its rate are taken; samples whose features are computed at a time."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class CommandFeatures:
         """
         low, high = min(float(u.min()) for u in commands), max(float(u.max()) for u in commands)
         span = max(high - low, 1e-12)
-        rate = max(float(np.quantile(np.abs(np.gradient(u, sample_time)), 0.99)) for u in commands)
+        rate = max(rate_quantile(u, sample_time, 0.99) for u in commands)
         rate = max(rate, span / (max(map(len, commands)) * sample_time))
         return cls(0.5 * (low + high), span, rate, span / 64.0 / rate, max(map(len, commands)) * sample_time)
 
@@ -118,6 +120,55 @@ class CommandFeatures:
         u, width = (command - self.center) / self.span, running.width
         ahead, behind = _late(u[::-1], width)[::-1], _late(u, width)
         return running.process(command, (ahead - behind) / running.crossing)
+
+    def blocks(self, command: Array, sample_time: float) -> Iterator[tuple[slice, Array]]:
+        """Compute the features of a command of any length block by block: those of `rows`, the rate being centered.
+
+        Parameters
+        ----------
+        command : ndarray, shape (N,)
+            Command, V.
+        sample_time : float
+            Its sample time, s.
+
+        Yields
+        ------
+        part : slice
+            Rows of the command.
+        features : ndarray, shape (n, F)
+            Their features, without unit.
+        """
+        running = FeatureFilter(self, sample_time)
+        running.settle(float(command[0]))
+        for begin in range(0, len(command), BLOCK):
+            part = slice(begin, min(begin + BLOCK, len(command)))
+            places = np.arange(part.start, part.stop)
+            ahead = (command[np.minimum(places + running.width, len(command) - 1)] - self.center) / self.span
+            behind = (command[np.maximum(places - running.width, 0)] - self.center) / self.span
+            yield part, running.process(command[part], (ahead - behind) / running.crossing)
+
+
+def rate_quantile(command: Array, sample_time: float, share: float) -> float:
+    """Quantile of the size of a command's rate.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N,)
+        Command, V.
+    sample_time : float
+        Its sample time, s.
+    share : float
+        Share of the samples that are slower; of more than `LONGEST` samples so many are looked at, spread evenly.
+
+    Returns
+    -------
+    float
+        V/s.
+    """
+    if len(command) <= LONGEST:
+        return float(np.quantile(np.abs(np.gradient(command, sample_time)), share))
+    rows = np.linspace(1, len(command) - 2, LONGEST).astype(np.int64)
+    return float(np.quantile(np.abs(command[rows + 1] - command[rows - 1]), share)) / (2.0 * sample_time)
 
 
 POWERS, FIRST_PLAY = 3, 15

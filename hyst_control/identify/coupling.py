@@ -17,6 +17,8 @@ from hyst_control.identify.dataset import Dataset, ParameterRow
 from hyst_control.identify.fit_windows import before, first_motion, virgin_rows
 from hyst_control.model_file import Model, simulate
 from hyst_control.parallel import map_forked
+from hyst_control.records.row_store import blocks as row_blocks
+from hyst_control.records.row_store import empty_rows
 
 CORNERS = (None, 30.0, 60.0, 100.0, 150.0, 220.0, 320.0, 470.0, 700.0, 1000.0, 2000.0)
 """Corners (Hz) that are tried; none is a static coupling."""
@@ -109,16 +111,18 @@ def without_coupling(model: Model, coupling: Coupling, datasets: Sequence[Datase
     cleaned = []
     for data in datasets:
         y = simulated_rows(model, data)
-        share = low_passed(y, coupling.corner, data.sample_time) @ (coupling.matrix - np.eye(len(model.axes))).T
-        cleaned.append(replace(data, measurement=data.measurement - share))
+        passed, others = low_passed(y, coupling.corner, data.sample_time), (coupling.matrix - np.eye(len(model.axes))).T
+        measurement = empty_rows(*data.measurement.shape)
+        for part in row_blocks(len(measurement)):
+            measurement[part] = data.measurement[part] - passed[part] @ others
+        cleaned.append(replace(data, measurement=measurement))
     return cleaned
 
 
 def simulated_rows(model: Model, data: Dataset) -> Array:
     """Output (N, A) of the model for the record `data`, in the measurement unit; an unknown start is simulated from its memory."""
     memory, _ = before(data)
-    command = data.command if memory is None else np.concatenate([memory, data.command])
-    return simulate(model, command, data.sample_time, data.hold)[len(command) - len(data.command) :]
+    return simulate(model, data.command, data.sample_time, data.hold, memory)
 
 
 def low_passed(signal: Array, corner: float | None, sample_time: float) -> Array:
@@ -138,7 +142,10 @@ def low_passed(signal: Array, corner: float | None, sample_time: float) -> Array
     w = 2.0 * np.pi * corner
     running = Chain((TransferFunction([w], [1.0, w]),)).filter(Sampling(sample_time, signal.shape[1], "foh"))
     running.settle(signal[0])
-    return running.process(signal)
+    passed = empty_rows(*signal.shape)
+    for part in row_blocks(len(signal)):
+        passed[part] = running.process(signal[part])
+    return passed
 
 
 def regress(
@@ -166,11 +173,12 @@ def regress(
         n = len(own)
         # A fraction of the rows says as much: what limits the coupling is how much the axes have in common.
         every = max(n * len(datasets) // ROWS, 1)
-        columns = np.column_stack([np.delete(other, axis, axis=1), data.measurement[:, axis] - own[:, axis]])[skip::every]
+        taken = slice(skip, None, every)
+        columns = np.column_stack([np.delete(other[taken], axis, axis=1), data.measurement[taken, axis] - own[taken, axis]])
         first, virgin = first_motion(data.command[:, axis]), virgin_rows(data.command[:, axis])
-        rows = np.arange(n)[skip::every]
+        rows = np.arange(skip, n, every)
         counted = (rows < first) | (rows >= virgin)
-        trend = np.column_stack([np.ones(n), np.linspace(-0.5, 0.5, n), np.arange(n) >= virgin])[skip::every][counted]
+        trend = np.column_stack([np.ones(len(rows)), rows / max(n - 1, 1) - 0.5, rows >= virgin])[counted]
         columns = columns[counted]
         columns = columns - trend @ np.linalg.lstsq(trend, columns, rcond=None)[0]
         grams += [block.T @ block for block in np.array_split(columns, min(BLOCKS, len(columns)))]

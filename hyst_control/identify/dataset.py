@@ -11,6 +11,7 @@ import numpy as np
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
+from hyst_control.records.row_store import all_finite
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,7 @@ def check_records(datasets: Sequence[Dataset], least: int = 50) -> None:
         if len(data.command) < least:
             raise InputError(f"{data.name}: must have at least {least} samples, got {len(data.command)}: record for longer")
         for topic, values in (("command", data.command), ("measurement", data.measurement)):
-            if not np.all(np.isfinite(values)):
+            if not all_finite(values):
                 row = int(np.flatnonzero(~np.all(np.isfinite(values), axis=1))[0])
                 raise InputError(f"{data.name}: {topic}: must be finite, is not in sample {row}: remove it")
     for axis, name in enumerate(first.axes):

@@ -11,11 +11,11 @@ from hyst_control.identify.dataset import Dataset, RecordRow
 from hyst_control.identify.fit_windows import before
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.quantization_step import quantization_step
-from hyst_control.records.row_store import blocks, largest_size, mean_square
+from hyst_control.records.row_store import blocks, largest_size, mean_square, spread_parts
 from hyst_control.records.session_zero import without_zero
 
-NOISE_ROWS, SPECTRUM_ROWS, PARTS = 2**22, 2**23, 16
-"""Rows from which noise and bandwidth are taken: those of longer records in so many parts spread over them."""
+NOISE_ROWS, SPECTRUM_ROWS = 2**21, 2**22
+"""Rows from which noise and bandwidth are taken: those of longer records in parts spread over them."""
 
 
 def residual(model: Model, data: Dataset) -> Array:
@@ -36,9 +36,7 @@ def residual(model: Model, data: Dataset) -> Array:
         Residual (N, A) in the measurement unit.
     """
     memory, begin = before(data)
-    command = data.command if memory is None else np.concatenate([memory, data.command])
-    simulated = simulate(model, command, data.sample_time, data.hold)[len(command) - len(data.command) :]
-    error = simulated[begin:]
+    error = simulate(model, data.command, data.sample_time, data.hold, memory)[begin:]
     np.subtract(data.measurement[begin:], error, out=error)  # in place: a long record's error is on a file, as its simulation is
     return error
 
@@ -135,14 +133,6 @@ def noise_sigma(residuals: Sequence[Array], datasets: Sequence[Dataset] = ()) ->
     for data in datasets:
         sigma = np.maximum(sigma, [quantization_step(column) / np.sqrt(12.0) for column in data.measurement[:NOISE_ROWS].T])
     return [float(value) for value in sigma]
-
-
-def spread_parts(count: int, most: int) -> list[slice]:
-    """All of `count` rows as one part, or of more than `most` so many in parts that are spread evenly over them."""
-    if count <= most:
-        return [slice(0, count)]
-    size = most // PARTS
-    return [slice(begin, begin + size) for begin in np.linspace(0, count - size, PARTS).astype(int).tolist()]
 
 
 def command_bandwidth(data: Dataset) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.record_segmentation import REST_TIME, resting_stretches, stretches_between_rests
 from hyst_control.identify.reversal_points import turning_points
 from hyst_control.records.quantization_step import rounding_weights
-from hyst_control.records.row_store import empty_rows
+from hyst_control.records.row_store import column, empty_rows, first_row, total_variation
 
 SETTLE_TIME = 0.25
 """Time (s) after which a window's linear transient is over, the slow pair's included; its rows before that do not count."""
@@ -37,21 +38,43 @@ def whole_records(datasets: Sequence[Dataset], axis: int, *, weighted: bool = Tr
     """
     windows = []
     for group, data in enumerate(datasets):
-        command = np.ascontiguousarray(data.command[:, axis])
+        command = column(data.command, axis)
         memory, skip = before(data)
         windows.append(
             Window(
                 command,
-                np.ascontiguousarray(data.measurement[:, axis]),
+                column(data.measurement, axis),
                 data.sample_time,
                 data.hold,
                 skip,
                 group,
-                memory=None if memory is None else np.ascontiguousarray(memory[:, axis]),
+                memory=None if memory is None else column(memory, axis),
                 weight=balanced_weights(data, axis) if weighted else None,
             )
         )
     return windows
+
+
+def with_sign(window: Window, sign: float) -> Window:
+    """Multiply the measurement of a window by 1 or -1.
+
+    Parameters
+    ----------
+    window
+        A stretch of a record.
+    sign
+        The factor.
+
+    Returns
+    -------
+    Window
+        The stretch, whose measurement is on a file where it is long; the window itself where nothing changes.
+    """
+    if sign == 1.0:
+        return window
+    measurement = empty_rows(len(window.measurement))
+    np.multiply(window.measurement, sign, out=measurement)
+    return replace(window, measurement=measurement)
 
 
 def balanced_weights(data: Dataset, axis: int) -> Array | None:
@@ -189,14 +212,12 @@ def virgin_rows(command: Array) -> int:
     0 where less than half of the motion would be left.
     """
     first = memory_filled(command)
-    moved = np.abs(np.diff(command))
-    return first if float(moved[first:].sum()) > 0.5 * float(moved.sum()) else 0
+    return first if total_variation(command, first) > 0.5 * total_variation(command) else 0
 
 
 def first_motion(command: Array) -> int:
     """The first row of a command (N,) that differs from the one before; N where it rests."""
-    moving = np.flatnonzero(np.diff(command))
-    return int(moving[0]) + 1 if len(moving) else len(command)
+    return min(first_row(len(command), lambda part: np.diff(command[part.start : part.stop + 1]) != 0) + 1, len(command))
 
 
 def memory_filled(command: Array) -> int:
@@ -212,9 +233,12 @@ def memory_filled(command: Array) -> int:
     int
         The row.
     """
-    span = np.ptp(command)
-    high, low = np.flatnonzero(command >= command.max() - 0.01 * span), np.flatnonzero(command <= command.min() + 0.01 * span)
-    return int(max(high[0], low[0]))
+    lowest, highest = float(command.min()), float(command.max())
+    near = 0.01 * (highest - lowest)
+    return max(
+        first_row(len(command), lambda part: command[part] >= highest - near),
+        first_row(len(command), lambda part: command[part] <= lowest + near),
+    )
 
 
 def largest_drift(data: Dataset, axis: int) -> float:

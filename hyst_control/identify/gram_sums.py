@@ -17,8 +17,11 @@ from numpy.typing import NDArray
 from hyst_control.chain.linear import Discretised
 from hyst_control.chain.stage import Array, Sampling
 from hyst_control.identify.stable_dynamics import Structure
+from hyst_control.records import row_store
 
 BLOCK = 4096
+MOST_BLOCKS = 2048
+"""Gram matrices that a window keeps: of longer ones neighboring blocks are added up."""
 HELD_OUT_BLOCKS = 90
 """A record is cut into at least this many blocks."""
 TINY = 1e-80
@@ -392,7 +395,7 @@ def gram_matrices(
     total = columns + size + extra * groups + 1
     grams = np.zeros((2, total, total))
     rows = [0, 0]
-    blocks = []
+    blocks: list[Array] = []
     samplings = {Sampling(window.sample_time, 1, window.hold) for window in windows}
     systems = {
         sampling: [structure.discretized(vector, sampling) for vector in (parameters, *(parameters + step * np.eye(size)))]
@@ -405,6 +408,8 @@ def gram_matrices(
         length = max(min(BLOCK, n // HELD_OUT_BLOCKS), 1)
         buffer = np.empty((length, len(place)))
         weight = np.zeros(0) if window.weight is None else window.weight
+        together = -(-n // (length * MOST_BLOCKS))
+        used_blocks = 0
         for begin in range(0, n, length):
             end = min(begin + length, n)
             raw = passing.block(begin, end)
@@ -421,7 +426,11 @@ def gram_matrices(
             product[np.ix_(place, place)] = gram_product(block)
             grams[part] += product
             rows[part] += len(block)
-            blocks.append(product)
+            if used_blocks % together:
+                blocks[-1] += product
+            else:
+                blocks.append(product)
+            used_blocks += 1
     return Grams(grams[0], grams[1], (rows[0], rows[1]), np.array(blocks))
 
 
@@ -451,7 +460,8 @@ class _Pass:
     def _settle(self) -> None:
         # The play operators' memory up to the first command, then every linear state at rest there.
         if self.window.memory is not None:
-            self.block_of(self.window.memory)
+            for part in row_store.blocks(len(self.window.memory)):
+                self.block_of(self.window.memory[part])
             self.previous[0] = self.window.command[0]
         self.block_of(self.window.command[:1])
         first = self.ring[(self.position - 1) % len(self.ring)].copy()

@@ -22,7 +22,7 @@ from hyst_control.identify.shared_options import nuisance_option, structure_opti
 from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.identify.variable_projection import Problem, Solution, solve
 from hyst_control.parallel import map_forked
-from hyst_control.records.row_store import largest_size
+from hyst_control.records.row_store import largest_change, largest_size
 
 SELECTION_ROWS = 60_000
 LEAST_FOR_LOADING = 6
@@ -275,7 +275,7 @@ def fit_rate_dependent(problem: Problem) -> AxisFit:
         Weights and β.
     """
     structure = Structure()
-    fastest = max(float(np.max(np.abs(np.diff(window.command)))) / window.sample_time for window in problem.windows)
+    fastest = max(largest_change(window.command) / window.sample_time for window in problem.windows)
     largest = 2.0 * float(problem.operators.thresholds[-1]) / fastest
 
     def trial(beta: float) -> Solution:

@@ -19,6 +19,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify.dataset import Beginning, BeginningRow, Dataset
 from hyst_control.identify.fit_windows import closed_loop, memory_filled
 from hyst_control.identify.reversal_points import turning_points
+from hyst_control.records.row_store import all_finite, total_variation
 
 OPERATORS, ROWS, TURNS = 12, 2000, 9
 """Play operators of the fit; its rows before and behind the first visit to both extremes; further turning points that are tried."""
@@ -69,7 +70,7 @@ def with_beginning(data: Dataset) -> Dataset:
     """
     if data.start != "auto":
         return data
-    if not (np.all(np.isfinite(data.command)) and np.all(np.isfinite(data.measurement))):
+    if not (all_finite(data.command) and all_finite(data.measurement)):
         return replace(data, start="settled")  # who uses it refuses such a record, or shows it
     axes = range(data.command.shape[1])
     closed = closed_loop(data)
@@ -129,9 +130,8 @@ def share_of_motion(command: Array, row: int) -> float:
     float
         Share, 0 to 1.
     """
-    moved = np.abs(np.diff(command))
-    whole = float(moved.sum())
-    return float(moved[row:].sum()) / whole if whole else 1.0
+    whole = total_variation(command)
+    return total_variation(command, row) / whole if whole else 1.0
 
 
 def estimated_memory(command: Array, measurement: Array, *, closed: bool = False) -> Memory:
@@ -168,7 +168,7 @@ def estimated_memory(command: Array, measurement: Array, *, closed: bool = False
     states = play_states(np.array([high, low, first]), thresholds, np.arange(3))[-1]
     after = followed(command, thresholds, states, late)
     rows = np.concatenate([early, late])
-    trend = np.stack([np.ones(len(rows)), np.linspace(-0.5, 0.5, len(command))[rows]], axis=1)
+    trend = np.stack([np.ones(len(rows)), rows / max(len(command) - 1, 1) - 0.5], axis=1)
     target = measurement[rows]
 
     def error(memory: Memory) -> float:

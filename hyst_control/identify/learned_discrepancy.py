@@ -13,18 +13,19 @@ do not tell what holds on another one; there the size of the error alone is know
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.linalg import eigh
 
-from hyst_control.chain.command_features import Array, CommandFeatures
+from hyst_control.chain.command_features import Array, CommandFeatures, rate_quantile
 from hyst_control.errors import InputError
 from hyst_control.model_file import DISCREPANCY_VERSION
 from hyst_control.records.correlation import correlation_length
-from hyst_control.records.session_zero import usual_zero, without_zero
+from hyst_control.records.row_store import mean_square, spread_parts
+from hyst_control.records.session_zero import basis, usual_zero, without_zero, zero_of
 
 SIZES = np.geomspace(0.01, 0.5, 15)
 """Standard deviations of the prior weights that are tried, in error rms of a feature of rms 1: no feature alone is much larger than the
@@ -37,6 +38,9 @@ ALIKE = 0.05
 """Relative difference of range and rate up to which two commands are the same."""
 ROWS = 4000
 """Most rows per record that are learned from; of a longer one every few rows."""
+LONGEST, SHORTEST_PART, PARTS = 2**20, 2**16, 16
+"""Rows of all records together up to which they are kept whole; fewest rows of a record that are kept of more, and parts that these
+are."""
 
 
 @dataclass(frozen=True)
@@ -137,30 +141,30 @@ def learn(commands: Sequence[Array], errors: Sequence[Array], sample_time: float
     LearnedDiscrepancy or None
         None where the features predict too little of it on other commands, or there is one command only.
     """
-    features = CommandFeatures.of(commands, sample_time)
-    designs, targets = [], []
-    for command, error in zip(commands, errors, strict=True):
-        rows = features.rows(command, sample_time)[len(command) - len(error) :]
-        designs.append(without_zero(rows)[0])
-        targets.append(without_zero(error[:, None])[0][:, 0])
-    scale = np.sqrt(np.mean(np.concatenate(designs) ** 2, axis=0))
-    scale = np.where(scale > 1e-9, scale, np.inf)
-    designs = [design / scale for design in designs]
-    size = float(np.sqrt(np.mean(np.concatenate(targets) ** 2)))
-    if not size > 0:
-        return None
     groups = _groups(commands, sample_time)
     if len(groups) < 2:
         return None  # records of one command do not tell what holds on another
-    whole = _total([_sums(design, target) for design, target in zip(designs, targets, strict=True)])
+    features = CommandFeatures.of(commands, sample_time)
+    most = max(LONGEST // len(commands), SHORTEST_PART) if sum(map(len, errors)) > LONGEST else LONGEST
+    pairs = [_regression(features, command, error, sample_time, most) for command, error in zip(commands, errors, strict=True)]
+    designs, targets, counts = [design for design, _ in pairs], [target for _, target in pairs], list(map(len, errors))
+    rows = sum(map(len, targets))
+    scale = np.sqrt(np.sum([np.einsum("ij,ij->j", design, design) for design in designs], axis=0) / rows)
+    scale = np.where(scale > 1e-9, scale, np.inf)
+    for design in designs:
+        design /= scale
+    size = float(np.sqrt(sum(float(target @ target) for target in targets) / rows))
+    if not size > 0:
+        return None
+    whole = _total([_sums(design, target, count) for design, target, count in zip(designs, targets, counts, strict=True)])
     length, rest, alpha = 1.0, size, size
     for _ in range(ROUNDS):
         alpha = max((share * size for share in SIZES), key=lambda value: _evidence(whole, value, rest, length))
         mean, _ = _posterior(whole, alpha, rest, length)
         left = [target - design @ mean for design, target in zip(designs, targets, strict=True)]
-        length = max(correlation_length(rows[:, None]) for rows in left)
+        length = max(_mean_length(rows, count) for rows, count in zip(left, counts, strict=True))
         rest = max(*(float(np.sqrt(np.mean(rows**2))) for rows in left), 1e-6 * size)
-    energy, further = _crossed(designs, targets, groups, alpha, rest, length)
+    energy, further = _crossed(designs, targets, counts, groups, alpha, rest, length)
     if energy > (1.0 - WORTH) * size**2:
         return None
     mean, covariance = _posterior(whole, alpha, rest, length)
@@ -195,7 +199,7 @@ def discrepancy_of(commands: Sequence[Array], errors: Sequence[Array], sample_ti
     ]
     found: dict[str, Any] = {
         "version": DISCREPANCY_VERSION,
-        "rms": np.max([np.sqrt(np.mean(rows**2, axis=0)) for rows in rest], axis=0).tolist(),
+        "rms": np.max([[np.sqrt(mean_square(each)) for each in rows.T] for rows in rest], axis=0).tolist(),
         "correlation": sample_time * max(correlation_length(rows) for rows in rest),
     }
     found["zero_mean"] = np.mean([zero for _, zero in left], axis=0).tolist()
@@ -206,10 +210,43 @@ def discrepancy_of(commands: Sequence[Array], errors: Sequence[Array], sample_ti
     return found
 
 
-def _sums(design: Array, target: Array) -> _Sums:
+def _regression(features: CommandFeatures, command: Array, error: Array, sample_time: float, most: int) -> tuple[Array, Array]:
+    """Features (n, F) and errors (n,) of one record without its zero and drift: of all N rows, or of `PARTS` parts of `most` rows."""
+    count = len(error)
+    target = without_zero(error[:, None])[0][:, 0]
+    if count <= most:
+        return without_zero(features.rows(command, sample_time)[len(command) - count :])[0], target
+    kept = spread_parts(count, most, PARTS)
+    rows: list[list[Array]] = [[] for _ in kept]
+
+    def streamed() -> Iterator[tuple[slice, Array]]:
+        for part, block in features.blocks(command, sample_time):
+            begin, stop = part.start - (len(command) - count), part.stop - (len(command) - count)
+            if stop <= 0:
+                continue
+            block, begin = block[max(-begin, 0) :], max(begin, 0)
+            for of_part, piece in zip(rows, kept, strict=True):
+                inside = block[max(piece.start - begin, 0) : max(piece.stop - begin, 0)]
+                of_part += [inside.copy()] * (len(inside) > 0)
+            yield slice(begin, stop), block
+
+    coefficients = zero_of(streamed(), count)
+    designs = [np.concatenate(of_part) - basis(piece, count) @ coefficients for of_part, piece in zip(rows, kept, strict=True)]
+    return np.concatenate(designs), np.concatenate([target[piece] for piece in kept])
+
+
+def _mean_length(rows: Array, count: int) -> float:
+    """Samples per independent one of what is left of a record of `count` rows: the mean over the parts where it is kept in parts."""
+    pieces = [rows] if len(rows) == count else np.split(rows, PARTS)
+    return float(np.mean([correlation_length(piece[:, None]) for piece in pieces]))
+
+
+def _sums(design: Array, target: Array, count: int) -> _Sums:
+    """Products over some rows (n, F) and (n,) that stand for `count`; of many every few are taken."""
     step = max(len(target) // ROWS, 1)
     phi, e = design[::step], target[::step]
-    return _Sums(step * (phi.T @ phi), step * (phi.T @ e), step * float(e @ e), step * len(e))
+    each = step * count / len(target)
+    return _Sums(each * (phi.T @ phi), each * (phi.T @ e), each * float(e @ e), round(each * len(e)))
 
 
 def _total(sums: Sequence[_Sums]) -> _Sums:
@@ -235,7 +272,7 @@ def _evidence(sums: _Sums, alpha: float, rest: float, length: float) -> float:
 def _groups(commands: Sequence[Array], sample_time: float) -> list[list[int]]:
     """Indices of the records by their command: equal in range and rate within `ALIKE` are the same one."""
     found: list[list[int]] = []
-    sizes = [(float(np.ptp(u)), float(np.quantile(np.abs(np.gradient(u, sample_time)), 0.9))) for u in commands]
+    sizes = [(float(np.ptp(u)), rate_quantile(u, sample_time, 0.9)) for u in commands]
     for index, size in enumerate(sizes):
         for group in found:
             if all(abs(a - b) <= ALIKE * max(a, b) for a, b in zip(size, sizes[group[0]], strict=True)):
@@ -247,7 +284,13 @@ def _groups(commands: Sequence[Array], sample_time: float) -> list[list[int]]:
 
 
 def _crossed(
-    designs: Sequence[Array], targets: Sequence[Array], groups: Sequence[Sequence[int]], alpha: float, rest: float, length: float
+    designs: Sequence[Array],
+    targets: Sequence[Array],
+    counts: Sequence[int],
+    groups: Sequence[Sequence[int]],
+    alpha: float,
+    rest: float,
+    length: float,
 ) -> tuple[float, float]:
     """Predict the records of every command from those of the others.
 
@@ -258,7 +301,7 @@ def _crossed(
     further : float
         Factor, at least 1, by which this exceeds what was foreseen (rms).
     """
-    sums = [_total([_sums(designs[i], targets[i]) for i in group]) for group in groups]
+    sums = [_total([_sums(designs[i], targets[i], counts[i]) for i in group]) for group in groups]
     energy, foreseen, count = 0.0, 0.0, 0
     for index, group in enumerate(groups):
         mean, covariance = _posterior(_total([one for other, one in enumerate(sums) if other != index]), alpha, rest, length)

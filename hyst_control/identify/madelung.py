@@ -20,7 +20,7 @@ from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report, check_records
 from hyst_control.identify.estimator import Estimator, register
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
-from hyst_control.identify.fit_windows import virgin_rows, whole_records
+from hyst_control.identify.fit_windows import virgin_rows, whole_records, with_sign
 from hyst_control.identify.gram_sums import NUISANCES, Window
 from hyst_control.identify.madelung_curves import Curves, Ends, curve_errors
 from hyst_control.identify.options import INTEGER, NUMBER, NUMBERS, Options, option
@@ -28,6 +28,7 @@ from hyst_control.identify.parameter_covariance import PRIOR, independent_axes
 from hyst_control.identify.shared_options import nuisance_option
 from hyst_control.identify.simulation_error import Parametrization, Solution, minimize_simulation_error
 from hyst_control.model_file import Model
+from hyst_control.records.row_store import blocks
 
 NEAR = 0.05
 """Share of the upper end up to which a lowest command is near 0 V, and of the curves' range that no record need reach."""
@@ -202,7 +203,7 @@ def fit_axis(
         max(float(np.ptp(window.measurement)) / float(np.ptp(window.command)) for window in windows if np.ptp(window.command))
         * ends.length
     )
-    turned = [replace(window, measurement=sign * window.measurement) for window in windows]
+    turned = [with_sign(window, sign) for window in windows]
 
     def stages(vector: Array) -> list[Stage]:
         return [curves.stage(vector, ends, travel)]
@@ -289,7 +290,11 @@ def response_sign(windows: Sequence[Window]) -> float:
     float
         1 or -1.
     """
-    covariance = sum(float((w.command - w.command.mean()) @ (w.measurement - w.measurement.mean())) for w in windows)
+    covariance = 0.0
+    for window in windows:
+        means = window.command.mean(), window.measurement.mean()
+        for part in blocks(len(window.command)):
+            covariance += float((window.command[part] - means[0]) @ (window.measurement[part] - means[1]))
     return -1.0 if covariance < 0 else 1.0
 
 

@@ -20,7 +20,7 @@ from hyst_control.identify import paper_mhl
 from hyst_control.identify.coupling import Coupling, fit_coupling, simulated_rows, without_coupling
 from hyst_control.identify.dataset import Dataset, Fit, check_records
 from hyst_control.identify.estimator import Estimator, register
-from hyst_control.identify.fit_windows import virgin_rows, whole_records
+from hyst_control.identify.fit_windows import virgin_rows, whole_records, with_sign
 from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.madelung import (
     curve_ends,
@@ -157,7 +157,7 @@ def fit_joint(windows: Sequence[Window], options: MhlOptions, like: AxisFit | No
         Fit of another axis of the same device, with whose dynamics the search begins; None for a search of the structure.
     """
     sign = response_sign(windows)
-    turned = [replace(window, measurement=sign * window.measurement) for window in windows]
+    turned = [with_sign(window, sign) for window in windows]
     ends = curve_ends(windows, options)
     few = short_stretches(turned, SELECTION_ROWS, STRETCH, SETTLE)
     # Where nothing creeps, the loops are bent by the dynamics: only the coarsest curves are to be had without them.
@@ -191,7 +191,7 @@ def refined(windows: Sequence[Window], found: AxisFit, nuisance: str, passes: in
     passes
         Number of passes of the search.
     """
-    turned = [replace(window, measurement=found.axis.sign * window.measurement) for window in windows]
+    turned = [with_sign(window, found.axis.sign) for window in windows]
     many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
     solution = minimize_simulation_error(
         many, found.axis.parametrization(), found.vector, nuisance=nuisance, passes=passes, everything=True
@@ -211,7 +211,7 @@ def refit(windows: Sequence[Window], found: AxisFit, nuisance: str) -> AxisFit:
     nuisance
         Offset or drift that each record may add, as in `MhlOptions`.
     """
-    turned = [replace(window, measurement=found.axis.sign * window.measurement) for window in windows]
+    turned = [with_sign(window, found.axis.sign) for window in windows]
     solution = minimize_simulation_error(
         turned, found.axis.parametrization(), found.vector, nuisance=nuisance, passes=LAST_PASSES, everything=True
     )
@@ -442,13 +442,14 @@ def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: AxisFit, 
     axis, dynamics = found.axis, found.axis.split(found.vector)[2]
     signals = []
     for data in datasets:
-        error = data.measurement - simulated_rows(model, data)
+        error = simulated_rows(model, data)
+        np.subtract(data.measurement, error, out=error)  # in place: a long record's is on a file
         begin = virgin_rows(data.command[:, index])
         signals.append((data.command[begin:, index], error[begin:, index]))
     frequency = unexplained_frequency(signals, axis.sample_time)
     if axis.structure.modes > 1 or frequency is None:
         return found
-    turned = [replace(window, measurement=axis.sign * window.measurement) for window in axis_windows(datasets, index)]
+    turned = [with_sign(window, axis.sign) for window in axis_windows(datasets, index)]
     # Short stretches would miss the moment at which a sweep passes the frequency.
     many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
     plain = minimize_simulation_error(many, axis.parametrization(), found.vector, nuisance=nuisance, passes=3)

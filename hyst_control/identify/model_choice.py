@@ -12,7 +12,7 @@ from hyst_control.identify.dataset import Fit, TriedRow
 
 AS_GOOD = 0.01
 """The model with fewest parameters is taken of those whose error exceeds the least one by no more than this share."""
-POOR = 1.0
+POOR = 0.5
 """Held-out NRMSE, % of the range, above which the families of the second choice are tried as well."""
 
 

@@ -18,13 +18,14 @@ from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.parameter import Scattering
 from hyst_control.chain.stage import Array, Sampling
 from hyst_control.identify.dataset import Dataset, Fit, ParameterRow, Report
-from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
-from hyst_control.identify.fit_windows import whole_records
+from hyst_control.identify.fit_report import SPECTRUM_ROWS, command_bandwidth, noise_sigma, record_rows
+from hyst_control.identify.fit_windows import whole_records, with_sign
 from hyst_control.identify.gram_sums import Window
 from hyst_control.identify.madelung import mean_offset
 from hyst_control.identify.parameter_covariance import Uncertainty, independent_axes
 from hyst_control.identify.simulation_error import Parametrization, Solution, driving_signal, minimize_simulation_error
 from hyst_control.model_file import Model
+from hyst_control.records.row_store import blocks, spread_parts
 
 SELECTION_ROWS = 200_000
 """Rows on which starts and structures are compared."""
@@ -80,17 +81,18 @@ def linear_start(datasets: Sequence[Dataset], axis: int) -> Linear:
     """
     matrix, vector = np.zeros((3, 3)), np.zeros(3)
     for data in datasets:
-        command, measurement = data.command[:, axis], data.measurement[:, axis]
-        window = np.hanning(len(command))
-        u, y = (np.fft.rfft(window * (signal - signal.mean())) for signal in (command, measurement))
-        if data.hold == "zoh":  # the sample at t_k answers the commands before it: half an interval later on the average
-            u *= np.exp(-1j * np.pi * np.arange(len(u)) / len(command))
-        strong = np.abs(u) ** 2 > STRONG_LINE * np.max(np.abs(u[1:]) ** 2)
-        strong[0] = False
-        omega = 2 * np.pi * np.flatnonzero(strong) / (len(command) * data.sample_time)
-        columns = np.stack([y[strong], 1j * omega * y[strong], -(omega**2) * y[strong]], axis=1)
-        matrix += (columns.conj().T @ columns).real
-        vector += (columns.conj().T @ u[strong]).real
+        for part in spread_parts(len(data.command), SPECTRUM_ROWS):
+            command, measurement = data.command[part, axis], data.measurement[part, axis]
+            window = np.hanning(len(command))
+            u, y = (np.fft.rfft(window * (signal - signal.mean())) for signal in (command, measurement))
+            if data.hold == "zoh":  # the sample at t_k answers the commands before it: half an interval later on the average
+                u *= np.exp(-1j * np.pi * np.arange(len(u)) / len(command))
+            strong = np.abs(u) ** 2 > STRONG_LINE * np.max(np.abs(u[1:]) ** 2)
+            strong[0] = False
+            omega = 2 * np.pi * np.flatnonzero(strong) / (len(command) * data.sample_time)
+            columns = np.stack([y[strong], 1j * omega * y[strong], -(omega**2) * y[strong]], axis=1)
+            matrix += (columns.conj().T @ columns).real
+            vector += (columns.conj().T @ u[strong]).real
     travel = max(float(np.ptp(data.measurement[:, axis])) for data in datasets)
     drive = max(float(np.ptp(data.command[:, axis])) for data in datasets)
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
@@ -234,7 +236,8 @@ class Problem:
             signal, _ = driving_signal(window)
             running = OscillatorFilter(self.stage(law, vector), 1, Sampling(window.sample_time, 1, window.hold))
             running.settle(signal[0])
-            running.process(signal)
+            for part in blocks(len(signal)):
+                running.process(signal[part])
             ranges.append(running.force_range[0])
         return min(float(low) for low, _ in ranges), max(float(high) for _, high in ranges)
 
@@ -257,9 +260,7 @@ def problem_of(datasets: Sequence[Dataset], axis: int, nuisance: str) -> Problem
         One axis of all records.
     """
     linear = linear_start(datasets, axis)
-    windows = [
-        replace(window, measurement=linear.sign * window.measurement) for window in whole_records(datasets, axis, weighted=False)
-    ]
+    windows = [with_sign(window, linear.sign) for window in whole_records(datasets, axis, weighted=False)]
     return Problem(windows, linear, nuisance)
 
 

@@ -18,6 +18,8 @@ from hyst_control.identify.stable_dynamics import Structure
 
 PAIR_DAMPINGS = (0.05, 0.2)
 """Of a mode and the zeros upon it, from which the two are parted."""
+SEGMENTS = 2**10
+"""Segments of spectra that are worked on at a time."""
 WORTHWHILE = 0.01
 """A factor of G is kept when it lowers the held-out mean square error by more than this share."""
 
@@ -43,13 +45,14 @@ def unexplained_frequency(
     for signal in signals:
         if len(signal[0]) < 2 * length:
             continue
-        spectra = []
-        for values in signal:
-            rows = np.lib.stride_tricks.sliding_window_view(values, length)[:: length // 2]
-            spectra.append(np.fft.rfft(window * (rows - rows.mean(axis=1, keepdims=True))))
-        power = np.sum(np.abs(spectra[0]) ** 2, axis=0)
-        cross = np.abs(np.sum(spectra[1] * spectra[0].conj(), axis=0))
-        explained = np.maximum(explained, cross**2 / np.maximum(power, 1e-12 * power.max() + 1e-300))
+        power, cross = np.zeros(len(explained)), np.zeros(len(explained), complex)
+        segments = [np.lib.stride_tricks.sliding_window_view(values, length)[:: length // 2] for values in signal]
+        for begin in range(0, len(segments[0]), SEGMENTS):
+            parts = [rows[begin : begin + SEGMENTS] for rows in segments]
+            u, e = (np.fft.rfft(window * (rows - rows.mean(axis=1, keepdims=True))) for rows in parts)
+            power += np.sum(np.abs(u) ** 2, axis=0)
+            cross += np.sum(e * u.conj(), axis=0)
+        explained = np.maximum(explained, np.abs(cross) ** 2 / np.maximum(power, 1e-12 * power.max() + 1e-300))
     explained[: len(explained) // least] = 0.0
     line = int(np.argmax(explained[:-1]))
     return line / (length * sample_time) if explained[line] > 0.0 else None

@@ -21,8 +21,10 @@ from hyst_control.identify import gauss_newton
 from hyst_control.identify.bounded_least_squares import covariance
 from hyst_control.identify.chain_batch import Bundle
 from hyst_control.identify.gauss_newton import End, Rules, Trial
-from hyst_control.identify.gram_sums import HELD_OUT_BLOCKS, NUISANCES, Grams, Window, gram_product
+from hyst_control.identify.gram_sums import HELD_OUT_BLOCKS, MOST_BLOCKS, NUISANCES, Grams, Window, gram_product
 from hyst_control.identify.reversal_points import turning_points
+from hyst_control.records.row_store import blocks as row_blocks
+from hyst_control.records.row_store import empty_rows
 
 BLOCK, CHUNK = 4096, 32768
 """Largest number of rows of one block's Gram matrix, and rows simulated at a time."""
@@ -228,11 +230,14 @@ def gram_matrices(
     """
     size, extra = len(parameters) * derivatives, NUISANCES[nuisance]
     total = size + extra * groups + 1
-    grams, rows, blocks = np.zeros((2, total, total)), [0, 0], []
+    grams, rows = np.zeros((2, total, total)), [0, 0]
+    blocks: list[Array] = []
     vectors = [parameters, *(parameters + STEP * unit for unit in np.eye(len(parameters))[:size])]
     chains = [tuple(parametrization.stages(vector)) for vector in vectors]
     clocks: dict[Sampling, Bundle] = {}
-    length = int(np.clip(sum(len(window.command) for window in windows) // HELD_OUT_BLOCKS, 1, BLOCK))
+    everything = sum(len(window.command) for window in windows)
+    length = int(np.clip(everything // HELD_OUT_BLOCKS, 1, BLOCK))
+    together, count = -(-everything // (length * MOST_BLOCKS)), 0
     for window in windows:
         place = np.r_[0:size, size + window.group * extra + np.arange(extra), total - 1]
         sampling = Sampling(window.sample_time, 1, window.hold)
@@ -241,8 +246,8 @@ def gram_matrices(
         running = clocks[sampling]
         signal, first = driving_signal(window)
         running.settle(float(signal[0, 0]))
-        if first:
-            running.process(signal[:first])
+        for earlier in row_blocks(first):
+            running.process(signal[earlier])
         n = len(window.command)
         for chunk in range(0, n, CHUNK):
             stop = min(chunk + CHUNK, n)
@@ -257,10 +262,15 @@ def gram_matrices(
             columns[:, -1] = window.measurement[chunk:stop] - nominal
             for begin in range(max(window.skip - chunk, 0), stop - chunk, length):
                 block = columns[begin : begin + length]
-                blocks.append(np.zeros((total, total)))
-                blocks[-1][np.ix_(place, place)] = gram_product(np.ascontiguousarray(block))
-                which = 1 if len(blocks) % 3 == 0 else 0
-                grams[which] += blocks[-1]
+                product = np.zeros((total, total))
+                product[np.ix_(place, place)] = gram_product(np.ascontiguousarray(block))
+                if count % together:
+                    blocks[-1] += product
+                else:
+                    blocks.append(product)
+                count += 1
+                which = 1 if count % 3 == 0 else 0
+                grams[which] += product
                 rows[which] += len(block)
     return Grams(grams[0], grams[1], (rows[0], rows[1]), np.array(blocks))
 
@@ -283,9 +293,12 @@ def driving_signal(window: Window) -> tuple[Array, int]:
         Row at which the window begins.
     """
     before = np.zeros(0) if window.memory is None else window.memory
-    signal = np.concatenate([before, window.command])
-    if window.hold == "zoh":
-        signal = np.concatenate([signal[:1], signal[:-1]])
+    late = 1 if window.hold == "zoh" else 0
+    signal = empty_rows(len(before) + len(window.command))
+    first = before if len(before) else window.command
+    signal[:late] = first[:late]
+    signal[late : len(before) + late] = before
+    signal[len(before) + late :] = window.command[: len(window.command) - late]
     return signal.reshape(-1, 1), len(before)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.chain.parameter import Array
+from hyst_control.records.row_store import blocks, empty_rows
 
 LEVELS = 4
 """Fewest levels of a lattice."""
@@ -17,6 +18,9 @@ OFF = 0.02
 """Distance from the lattice, in steps, up to which a level lies on it."""
 SHARE = 0.99
 """Share of the levels that must lie on the lattice."""
+
+LONGEST = 2**20
+"""Samples among which repetitions are looked for: those of longer records in so many at a time."""
 
 REPEATED = 0.4
 """Share of repeated commands that find the reading of the time before, from which such readings count once (half a loop is on the
@@ -85,14 +89,19 @@ def rounding_weights(command: Array, values: Array) -> Array | None:
     Array | None
         Weights (N,), 1 on average; None where the values lie on no lattice.
     """
-    if not quantization_step(values):
+    if not quantization_step(values[:LONGEST]):
         return None
-    change = np.flatnonzero(np.diff(values)) + 1
-    lengths = np.diff(np.concatenate([[0], change, [len(values)]]))
-    weight = np.repeat(1.0 / lengths, lengths)
-    weight[_repeated(command, values)] = 0.0
-    balanced: Array = weight / weight.mean()
-    return balanced
+    weight = empty_rows(len(values))
+    for begin in range(0, len(values), LONGEST):
+        part = slice(begin, begin + LONGEST)
+        change = np.flatnonzero(np.diff(values[part])) + 1
+        lengths = np.diff(np.concatenate([[0], change, [len(values[part])]]))
+        weight[part] = np.repeat(1.0 / lengths, lengths)
+        weight[part][_repeated(command[part], values[part])] = 0.0
+    mean = weight.mean()
+    for part in blocks(len(weight)):
+        weight[part] /= mean
+    return weight
 
 
 def _repeated(command: Array, values: Array) -> NDArray[np.bool_]:

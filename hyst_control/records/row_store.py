@@ -7,7 +7,7 @@ it needs memory: an hour at 50 kHz is read, simulated and written in the memory 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import BinaryIO
 
 import numpy as np
@@ -66,6 +66,58 @@ def mean_square(values: Array, less: float = 0.0) -> float:
 def largest_size(values: Array) -> float:
     """Largest absolute value of an array of `values`, which is not empty."""
     return max(float(values.max()), -float(values.min()))
+
+
+def all_finite(values: Array) -> bool:
+    """Check that all `values` (N, ...) are finite, block by block."""
+    return all(bool(np.all(np.isfinite(values[part]))) for part in blocks(len(values)))
+
+
+def column(values: Array, index: int) -> Array:
+    """Column `index` (N,) of an array `values` (N, A), contiguous; on a temporary file where it is large and has to be copied."""
+    one = values[:, index]
+    if one.flags.c_contiguous:
+        return one
+    found = empty_rows(len(one))
+    for part in blocks(len(one)):
+        found[part] = one[part]
+    return found
+
+
+def total_variation(values: Array, begin: int = 0) -> float:
+    """Sum of the changes' sizes of `values` (N,) from row `begin` on; block by block."""
+    rest = values[begin:]
+    return float(sum(np.abs(np.diff(rest[part.start : part.stop + 1])).sum() for part in blocks(len(rest))))
+
+
+def largest_change(values: Array) -> float:
+    """Largest size of a change between neighbors of `values` (N,), of two or more; block by block."""
+    return max(float(np.abs(np.diff(values[part.start : part.stop + 1])).max(initial=0.0)) for part in blocks(len(values)))
+
+
+def first_row(count: int, found: Callable[[slice], NDArray[np.bool_]]) -> int:
+    """First of `count` rows for which something holds; `count` where there is none.
+
+    Parameters
+    ----------
+    count
+        Number of rows.
+    found
+        What holds (n,), of some rows.
+    """
+    for part in blocks(count):
+        rows = np.flatnonzero(found(part))
+        if len(rows):
+            return int(part.start + rows[0])
+    return count
+
+
+def spread_parts(count: int, most: int, parts: int = 16) -> list[slice]:
+    """All of `count` rows as one part, or of more than `most` so many in `parts` of equal size, spread evenly over them."""
+    if count <= most:
+        return [slice(0, count)]
+    size = max(most // parts, 1)
+    return [slice(begin, begin + size) for begin in np.linspace(0, count - size, parts).astype(int).tolist()]
 
 
 class RowStore:

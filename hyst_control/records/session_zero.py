@@ -6,6 +6,8 @@ parabola over the record take that off, and leave what follows the command.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,20 +37,39 @@ def without_zero(rows: Array) -> tuple[Array, Array]:
     coefficients : ndarray, shape (A, 3)
         Of the Legendre polynomials, measurement unit.
     """
-    gram, product = np.zeros((len(SHAPES), len(SHAPES))), np.zeros((len(SHAPES), rows.shape[1]))
-    for part in blocks(len(rows)):
-        basis = _basis(part, len(rows))
-        gram += basis.T @ basis
-        product += basis.T @ rows[part]
-    coefficients = np.linalg.lstsq(gram, product, rcond=None)[0]
+    coefficients = zero_of(((part, rows[part]) for part in blocks(len(rows))), len(rows))
     rest = empty_rows(*rows.shape)
     for part in blocks(len(rows)):
-        rest[part] = rows[part] - _basis(part, len(rows)) @ coefficients
+        rest[part] = rows[part] - basis(part, len(rows)) @ coefficients
     return rest, np.asarray(coefficients.T, dtype=np.float64)
 
 
-def _basis(part: slice, count: int) -> Array:
-    """Legendre polynomials (n, 3) at some of `count` rows, which span -1 to 1."""
+def zero_of(rows: Iterable[tuple[slice, Array]], count: int) -> Array:
+    """Zero, drift and curvature of rows that come block by block.
+
+    Parameters
+    ----------
+    rows
+        Where each block lies in the record, and the block (n, A), any unit.
+    count
+        Rows of the record.
+
+    Returns
+    -------
+    ndarray, shape (3, A)
+        Coefficients of `basis`, in the rows' unit.
+    """
+    gram: Array = np.zeros((len(SHAPES), len(SHAPES)))
+    product: Array | float = 0.0
+    for part, block in rows:
+        shapes = basis(part, count)
+        gram += shapes.T @ shapes
+        product = product + shapes.T @ block
+    return np.asarray(np.linalg.lstsq(gram, product, rcond=None)[0], dtype=np.float64)
+
+
+def basis(part: slice, count: int) -> Array:
+    """Legendre polynomials (n, 3) at `part` of `count` rows, which span -1 to 1."""
     place = -1.0 + 2.0 * np.arange(part.start, part.stop) / max(count - 1, 1)
     return np.asarray(np.polynomial.legendre.legvander(place, len(SHAPES) - 1), dtype=np.float64)
 

@@ -28,6 +28,7 @@ class Stand:
     [
         (0.9 * POOR, 0.1, ["a", "b"], "a"),
         (1.5 * POOR, 0.1, ["a", "b", "slow"], "slow"),
+        (0.91, 0.2, ["a", "b", "slow"], "slow"),  # what hampi leaves of the plant `third`: too much
         (1.5 * POOR, 1.6 * POOR, ["a", "b", "slow"], "a"),
     ],
 )
