@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from hyst_control.diagnose.baseline import Baseline, no_model, with_baseline, wi
 from hyst_control.diagnose.clean_lines import beyond_clean
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.distortion import distortions
-from hyst_control.diagnose.evidence import Evidence, Finding
+from hyst_control.diagnose.evidence import Evidence, Finding, RecordEvidence
 from hyst_control.diagnose.evidence_collection import (
     collect,
     companions,
@@ -24,7 +24,7 @@ from hyst_control.diagnose.evidence_collection import (
     stated_noise,
     white_noise,
 )
-from hyst_control.diagnose.hypothesis import catalogue
+from hyst_control.diagnose.hypothesis import Member, catalogue
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.hypothesis_search import Found, Scored, search
 from hyst_control.diagnose.null_distribution import threshold
@@ -173,6 +173,49 @@ def diagnose(
         If the records cannot be used.
 
     """
+    model, problem, notes, beside = with_clean(records, model, warm_up, configuration, baseline)
+    parts = []
+    axis = 0
+    for part, known, bare in beside:
+        axes = tuple(range(axis, axis + len(part.model.axes)))
+        parts.append(_axis(part, known, bare, axes, seed, without, cache, progress, configuration))
+        axis += len(axes)
+    notes += [note for part in parts for note in _outlier_notes(part)]
+    problem = replace(problem, slowest=parts[0].problem.slowest)
+    return Diagnosis(model, problem, tuple(parts), tuple(notes), seed, configuration)
+
+
+def with_clean(
+    records: Sequence[Record],
+    model: Model | None,
+    warm_up: float,
+    configuration: Configuration,
+    baseline: Sequence[Record],
+) -> tuple[Model, Problem, list[str], list[tuple[Problem, Baseline | None, bool]]]:
+    """Make the problems of records beside clean ones.
+
+    Parameters
+    ----------
+    records, model, warm_up, configuration, baseline
+        As in `diagnose`.
+
+    Returns
+    -------
+    model : Model
+        Nominal model; one whose output is 0 where there is none.
+    problem : Problem
+        Of all axes.
+    notes : list of str
+        Remarks on the records.
+    parts : list of tuple
+        By axis, or a single one if the model mixes the axes: its problem, its baseline, and whether there is no model.
+
+    Raises
+    ------
+    InputError
+        If the records cannot be used.
+
+    """
     bare = model is None
     if model is None:
         if not baseline:
@@ -181,20 +224,15 @@ def diagnose(
     problem, notes = problem_of(records, model, warm_up, configuration)
     clean = split(_clean_problem(baseline, problem, warm_up, configuration)) if baseline else None
     parts = []
-    axis = 0
     for index, part in enumerate(split(problem)):
-        count = len(part.model.axes)
         beside = _beside(part, clean[index] if clean else None, configuration)
         if bare and (beside is None or not beside.carried):
             raise InputError(
                 "baseline: no clean record has the new record's command, which is needed where there is no model: give --model, or a "
                 "clean record of the same command"
             )
-        parts.append(_axis(part, beside, bare, tuple(range(axis, axis + count)), seed, without, cache, progress, configuration))
-        axis += count
-    notes += [note for part in parts for note in _outlier_notes(part)]
-    problem = replace(problem, slowest=parts[0].problem.slowest)
-    return Diagnosis(model, problem, tuple(parts), tuple(notes), seed, configuration)
+        parts.append((part, beside, bare))
+    return model, problem, notes, parts
 
 
 def problem_of(
@@ -327,6 +365,123 @@ def _axis(
     configuration: Configuration,
 ) -> AxisDiagnosis:
     thresholds = configuration.policy
+    prepared = prepare(problem, baseline, without, configuration, progress)
+    problem, linearised, checks, findings = prepared.problem, prepared.linearised, prepared.checks, prepared.findings
+    floor = prepared.floor
+    members = prepared.members(sensor_side)
+    progress("records without a gap")
+    null = threshold(linearised, members, seed, cache=cache, configuration=configuration)
+    found = search(linearised, members, null + thresholds.margin, floor, prepared.leaves, progress, configuration)
+    collected = collect(found, null, floor, prepared.stated, prepared.record, checks, configuration)
+    evidence = collected.evidence.with_residuals(
+        {
+            index: residual_evidence(
+                problem,
+                collected.hypotheses[index],
+                findings,
+                checks,
+                configuration,
+                companions(linearised, collected.hypotheses[index], baseline.usual_zero, baseline.mean_zero, found.temper)
+                if baseline
+                else (),
+                distortions(linearised, collected.hypotheses[index], found.temper),
+            )
+            for index in contenders(collected.evidence, thresholds)
+        }
+    )
+    return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decide(evidence, thresholds), baseline)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Problem of an axis before any effect is tried.
+
+    Parameters
+    ----------
+    problem : Problem
+        With its noise, and without rows that hold no measurement of their own.
+    linearised : Linearised
+        The problem with the columns of its coefficients.
+    without : tuple of str
+        Effects that are not tried.
+    checks : frozenset of RecordCheck
+        Checks whose effect is in the catalogue.
+    record : tuple of RecordEvidence
+        By axis.
+    findings : tuple of Finding
+        Repeated samples and lattices.
+    suggested : mapping of str to sequence of float
+        Frequencies of lines in the spectrum by the effect that they suggest, Hz.
+    stated : ndarray, shape (A,)
+        Noise that the model states, rms, measurement unit.
+    floor : float
+        Rms that an effect must take off to be worth naming, in units of the noise.
+    leaves : float
+        Energy that the model itself says it leaves, in noise energies.
+
+    """
+
+    problem: Problem
+    linearised: Linearised
+    without: tuple[str, ...]
+    checks: frozenset[RecordCheck]
+    record: tuple[RecordEvidence, ...]
+    findings: tuple[Finding, ...]
+    suggested: Mapping[str, Sequence[float]]
+    stated: Array
+    floor: float
+    leaves: float
+
+    def members(self, sensor_side: bool) -> list[Member]:
+        """List the effects to try.
+
+        Parameters
+        ----------
+        sensor_side : bool
+            True for those behind the mechanics only.
+
+        Returns
+        -------
+        list of Member
+
+        """
+        members = catalogue(self.problem, self.suggested, self.without)
+        return [one for one in members if not sensor_side or PLACES.index(one.place) > PLACES.index("mechanics")]
+
+
+def prepare(
+    problem: Problem,
+    baseline: Baseline | None,
+    without: Sequence[str],
+    configuration: Configuration,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Prepared:
+    """Fit the coefficients alone, check the record, and estimate its noise: all that comes before effects are tried.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of an axis, or of all axes of a model that mixes them.
+    baseline : Baseline or None
+        Clean records or stated discrepancy.
+    without : sequence of str
+        Names of effects that are not tried.
+    configuration : Configuration
+        Settings of the diagnosis.
+    progress : callable
+        Called with the name of each step.
+
+    Returns
+    -------
+    Prepared
+
+    Raises
+    ------
+    InputError
+        If the model cannot be simulated on the record.
+
+    """
+    thresholds = configuration.policy
     if baseline is not None:
         problem = _with_noise(baseline.problem, _residuals(baseline.problem), configuration)
         without = [*without, *(name for name, effect in EFFECTS.items() if effect.companion is not None)]
@@ -355,34 +510,11 @@ def _axis(
     if repeated:
         problem = _with_noise(problem, problem.rows(fit(linearised).residual), configuration)
         linearised = Linearised(problem, scatter)
-    members = catalogue(problem, suggested, without)
-    if sensor_side:
-        members = [member for member in members if PLACES.index(member.place) > PLACES.index("mechanics")]
-    progress("records without a gap")
-    null = threshold(linearised, members, seed, cache=cache, configuration=configuration)
     floor = _floor(problem, own, configuration)
     if baseline is not None:
         floor = max(floor, float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2))))
     leaves = max(stated_energy(own, problem.sigma), 1.0 + problem.own_energy)
-    found = search(linearised, members, null + thresholds.margin, floor, leaves, progress, configuration)
-    collected = collect(found, null, floor, stated, record, checks, configuration)
-    evidence = collected.evidence.with_residuals(
-        {
-            index: residual_evidence(
-                problem,
-                collected.hypotheses[index],
-                findings,
-                checks,
-                configuration,
-                companions(linearised, collected.hypotheses[index], baseline.usual_zero, baseline.mean_zero, found.temper)
-                if baseline
-                else (),
-                distortions(linearised, collected.hypotheses[index], found.temper),
-            )
-            for index in contenders(collected.evidence, thresholds)
-        }
-    )
-    return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decide(evidence, thresholds), baseline)
+    return Prepared(problem, linearised, tuple(without), checks, tuple(record), tuple(findings), suggested, stated, floor, leaves)
 
 
 def _counts(problem: Problem) -> list[int]:
