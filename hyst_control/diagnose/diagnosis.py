@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from hyst_control.diagnose.evidence_collection import (
     white_noise,
 )
 from hyst_control.diagnose.hypothesis import Member, catalogue
-from hyst_control.diagnose.hypothesis_fit import Linearised, fit
+from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, fit
 from hyst_control.diagnose.hypothesis_search import Found, Scored, search
 from hyst_control.diagnose.null_distribution import threshold
 from hyst_control.diagnose.parameter_uncertainty import scatter_of, within_own_error
@@ -410,8 +411,8 @@ class Prepared:
         By axis.
     findings : tuple of Finding
         Repeated samples and lattices.
-    suggested : mapping of str to sequence of float
-        Frequencies of lines in the spectrum by the effect that they suggest, Hz.
+    suggested : callable
+        Finds the lines in the spectrum: by the effect that they suggest their frequencies, Hz. Only a search needs them.
     stated : ndarray, shape (A,)
         Noise that the model states, rms, measurement unit.
     floor : float
@@ -427,7 +428,7 @@ class Prepared:
     checks: frozenset[RecordCheck]
     record: tuple[RecordEvidence, ...]
     findings: tuple[Finding, ...]
-    suggested: Mapping[str, Sequence[float]]
+    suggested: Callable[[], Mapping[str, Sequence[float]]]
     stated: Array
     floor: float
     leaves: float
@@ -445,7 +446,7 @@ class Prepared:
         list of Member
 
         """
-        members = catalogue(self.problem, self.suggested, self.without)
+        members = catalogue(self.problem, self.suggested(), self.without)
         return [one for one in members if not sensor_side or PLACES.index(one.place) > PLACES.index("mechanics")]
 
 
@@ -496,10 +497,7 @@ def prepare(
     none = fit(linearised)
     record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
     findings = detected(record, checks, thresholds)
-    suggested = lines(problem, linearised.unexplained(none.residual), configuration.checks)
-    if baseline is not None and baseline.carried and baseline.clean is not None:
-        clean_rows = np.split(_residuals(baseline.clean), np.cumsum(_counts(baseline.clean))[:-1])
-        suggested = beyond_clean(suggested, problem.rows(none.residual), clean_rows, problem.sample_time, configuration.checks)
+    suggested = partial(_suggested, problem, linearised, none, baseline, configuration)
     # The first noise estimate still contained spectral leakage from the gap.
     problem = _with_noise(problem, problem.rows(none.residual), configuration)
     repeated = [finding.axis for finding in findings if finding.check is RecordCheck.REPEATED_VALUES]
@@ -515,6 +513,17 @@ def prepare(
         floor = max(floor, float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2))))
     leaves = max(stated_energy(own, problem.sigma), 1.0 + problem.own_energy)
     return Prepared(problem, linearised, tuple(without), checks, tuple(record), tuple(findings), suggested, stated, floor, leaves)
+
+
+def _suggested(
+    problem: Problem, linearised: Linearised, none: Solution, baseline: Baseline | None, configuration: Configuration
+) -> dict[str, list[float]]:
+    """Lines in the spectrum of what the coefficients leave, beyond those of the clean records."""
+    found = lines(problem, linearised.unexplained(none.residual), configuration.checks)
+    if baseline is None or not baseline.carried or baseline.clean is None:
+        return found
+    clean_rows = np.split(_residuals(baseline.clean), np.cumsum(_counts(baseline.clean))[:-1])
+    return beyond_clean(found, problem.rows(none.residual), clean_rows, problem.sample_time, configuration.checks)
 
 
 def _counts(problem: Problem) -> list[int]:

@@ -14,7 +14,7 @@ from hyst_control.fleet.common_causes import CommonCause, find_common_causes, sh
 from hyst_control.fleet.covariates import CovariateEffect, take_out
 from hyst_control.fleet.forecast import forecast
 from hyst_control.fleet.outliers import Outlier, find_outliers
-from hyst_control.fleet.record_jobs import OPEN
+from hyst_control.fleet.record_jobs import NO_GAP, OPEN
 from hyst_control.fleet.results import DONE
 
 Array = NDArray[np.float64]
@@ -125,6 +125,9 @@ def overview(
         series[name], believed = take_out(name, values, covariates)
         influences += believed
         shifted, drifting = find_changes(name, units, moments, series[name])
+        if name in GAP:
+            shifted = [onset for onset in shifted if _matters(verdicts[place[onset.unit], moments >= onset.moment])]
+            drifting = [trend for trend in drifting if _matters(verdicts[place[trend.unit], moments >= trend.last])]
         onsets += shifted
         trends += [forecast(trend, limits or {}) for trend in drifting]
     changed: dict[str, dict[str, float]] = {}
@@ -146,6 +149,12 @@ def overview(
         influences,
         find_outliers(units, list(whole), means),
     )
+
+
+def _matters(verdicts: NDArray[np.object_]) -> bool:
+    """True unless every record that was diagnosed since a change has no gap: the change is below the practical size then."""
+    known = [verdict for verdict in verdicts if verdict not in ("", OPEN)]
+    return not known or any(verdict != NO_GAP for verdict in known)
 
 
 def _series(
