@@ -13,11 +13,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.control.command_limits import MANY_AXES
+
 Array = NDArray[np.float64]
-
-
-MANY_AXES = 64
-"""Axes from which on a look at the array is cheaper than one at each."""
 
 
 class CommandWatchdog:
