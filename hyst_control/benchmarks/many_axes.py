@@ -53,7 +53,7 @@ def _ticks(plant: Simulator, names: tuple[str, ...], commands: np.ndarray, ticks
     context = rclpy.Context()
     context.init(domain_id=domain)
     given = {"axes": list(names), "rate_hz": RATE, "schedule": "timer", "unit": plant.units["measurement"], "safe_command": [25.0]}
-    overrides = [Parameter(name, value=value) for name, value in given.items()]
+    overrides = [Parameter(name, value=value) for name, value in given.items()]  # type: ignore[no-untyped-call]
     node = PlantNode(plant=plant, context=context, parameter_overrides=overrides)
     beside = rclpy.create_node("beside", context=context)
     try:
@@ -76,7 +76,7 @@ def _ticks(plant: Simulator, names: tuple[str, ...], commands: np.ndarray, ticks
             node.take_tick(tick)
             if count >= WARM_UP:
                 spent += time.thread_time() - begin
-            received += len(receiver.take(str))
+            received += len(receiver.take(_refused))
         whole = time.process_time() - before
         if received < 0.5 * ticks or not node.command.rows.end:
             raise RuntimeError(f"only {received} of {ticks} measurements arrived")
@@ -85,7 +85,11 @@ def _ticks(plant: Simulator, names: tuple[str, ...], commands: np.ndarray, ticks
             plant.step(commands[count % len(commands)][None])
         chain = 4.0 * (time.thread_time() - begin) / ticks
     finally:
-        node.destroy_node()
-        beside.destroy_node()
+        node.destroy_node()  # type: ignore[no-untyped-call]
+        beside.destroy_node()  # type: ignore[no-untyped-call]
         context.try_shutdown()
     return spent / ticks, whole / ticks, chain
+
+
+def _refused(reason: str) -> None:
+    raise RuntimeError(f"a measurement cannot be read: {reason}")

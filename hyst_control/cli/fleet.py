@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--only",
         choices=("gaps", "onsets"),
-        help="diagnose: try effects only on records with a gap, or only on the nights in which a unit changed and its last ones",
+        help="diagnose: try effects only on records with a gap, or only on the clearest record of every unit that changed",
     )
     parser.add_argument(
         "--limit",

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hyst_control.records.record import Record
 
 GAPS, ONSETS = "gaps", "onsets"
-"""Values of the option `only` of diagnoses: of records with a gap, or of nights in which a unit changed."""
+"""Values of the option `only` of diagnoses: of records with a gap, or of the clearest record of every unit that changed."""
 NO_GAP, OPEN = "no_gap", "not_diagnosed"
 """Verdicts of records of which no effect was tried."""
 

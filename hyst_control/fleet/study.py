@@ -227,14 +227,25 @@ def _newest(results: Results) -> list[dict[str, Any]]:
 
 
 def _changed(seen: Overview, rows: Sequence[Mapping[str, Any]]) -> set[str]:
-    """Bags to diagnose: of every unit that changed the night of its most probable change, and its last one."""
-    moments: dict[str, float] = {}
+    """Bags to diagnose: of every unit that changed the record with the largest gap since its most probable change."""
+    since: dict[str, float] = {}
     for onset in seen.onsets:  # most probable first
-        moments.setdefault(onset.unit, onset.moment)
-    units = {*moments, *(trend.unit for trend in seen.trends)}
-    done = [row for row in rows if row["status"] == DONE and row["unit"] in units]
-    last = {unit: max(row["moment"] for row in done if row["unit"] == unit) for unit in units}
-    return {row["bag"] for row in done if row["moment"] in (moments.get(row["unit"]), last[row["unit"]])}
+        since.setdefault(onset.unit, onset.moment)
+    for trend in seen.trends:
+        since.setdefault(trend.unit, float("-inf"))
+    clearest: dict[str, Mapping[str, Any]] = {}
+    for row in rows:
+        unit = row["unit"]
+        if row["status"] != DONE or row["moment"] < since.get(unit, float("inf")) or row["gap_rms"] is None:
+            continue
+        # A gap to the model alone is none to clean records: those with clean ones first.
+        if unit not in clearest or _clarity(row) > _clarity(clearest[unit]):
+            clearest[unit] = row
+    return {row["bag"] for row in clearest.values()}
+
+
+def _clarity(row: Mapping[str, Any]) -> tuple[bool, float]:
+    return bool(row["baseline"]), row["gap_rms"]
 
 
 def _computed(jobs: Sequence[RecordJob], workers: Workers) -> Iterator[Outcome[RecordJob, dict[str, Any]]]:

@@ -52,7 +52,7 @@ def test_a_record_with_a_gap_is_diagnosed_as_ever(made, tmp_path):
     assert whole["verdict"] != "no_gap" and screened["left_rms"] == short["left_rms"]
 
 
-def test_only_the_nights_of_a_change_are_diagnosed(made, tmp_path):
+def test_only_the_clearest_record_of_a_unit_that_changed_is_diagnosed(made, tmp_path):
     folder, changed, begins = made
     entries = read_manifest([str(folder / "manifest.csv")])
     study = run_study("diagnose", entries, tmp_path / "study", {"only": ONSETS}, Workers(1))
@@ -60,6 +60,6 @@ def test_only_the_nights_of_a_change_are_diagnosed(made, tmp_path):
     document = json.loads((tmp_path / "study" / "fleet.json").read_text())
     named = {claim["unit"]: claim["moment"] for claim in document["onsets"]}
     assert named == {changed: float(begins)}
-    assert 1 <= len(list((tmp_path / "study" / "reports").glob("*.json"))) <= 2
+    assert len(list((tmp_path / "study" / "reports").glob(f"{changed}_*.json"))) == 1
     again = run_study("diagnose", entries, tmp_path / "study", {"only": ONSETS}, Workers(1))
     assert again.computed == 0 and np.isfinite(again.seconds)
