@@ -20,8 +20,8 @@ from hyst_control.fleet.results import DONE
 Array = NDArray[np.float64]
 
 SCHEMA = "hyst_control/fleet-overview"
-GAP = ("gap_rms", "left_rms")
-"""Quantities that every diagnosed record has."""
+GAP = "gap_rms"
+"""Quantity that every diagnosed record has."""
 NAMED = ("effect", "parameters", "ambiguous")
 """Verdicts with which a report's first effect counts."""
 
@@ -125,7 +125,7 @@ def overview(
         series[name], believed = take_out(name, values, covariates)
         influences += believed
         shifted, drifting = find_changes(name, units, moments, series[name])
-        if name in GAP:
+        if name == GAP:
             shifted = [onset for onset in shifted if _matters(verdicts[place[onset.unit], moments >= onset.moment])]
             drifting = [trend for trend in drifting if _matters(verdicts[place[trend.unit], moments >= trend.last])]
         onsets += shifted
@@ -167,7 +167,7 @@ def _series(
     for at, row, numbers in zip(cells, rows, found, strict=True):
         if kind == "diagnose" and row["verdict"] != OPEN:
             for name in series:
-                if name not in GAP:
+                if name != GAP:
                     series[name][at] = 0.0  # what no report names is not there
         for name, value in numbers.items():
             series[name][at] = value
@@ -199,7 +199,7 @@ def _quantities(kind: str, row: Mapping[str, Any], compared: bool) -> dict[str, 
     if kind == "validate":
         return {f"nrmse {each['axis']}": each["nrmse"] for each in row["errors"] or []}
     comparable = bool(row.get("baseline")) or not compared
-    found = {name: row[name] for name in GAP if comparable and row.get(name) is not None}
+    found = {GAP: row[GAP]} if comparable else {}
     if row["verdict"] in NAMED:
         for effect in row["effects"] or []:
             for parameter in (effect["parameters"] or [])[:1]:
