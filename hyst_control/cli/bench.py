@@ -8,6 +8,7 @@ The figures hold for this machine at this moment; the table names the machine.
 
 examples:
   hyst bench --only loops --json suite.json
+  hyst bench --only fleet                   cost of a record, of handing it out, and what a second worker brings
   hyst bench --only lockstep                an hour in lockstep at full speed: lost rows, repetitions, load
   hyst bench --only wall-clock              ten minutes at 1 kHz against a stage: lost rows, missed ticks, load
   hyst bench --soak 60                      long runs, to check that memory does not grow
@@ -41,10 +42,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "workflows",
             "coverage",
             "round_trips",
+            "fleet",
+            "many_axes",
             "lockstep",
             "wall-clock",
         ),
         help="run only this group of measurements; dashboard, the cost of a live page, is a part of loops; "
+        "fleet (needs Dask), many_axes, "
         "lockstep (60 min) and wall-clock (10 min at 1 kHz) only run when they are named",
     )
     parser.add_argument("--seconds", type=float, default=6.0, help="length of every run of the loop in s (default 6)")

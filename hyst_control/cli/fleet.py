@@ -12,6 +12,7 @@ examples:
   hyst fleet diagnose "nights/*/*.bag" --names "nights/(?P<time>[^/]+)/(?P<unit>[^.]+).bag" --model model.yaml --output study
   hyst fleet identify manifest.csv --family hampi --output models --cluster tcp://10.0.0.1:8786
   hyst fleet diagnose manifest.csv --output study --pages --limit gap_rms=0.3
+  hyst fleet diagnose manifest.csv --output study --only onsets          thousands of records: which units changed, and in which night
   hyst fleet population models --output population.yaml      for: hyst diagnose NEW --model population.yaml
 """
 
@@ -62,6 +63,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--pages", action="store_true", help="diagnose: write a page of every record with a gap; the fleet's page leads there"
     )
     parser.add_argument(
+        "--only",
+        choices=("gaps", "onsets"),
+        help="diagnose: try effects only on records with a gap, or only on the clearest record of every unit that changed",
+    )
+    parser.add_argument(
         "--limit",
         action="append",
         default=[],
@@ -109,6 +115,10 @@ def run(arguments: argparse.Namespace) -> Study | PopulationModel | Table:
         raise InputError(f"--pages: goes with diagnose, not with {arguments.kind}")
     if arguments.pages:
         options["pages"] = True
+    if arguments.only and arguments.kind != "diagnose":
+        raise InputError(f"--only: goes with diagnose, not with {arguments.kind}")
+    if arguments.only:
+        options["only"] = arguments.only
     entries = read_manifest(arguments.manifest, arguments.names, arguments.model, arguments.baseline)
     workers = Workers(arguments.workers, arguments.cluster)
     limits = _limits(arguments.limit)

@@ -13,6 +13,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.control.command_limits import MANY_AXES
+
 Array = NDArray[np.float64]
 
 
@@ -64,7 +66,7 @@ class CommandWatchdog:
         ndarray, shape (A,)
             The voltage, V.
         """
-        if command is None or not trusted or not all(map(math.isfinite, command.tolist())):
+        if command is None or not trusted or not _is_finite(command):
             self._met[:], self._below = False, None
             if self.armed:
                 self.applied = self.applied + np.clip(self._safe - self.applied, -self._step, self._step)
@@ -79,3 +81,8 @@ class CommandWatchdog:
             command = np.where(self._met, command, self.applied + np.clip(way, -self._step, self._step))
         self.applied = command
         return command
+
+
+def _is_finite(command: Array) -> bool:
+    """True where a command (A,) is finite on all axes; of few of them, a look at each is cheaper than one at the array."""
+    return all(map(math.isfinite, command.tolist())) if len(command) <= MANY_AXES else bool(np.isfinite(command).all())

@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from hyst_control.diagnose.baseline import Baseline, no_model, with_baseline, wi
 from hyst_control.diagnose.clean_lines import beyond_clean
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.distortion import distortions
-from hyst_control.diagnose.evidence import Evidence, Finding
+from hyst_control.diagnose.evidence import Evidence, Finding, RecordEvidence
 from hyst_control.diagnose.evidence_collection import (
     collect,
     companions,
@@ -25,8 +26,8 @@ from hyst_control.diagnose.evidence_collection import (
     stated_noise,
     white_noise,
 )
-from hyst_control.diagnose.hypothesis import catalogue
-from hyst_control.diagnose.hypothesis_fit import Linearised, fit
+from hyst_control.diagnose.hypothesis import Member, catalogue
+from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, fit
 from hyst_control.diagnose.hypothesis_search import Found, Scored, search
 from hyst_control.diagnose.null_distribution import threshold
 from hyst_control.diagnose.parameter_uncertainty import pinned, scatter_of, within_own_error
@@ -174,6 +175,49 @@ def diagnose(
         If the records cannot be used.
 
     """
+    model, problem, notes, beside = with_clean(records, model, warm_up, configuration, baseline)
+    parts = []
+    axis = 0
+    for part, known, bare in beside:
+        axes = tuple(range(axis, axis + len(part.model.axes)))
+        parts.append(_axis(part, known, bare, axes, seed, without, cache, progress, configuration))
+        axis += len(axes)
+    notes += [note for part in parts for note in _outlier_notes(part)]
+    problem = replace(problem, slowest=parts[0].problem.slowest)
+    return Diagnosis(model, problem, tuple(parts), tuple(notes), seed, configuration)
+
+
+def with_clean(
+    records: Sequence[Record],
+    model: Model | None,
+    warm_up: float,
+    configuration: Configuration,
+    baseline: Sequence[Record],
+) -> tuple[Model, Problem, list[str], list[tuple[Problem, Baseline | None, bool]]]:
+    """Make the problems of records beside clean ones.
+
+    Parameters
+    ----------
+    records, model, warm_up, configuration, baseline
+        As in `diagnose`.
+
+    Returns
+    -------
+    model : Model
+        Nominal model; one whose output is 0 where there is none.
+    problem : Problem
+        Of all axes.
+    notes : list of str
+        Remarks on the records.
+    parts : list of tuple
+        By axis, or a single one if the model mixes the axes: its problem, its baseline, and whether there is no model.
+
+    Raises
+    ------
+    InputError
+        If the records cannot be used.
+
+    """
     bare = model is None
     if model is None:
         if not baseline:
@@ -182,20 +226,15 @@ def diagnose(
     problem, notes = problem_of(records, model, warm_up, configuration)
     clean = split(_clean_problem(baseline, problem, warm_up, configuration)) if baseline else None
     parts = []
-    axis = 0
     for index, part in enumerate(split(problem)):
-        count = len(part.model.axes)
         beside = _beside(part, clean[index] if clean else None, configuration)
         if bare and (beside is None or not beside.carried):
             raise InputError(
                 "baseline: no clean record has the new record's command, which is needed where there is no model: give --model, or a "
                 "clean record of the same command"
             )
-        parts.append(_axis(part, beside, bare, tuple(range(axis, axis + count)), seed, without, cache, progress, configuration))
-        axis += count
-    notes += [note for part in parts for note in _outlier_notes(part)]
-    problem = replace(problem, slowest=parts[0].problem.slowest)
-    return Diagnosis(model, problem, tuple(parts), tuple(notes), seed, configuration)
+        parts.append((part, beside, bare))
+    return model, problem, notes, parts
 
 
 def problem_of(
@@ -331,48 +370,14 @@ def _axis(
     configuration: Configuration,
 ) -> AxisDiagnosis:
     thresholds = configuration.policy
-    if baseline is not None:
-        problem = _with_noise(baseline.problem, _residuals(baseline.problem), configuration)
-        without = [*without, *(name for name, effect in EFFECTS.items() if effect.companion is not None)]
-    stated = stated_noise(problem.model)
-    own = known_error(problem, stated)
-    checks = frozenset(check for check in RecordCheck if _is_used(check, without))
-    if baseline is not None and baseline.clean is not None:
-        checks -= _shown_clean(baseline.clean, checks, configuration)
-    progress("coefficients of the model")
-    scatter = within_own_error(scatter_of(problem.model), problem)
-    if baseline is not None and baseline.clean is not None and problem.own_spectrum is not None:
-        scatter = pinned(scatter, replace(baseline.clean, own_spectrum=problem.own_spectrum, sigma=problem.own_spectrum.noise))
-    linearised = Linearised(problem, scatter)
-    none = fit(linearised)
-    record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
-    findings = detected(record, checks, thresholds)
-    suggested = lines(problem, linearised.unexplained(none.residual), configuration.checks)
-    if baseline is not None and baseline.clean is not None:
-        clean_rows = np.split(_residuals(baseline.clean), np.cumsum(_counts(baseline.clean))[:-1])
-        suggested = beyond_clean(suggested, problem.rows(none.residual), clean_rows, problem.sample_time, configuration.checks)
-    # The first noise estimate still contained spectral leakage from the gap.
-    problem = _with_noise(problem, problem.rows(none.residual), configuration)
-    repeated = [finding.axis for finding in findings if finding.check is RecordCheck.REPEATED_VALUES]
-    problem = _without_repeats(problem, repeated)
-    linearised = Linearised(problem, scatter)
-    problem = _without_truncation(linearised, findings, configuration)
-    linearised = linearised if problem is linearised.problem else Linearised(problem, scatter)
-    if repeated:
-        problem = _with_noise(problem, problem.rows(fit(linearised).residual), configuration)
-        linearised = Linearised(problem, scatter)
-    members = catalogue(problem, suggested, without)
-    if sensor_side:
-        members = [member for member in members if PLACES.index(member.place) > PLACES.index("mechanics")]
+    prepared = prepare(problem, baseline, without, configuration, progress)
+    problem, linearised, checks, findings = prepared.problem, prepared.linearised, prepared.checks, prepared.findings
+    floor = prepared.floor
+    members = prepared.members(sensor_side)
     progress("records without a gap")
     null = threshold(linearised, members, seed, cache=cache, configuration=configuration)
-    floor = _floor(problem, own, configuration)
-    if baseline is not None:
-        least = float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2)))
-        floor = max(floor, least if problem.own_spectrum is None else configuration.baseline.same_floor)
-    leaves = max(stated_energy(own, problem.sigma), 1.0 + problem.own_energy)
-    found = search(linearised, members, null + thresholds.margin, floor, leaves, progress, configuration)
-    collected = collect(found, null, floor, stated, record, checks, configuration)
+    found = search(linearised, members, null + thresholds.margin, floor, prepared.leaves, progress, configuration)
+    collected = collect(found, null, floor, prepared.stated, prepared.record, checks, configuration)
     evidence = collected.evidence.with_residuals(
         {
             index: residual_evidence(
@@ -390,6 +395,142 @@ def _axis(
         }
     )
     return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decide(evidence, thresholds), baseline)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Problem of an axis before any effect is tried.
+
+    Parameters
+    ----------
+    problem : Problem
+        With its noise, and without rows that hold no measurement of their own.
+    linearised : Linearised
+        The problem with the columns of its coefficients.
+    without : tuple of str
+        Effects that are not tried.
+    checks : frozenset of RecordCheck
+        Checks whose effect is in the catalogue.
+    record : tuple of RecordEvidence
+        By axis.
+    findings : tuple of Finding
+        Repeated samples and lattices.
+    suggested : callable
+        Finds the lines in the spectrum: by the effect that they suggest their frequencies, Hz. Only a search needs them.
+    stated : ndarray, shape (A,)
+        Noise that the model states, rms, measurement unit.
+    floor : float
+        Rms that an effect must take off to be worth naming, in units of the noise.
+    leaves : float
+        Energy that the model itself says it leaves, in noise energies.
+
+    """
+
+    problem: Problem
+    linearised: Linearised
+    without: tuple[str, ...]
+    checks: frozenset[RecordCheck]
+    record: tuple[RecordEvidence, ...]
+    findings: tuple[Finding, ...]
+    suggested: Callable[[], Mapping[str, Sequence[float]]]
+    stated: Array
+    floor: float
+    leaves: float
+
+    def members(self, sensor_side: bool) -> list[Member]:
+        """List the effects to try.
+
+        Parameters
+        ----------
+        sensor_side : bool
+            True for those behind the mechanics only.
+
+        Returns
+        -------
+        list of Member
+
+        """
+        members = catalogue(self.problem, self.suggested(), self.without)
+        return [one for one in members if not sensor_side or PLACES.index(one.place) > PLACES.index("mechanics")]
+
+
+def prepare(
+    problem: Problem,
+    baseline: Baseline | None,
+    without: Sequence[str],
+    configuration: Configuration,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Prepared:
+    """Fit the coefficients alone, check the record, and estimate its noise: all that comes before effects are tried.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of an axis, or of all axes of a model that mixes them.
+    baseline : Baseline or None
+        Clean records or stated discrepancy.
+    without : sequence of str
+        Names of effects that are not tried.
+    configuration : Configuration
+        Settings of the diagnosis.
+    progress : callable
+        Called with the name of each step.
+
+    Returns
+    -------
+    Prepared
+
+    Raises
+    ------
+    InputError
+        If the model cannot be simulated on the record.
+
+    """
+    thresholds = configuration.policy
+    if baseline is not None:
+        problem = _with_noise(baseline.problem, _residuals(baseline.problem), configuration)
+        without = [*without, *(name for name, effect in EFFECTS.items() if effect.companion is not None)]
+    stated = stated_noise(problem.model)
+    own = known_error(problem, stated)
+    checks = frozenset(check for check in RecordCheck if _is_used(check, without))
+    if baseline is not None and baseline.clean is not None:
+        checks -= _shown_clean(baseline.clean, checks, configuration)
+    progress("coefficients of the model")
+    scatter = within_own_error(scatter_of(problem.model), problem)
+    if baseline is not None and baseline.clean is not None and problem.own_spectrum is not None:
+        scatter = pinned(scatter, replace(baseline.clean, own_spectrum=problem.own_spectrum, sigma=problem.own_spectrum.noise))
+    linearised = Linearised(problem, scatter)
+    none = fit(linearised)
+    record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
+    findings = detected(record, checks, thresholds)
+    suggested = partial(_suggested, problem, linearised, none, baseline, configuration)
+    # The first noise estimate still contained spectral leakage from the gap.
+    problem = _with_noise(problem, problem.rows(none.residual), configuration)
+    repeated = [finding.axis for finding in findings if finding.check is RecordCheck.REPEATED_VALUES]
+    problem = _without_repeats(problem, repeated)
+    linearised = Linearised(problem, scatter)
+    problem = _without_truncation(linearised, findings, configuration)
+    linearised = linearised if problem is linearised.problem else Linearised(problem, scatter)
+    if repeated:
+        problem = _with_noise(problem, problem.rows(fit(linearised).residual), configuration)
+        linearised = Linearised(problem, scatter)
+    floor = _floor(problem, own, configuration)
+    if baseline is not None:
+        least = float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2)))
+        floor = max(floor, least if problem.own_spectrum is None else configuration.baseline.same_floor)
+    leaves = max(stated_energy(own, problem.sigma), 1.0 + problem.own_energy)
+    return Prepared(problem, linearised, tuple(without), checks, tuple(record), tuple(findings), suggested, stated, floor, leaves)
+
+
+def _suggested(
+    problem: Problem, linearised: Linearised, none: Solution, baseline: Baseline | None, configuration: Configuration
+) -> dict[str, list[float]]:
+    """Lines in the spectrum of what the coefficients leave, beyond those of the clean records."""
+    found = lines(problem, linearised.unexplained(none.residual), configuration.checks)
+    if baseline is None or baseline.clean is None:
+        return found
+    clean_rows = np.split(_residuals(baseline.clean), np.cumsum(_counts(baseline.clean))[:-1])
+    return beyond_clean(found, problem.rows(none.residual), clean_rows, problem.sample_time, configuration.checks)
 
 
 def _counts(problem: Problem) -> list[int]:

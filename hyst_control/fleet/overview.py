@@ -14,11 +14,14 @@ from hyst_control.fleet.common_causes import CommonCause, find_common_causes, sh
 from hyst_control.fleet.covariates import CovariateEffect, take_out
 from hyst_control.fleet.forecast import forecast
 from hyst_control.fleet.outliers import Outlier, find_outliers
+from hyst_control.fleet.record_jobs import NO_GAP, OPEN
 from hyst_control.fleet.results import DONE
 
 Array = NDArray[np.float64]
 
 SCHEMA = "hyst_control/fleet-overview"
+GAP = "gap_rms"
+"""Quantity that every diagnosed record has."""
 NAMED = ("effect", "parameters", "ambiguous")
 """Verdicts with which a report's first effect counts."""
 
@@ -122,6 +125,9 @@ def overview(
         series[name], believed = take_out(name, values, covariates)
         influences += believed
         shifted, drifting = find_changes(name, units, moments, series[name])
+        if name == GAP:
+            shifted = [onset for onset in shifted if _matters(verdicts[place[onset.unit], moments >= onset.moment])]
+            drifting = [trend for trend in drifting if _matters(verdicts[place[trend.unit], moments >= trend.last])]
         onsets += shifted
         trends += [forecast(trend, limits or {}) for trend in drifting]
     changed: dict[str, dict[str, float]] = {}
@@ -145,15 +151,24 @@ def overview(
     )
 
 
+def _matters(verdicts: NDArray[np.object_]) -> bool:
+    """True unless every record that was diagnosed since a change has no gap: the change is below the practical size then."""
+    known = [verdict for verdict in verdicts if verdict not in ("", OPEN)]
+    return not known or any(verdict != NO_GAP for verdict in known)
+
+
 def _series(
     kind: str, rows: Sequence[Mapping[str, Any]], cells: Sequence[tuple[int, int]], shape: tuple[int, int]
 ) -> dict[str, Array]:
     """Values (U, T) by quantity."""
-    found = [_quantities(kind, row) for row in rows]
+    compared = {row["unit"] for row in rows if row.get("baseline")}
+    found = [_quantities(kind, row, row["unit"] in compared) for row in rows]
     series = {name: np.full(shape, np.nan) for name in sorted({name for numbers in found for name in numbers})}
-    for at, numbers in zip(cells, found, strict=True):
-        for name in series if kind == "diagnose" else ():
-            series[name][at] = 0.0  # what no report names is not there
+    for at, row, numbers in zip(cells, rows, found, strict=True):
+        if kind == "diagnose" and row["verdict"] != OPEN:
+            for name in series:
+                if name != GAP:
+                    series[name][at] = 0.0  # what no report names is not there
         for name, value in numbers.items():
             series[name][at] = value
     return series
@@ -177,13 +192,14 @@ def _covariates(
     return found
 
 
-def _quantities(kind: str, row: Mapping[str, Any]) -> dict[str, float]:
-    """Numbers of a record that may change over nights."""
+def _quantities(kind: str, row: Mapping[str, Any], compared: bool) -> dict[str, float]:
+    """Numbers of a record that may change over nights; a gap to the model is none to the clean records with which others are compared."""
     if kind == "identify":
         return {each["name"]: each["value"] for each in row["parameters"] or []}
     if kind == "validate":
         return {f"nrmse {each['axis']}": each["nrmse"] for each in row["errors"] or []}
-    found = {"gap_rms": row["gap_rms"]}
+    comparable = bool(row.get("baseline")) or not compared
+    found = {GAP: row[GAP]} if comparable else {}
     if row["verdict"] in NAMED:
         for effect in row["effects"] or []:
             for parameter in (effect["parameters"] or [])[:1]:

@@ -7,10 +7,20 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hyst_control.fleet.manifest import Entry
+
+if TYPE_CHECKING:
+    from hyst_control.model_file import Model
+    from hyst_control.records.record import Record
+
+GAPS, ONSETS = "gaps", "onsets"
+"""Values of the option `only` of diagnoses: of records with a gap, or of the clearest record of every unit that changed."""
+NO_GAP, OPEN = "no_gap", "not_diagnosed"
+"""Verdicts of records of which no effect was tried."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +34,8 @@ class RecordJob:
     entry
         The record.
     options
-        Of the computation: keyword arguments of `identify_bags`, `validate_bags` or `diagnose_bags`.
+        Of the computation: keyword arguments of `identify_bags`, `validate_bags` or `diagnose_bags`; of the latter also `pages`, and
+        `only`: `GAPS` or `ONSETS`.
     folder
         Folder of the study, for models that are written.
     """
@@ -134,13 +145,58 @@ def _validate(job: RecordJob) -> dict[str, Any]:
     return {"errors": list(errors.values())}
 
 
+def _screened(job: RecordJob, verdict: bool) -> dict[str, Any] | None:
+    """Results of a record without trying any effect; None for one that shows something else than the plant's answer."""
+    from hyst_control.diagnose.invalid_records import invalid_report
+    from hyst_control.diagnose.screening import screen
+    from hyst_control.records.bag_reader import read_bag
+
+    entry = job.entry
+    where = (job.options.get("namespace"), job.options.get("unit", "unknown"))
+    records = [read_bag(entry.bag, *where)]
+    model = _model(entry.model, bag_stamp(entry.model)) if entry.model else None
+    if model is not None and invalid_report(records, model) is not None:
+        return None
+    found = screen(records, model, [_clean(bag, bag_stamp(bag), *where) for bag in entry.baseline], verdict)
+    return {
+        "verdict": NO_GAP if found.no_gap else OPEN,
+        "gap_rms": found.gap_rms,
+        "gap_nrmse": found.gap_nrmse,
+        "floor_rms": found.floor_rms,
+        "left_rms": found.left_rms,
+        "measurement_unit": found.unit,
+        "reasons": [],
+        "effects": [],
+        "deviations": [],
+    }
+
+
+@lru_cache(maxsize=16)
+def _model(path: str, stamp: str) -> Model:
+    from hyst_control.model_file import load_model
+
+    return load_model(path)
+
+
+@lru_cache(maxsize=16)
+def _clean(bag: str, stamp: str, namespace: str | None, unit: str) -> Record:
+    """A clean record, which all nights of a unit share."""
+    from hyst_control.records.bag_reader import read_bag
+
+    return read_bag(bag, namespace, unit)
+
+
 def _diagnose(job: RecordJob) -> dict[str, Any]:
     import json
 
     from hyst_control.diagnose.workflow import diagnose_bags
 
-    path = _own_file(job, "reports", ".json")
     options = dict(job.options)
+    only = options.pop("only", None)
+    short = None if only is None else _screened(job, only == GAPS)
+    if short is not None and (only == ONSETS or short["verdict"] == NO_GAP):
+        return short
+    path = _own_file(job, "reports", ".json")
     page = path.with_suffix(".html") if options.pop("pages", False) else None
     model = job.entry.model or None
     diagnose_bags(
@@ -158,6 +214,7 @@ def _diagnose(job: RecordJob) -> dict[str, Any]:
         "gap_rms": report["gap"]["rms"],
         "gap_nrmse": report["gap"]["nrmse"],
         "floor_rms": report["gap"]["floor_rms"],
+        "left_rms": None if short is None else short["left_rms"],
         "measurement_unit": report["gap"]["unit"],
         "effects": [
             {

@@ -85,6 +85,7 @@ def schema(kind: str, columns: Sequence[str]) -> Any:
             ("gap_rms", number),
             ("gap_nrmse", number),
             ("floor_rms", number),
+            ("left_rms", number),
             ("measurement_unit", text),
             ("effects", several(name=text, probability=number, shrink=number, parameters=several(**parameter))),
             ("deviations", several(name=text, z=number)),

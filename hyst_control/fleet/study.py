@@ -10,7 +10,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as installed
 from pathlib import Path
@@ -19,9 +19,9 @@ from typing import Any
 from hyst_control.errors import InputError
 from hyst_control.files import read_json, write_json
 from hyst_control.fleet.manifest import Entry
-from hyst_control.fleet.overview import overview
+from hyst_control.fleet.overview import Overview, overview
 from hyst_control.fleet.overview_page import write_overview
-from hyst_control.fleet.record_jobs import KINDS, RecordJob, compute, mark
+from hyst_control.fleet.record_jobs import GAPS, KINDS, ONSETS, OPEN, RecordJob, compute, mark
 from hyst_control.fleet.results import DONE, FAILED, Results
 from hyst_control.fleet.split_axes import split_axes
 from hyst_control.parallel import Outcome, Workers, outcomes
@@ -155,37 +155,97 @@ def run_study(
         entries = split_axes(entries, folder, options.get("namespace"), options.get("unit", "unknown"))
         write_json(folder / SUMMARY, {**unfinished, "records": len(entries)})
     begin = time.monotonic()
-    failed: dict[str, str] = {}
-    jobs: list[RecordJob] = []
-    marks: dict[str, str] = {}
-    for entry in entries:
-        job = RecordJob(kind, entry, options, os.path.realpath(folder))
-        try:
-            marks[entry.bag] = mark(job, version)
-        except OSError as error:
-            failed[entry.bag] = f"{error.filename}: {error.strerror}"
-            results.add(_row(job, "", version, None, failed[entry.bag]))
-            continue
-        if known.get(entry.bag) != marks[entry.bag]:
-            jobs.append(job)
-    kept = len(entries) - len(jobs) - len(failed)
-    try:
-        for done, outcome in enumerate(_computed(jobs, workers), 1):
-            bag = outcome.job.entry.bag
-            if outcome.result is None:
-                failed[bag] = outcome.reason
-            results.add(_row(outcome.job, marks[bag], version, outcome.result, outcome.reason))
-            spent = time.monotonic() - begin
-            note(f"{done}/{len(jobs)} records, {done / spent:.1f} a second, {spent / done * (len(jobs) - done):.0f} s to go")
-    finally:
-        results.flush()  # also when interrupted: what is computed stays
+    run = _Run(results, workers, version, known, note)
+    run.compute([RecordJob(kind, entry, options, os.path.realpath(folder)) for entry in entries])
+    if options.get("only") == ONSETS:
+        rows = _newest(results)
+        changed = _changed(overview(kind, rows, columns, limits), rows)
+        whole = {**options, "only": GAPS}
+        run.compute([RecordJob(kind, entry, whole, os.path.realpath(folder)) for entry in entries if entry.bag in changed])
     results.join([entry.bag for entry in entries])
     rows = list(results.rows())
     write_overview(overview(kind, rows, columns, limits), rows, folder)
     verdicts = Counter(row["verdict"] for row in rows if row["status"] == DONE) if kind == "diagnose" else Counter()
-    study = Study(kind, folder, len(entries), len(jobs), kept, failed, time.monotonic() - begin, verdicts)
+    kept = len(entries) - len(run.computed | set(run.failed))
+    study = Study(kind, folder, len(entries), len(run.computed), kept, run.failed, time.monotonic() - begin, verdicts)
     write_json(folder / SUMMARY, {**study.document(), "finished": True})
     return study
+
+
+class _Run:
+    """A run of a study: records computed, and what became of them."""
+
+    def __init__(
+        self, results: Results, workers: Workers, version: str, known: Mapping[str, str], note: Callable[[str], None]
+    ) -> None:
+        self.results, self.workers, self.version, self.known, self.note = results, workers, version, known, note
+        self.computed: set[str] = set()
+        self.failed: dict[str, str] = {}
+
+    def compute(self, wanted: Sequence[RecordJob]) -> None:
+        """Compute what is not known yet."""
+        begin = time.monotonic()
+        jobs: list[RecordJob] = []
+        marks: dict[str, str] = {}
+        for job in wanted:
+            bag = job.entry.bag
+            try:
+                marks[bag] = mark(job, self.version)
+                # A night that was diagnosed for a change needs no look again.
+                closer = mark(replace(job, options={**job.options, "only": GAPS}), self.version) if _is_onsets(job) else ""
+            except OSError as error:
+                self.failed[bag] = f"{error.filename}: {error.strerror}"
+                self.results.add(_row(job, "", self.version, None, self.failed[bag]))
+                continue
+            if self.known.get(bag) not in (marks[bag], closer):
+                jobs.append(job)
+        try:
+            for done, outcome in enumerate(_computed(jobs, self.workers), 1):
+                bag = outcome.job.entry.bag
+                self.computed.add(bag)
+                if outcome.result is None:
+                    self.failed[bag] = outcome.reason
+                self.results.add(_row(outcome.job, marks[bag], self.version, outcome.result, outcome.reason))
+                spent = time.monotonic() - begin
+                self.note(
+                    f"{done}/{len(jobs)} records, {done / spent:.1f} a second, {spent / done * (len(jobs) - done):.0f} s to go"
+                )
+        finally:
+            self.results.flush()  # also when interrupted: what is computed stays
+
+
+def _is_onsets(job: RecordJob) -> bool:
+    return job.options.get("only") == ONSETS
+
+
+def _newest(results: Results) -> list[dict[str, Any]]:
+    """Newest row of every record, without what a diagnosis named: the changes must not depend on where a run was ended."""
+    rows: dict[str, dict[str, Any]] = {}
+    for row in results.rows():
+        rows[row["bag"]] = {**row, "verdict": OPEN, "effects": []} if row["status"] == DONE else row
+    return list(rows.values())
+
+
+def _changed(seen: Overview, rows: Sequence[Mapping[str, Any]]) -> set[str]:
+    """Bags to diagnose: of every unit that changed the record with the largest gap since its most probable change."""
+    since: dict[str, float] = {}
+    for onset in seen.onsets:  # most probable first
+        since.setdefault(onset.unit, onset.moment)
+    for trend in seen.trends:
+        since.setdefault(trend.unit, float("-inf"))
+    clearest: dict[str, Mapping[str, Any]] = {}
+    for row in rows:
+        unit = row["unit"]
+        if row["status"] != DONE or row["moment"] < since.get(unit, float("inf")) or row["gap_rms"] is None:
+            continue
+        # A gap to the model alone is none to clean records: those with clean ones first.
+        if unit not in clearest or _clarity(row) > _clarity(clearest[unit]):
+            clearest[unit] = row
+    return {row["bag"] for row in clearest.values()}
+
+
+def _clarity(row: Mapping[str, Any]) -> tuple[bool, float]:
+    return bool(row["baseline"]), row["gap_rms"]
 
 
 def _computed(jobs: Sequence[RecordJob], workers: Workers) -> Iterator[Outcome[RecordJob, dict[str, Any]]]:

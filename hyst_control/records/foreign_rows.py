@@ -31,6 +31,10 @@ class Refusal(NamedTuple):
     reason: str
 
 
+MANY_VALUES = 64
+"""Values from which on a look at the array is cheaper than one at each of them."""
+
+
 def admit(block: Array, period: float) -> int | Refusal:
     """Check the rows of a message.
 
@@ -49,11 +53,14 @@ def admit(block: Array, period: float) -> int | Refusal:
     rows = len(block)
     if rows > MAX_ROWS:
         return Refusal(TOO_LONG, f"it has {rows} rows, at most {MAX_ROWS} are taken")
-    values = block[0].tolist() if rows == 1 else block.ravel().tolist()
-    for value in values:
-        if not -LARGEST_VALUE <= value <= LARGEST_VALUE:  # neither is a NaN
+    if block.size > MANY_VALUES:
+        if not (-LARGEST_VALUE <= block.min() and block.max() <= LARGEST_VALUE):  # neither is a NaN
             return refused_values(block)
-    tick = tick_at(values[0], period) if rows == 1 else first_tick(block, period)
+    else:
+        for value in block.ravel().tolist():
+            if not -LARGEST_VALUE <= value <= LARGEST_VALUE:
+                return refused_values(block)
+    tick = tick_at(float(block[0, 0]), period) if rows == 1 else first_tick(block, period)
     return Refusal(OFF_THE_CLOCK, off_the_clock(period)) if tick is None else tick
 
 

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hyst_control.control.command_limits import CommandLimits
 from hyst_control.control.command_watchdog import CommandWatchdog
 from hyst_control.control.pi import PI
 from hyst_control.control.safe_loop import OVERFLOW, AxisFaults, SafeLoop, Safety
@@ -237,3 +238,19 @@ def test_limits_go_on_to_their_new_values_while_the_loop_is_stopped():
     np.testing.assert_allclose(command[:, 0], np.maximum(15.0 - RATE * PERIOD * np.arange(1, 11), SAFE), atol=1e-12)
     assert loop.controller.description.upper == 12.0
     assert loop._limits is None, "nothing is left to move"
+
+
+@pytest.mark.parametrize("axes", [2, 5000])
+def test_one_axis_of_many_is_limited_and_a_nan_among_them_is_no_command(axes):
+    limits, applied = CommandLimits(-1.0, 1.0), np.zeros(axes)
+    command = np.linspace(-1.0, 1.0, axes)
+    assert limits.limited(command, applied) is command
+    beyond = command.copy()
+    beyond[-1] = 1.5
+    np.testing.assert_array_equal(limits.limited(beyond, applied), command)
+    watchdog = CommandWatchdog(applied, applied, 1e6, 1e-3)
+    np.testing.assert_array_equal(watchdog.apply(command), command)
+    assert watchdog.following
+    beyond[axes // 2] = math.nan
+    assert np.isfinite(watchdog.apply(beyond)).all() and not watchdog.following
+    assert limits.limited(beyond, applied) is not beyond

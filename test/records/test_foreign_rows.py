@@ -90,3 +90,15 @@ def test_ticks_that_the_newest_due_row_is_behind():
     assert rows.behind(20) == 8
     rows.take(rows.available)
     assert rows.behind(45) == 5 and rows.behind(30) == 0
+
+
+@pytest.mark.parametrize("value, kind", [(math.nan, "not finite"), (-math.inf, "not finite"), (-2 * LARGEST_VALUE, "out of range")])
+@pytest.mark.parametrize("rows", [1, 2])
+@pytest.mark.parametrize("axes", [3, 5000])
+def test_one_bad_value_of_many_axes_is_enough(value, kind, rows, axes):
+    block = np.ones((rows, 1 + axes))
+    block[:, 0] = PERIOD * (7 + np.arange(rows))
+    assert admit(block, PERIOD) == 7
+    block[-1, axes // 2] = value
+    found = admit(block, PERIOD)
+    assert isinstance(found, Refusal) and found.kind == kind
