@@ -219,6 +219,7 @@ class NullSettings:
         "steps", "most steps of the coefficients' fit: what their scatter leaves beyond its linear part is no effect"
     )
     starts: int = _setting("starts", "starts of an effect that are tried")
+    estimated_spectrum: float = _setting("1", "factor where the spectrum of the model's own error comes from a few clean records")
 
 
 @dataclass(frozen=True)

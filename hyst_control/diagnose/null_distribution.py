@@ -70,6 +70,9 @@ def threshold(
         return known
     scores = null_scores(linearised, members, seed, configuration.null_distribution, progress)
     found = float(np.quantile(scores, configuration.null_distribution.quantile)) if len(scores) else 0.0
+    if linearised.problem.own_spectrum is not None:
+        # As a ratio to a variance that few records estimate, a score has the wider tail of F instead of chi-square's.
+        found *= configuration.null_distribution.estimated_spectrum
     if file is not None:
         _write(file, found)
     return found
