@@ -13,7 +13,7 @@ examples:
   hyst bench --only wall-clock              ten minutes at 1 kHz against a stage: lost rows, missed ticks, load
   hyst bench --soak 60                      long runs, to check that memory does not grow
   hyst bench --minutes 0.5 1 2 4            commands on long records, their growth and an hour, extrapolated
-  hyst bench --minutes 60                   the hour itself: 180 million samples, 12 GB of temporary files
+  hyst bench --minutes 60                   the hour itself: 180 million samples, some 20 GB of temporary files
 """
 
 from __future__ import annotations
