@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +35,11 @@ REPEATS = 5
 
 GROUPS = ("kernels", "exported", "bags", "loops", "dashboard", "workflows", "coverage", "round_trips")
 
-NAMED_ONLY = {"fleet": fleets.run, "many_axes": many_axes.run, "learned_priors": learned_priors.run}
+NAMED_ONLY: dict[str, Callable[[Table], None]] = {
+    "fleet": fleets.run,
+    "many_axes": many_axes.run,
+    "learned_priors": learned_priors.run,
+}
 """Groups that are run only when they are asked for."""
 
 LONG_RUNS = {"lockstep": loops.soak_lockstep, "wall-clock": loops.soak_wall_clock}
