@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from hyst_control import progress
-from hyst_control.benchmarks import coverage, exported, fleets, kernels, long_records, loops, many_axes, round_trips, workflows
+from hyst_control.benchmarks import (
+    coverage,
+    exported,
+    fleets,
+    kernels,
+    learned_priors,
+    long_records,
+    loops,
+    many_axes,
+    round_trips,
+    workflows,
+)
 from hyst_control.errors import InputError
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.bag_writer import BagWriter
@@ -22,7 +33,14 @@ MESSAGES, ROWS = 24_000, 50
 REPEATS = 5
 
 
-GROUPS = ("kernels", "exported", "bags", "loops", "dashboard", "workflows", "coverage", "round_trips", "fleet", "many_axes")
+GROUPS = ("kernels", "exported", "bags", "loops", "dashboard", "workflows", "coverage", "round_trips")
+
+NAMED_ONLY: dict[str, Callable[[Table], None]] = {
+    "fleet": fleets.run,
+    "many_axes": many_axes.run,
+    "learned_priors": learned_priors.run,
+}
+"""Groups that are run only when they are asked for."""
 
 LONG_RUNS = {"lockstep": loops.soak_lockstep, "wall-clock": loops.soak_wall_clock}
 """Long runs by name, which are run only when they are asked for."""
@@ -36,7 +54,7 @@ def run(
     Parameters
     ----------
     only
-        The group, or one of `LONG_RUNS`; None: all groups.
+        The group, or one of `NAMED_ONLY` or `LONG_RUNS`; None: all groups.
     seconds
         Length of every run of the loop, s.
     soak
@@ -85,12 +103,9 @@ def run(
         coverage.run(table)
     if only in (None, "round_trips"):
         round_trips.run(table)
-    if only == "fleet":
-        progress.step("records of a fleet")
-        fleets.run(table)
-    if only == "many_axes":
-        progress.step("a plant of many axes")
-        many_axes.run(table)
+    if only is not None and only in NAMED_ONLY:
+        progress.step(only.replace("_", " "))
+        NAMED_ONLY[only](table)
     if only in (None, "workflows"):
         progress.step("workflows")
         workflows.run(table)

@@ -44,11 +44,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "round_trips",
             "fleet",
             "many_axes",
+            "learned_priors",
             "lockstep",
             "wall-clock",
         ),
         help="run only this group of measurements; dashboard, the cost of a live page, is a part of loops; "
-        "fleet (needs Dask), many_axes, "
+        "fleet (needs Dask), many_axes and learned_priors are run when they are named; "
         "lockstep (60 min) and wall-clock (10 min at 1 kHz) only run when they are named",
     )
     parser.add_argument("--seconds", type=float, default=6.0, help="length of every run of the loop in s (default 6)")

@@ -127,6 +127,8 @@ def night_variance(values: Array) -> float:
 def named_within(probabilities: Array, false_share: float) -> int:
     """Number of claims, most probable first, whose expected share of errors stays within a bound (Müller, Parmigiani and Rice 2006).
 
+    Where many are sure the bound leaves room for a few that are probably wrong: each must be more probable than not as well.
+
     Parameters
     ----------
     probabilities
@@ -140,4 +142,4 @@ def named_within(probabilities: Array, false_share: float) -> int:
         The number.
     """
     errors = np.cumsum(1.0 - probabilities) / np.arange(1, len(probabilities) + 1)
-    return int(np.searchsorted(errors, false_share, side="right"))
+    return min(int(np.searchsorted(errors, false_share, side="right")), int(np.sum(probabilities > 0.5)))

@@ -122,7 +122,8 @@ def overview(
     trends: list[Trend] = []
     influences: list[CovariateEffect] = []
     for name, values in series.items():
-        series[name], believed = take_out(name, values, covariates)
+        known = {**covariates, **_distances(covariates, done, cells)} if name == GAP else covariates
+        series[name], believed = take_out(name, values, known)
         influences += believed
         shifted, drifting = find_changes(name, units, moments, series[name])
         if name == GAP:
@@ -189,6 +190,22 @@ def _covariates(
         differences = np.diff(values, axis=1)
         if np.any(differences[np.isfinite(differences)] != 0.0):
             found[name] = values
+    return found
+
+
+def _distances(
+    covariates: Mapping[str, Array], rows: Sequence[Mapping[str, Any]], cells: Sequence[tuple[int, int]]
+) -> dict[str, Array]:
+    """Distances (U, T) of the covariates from those of the clean records: a gap to these grows either way."""
+    compared = {row["unit"] for row in rows if row.get("baseline")}
+    clean = [at for at, row in zip(cells, rows, strict=True) if row["unit"] in compared and not row.get("baseline")]
+    found: dict[str, Array] = {}
+    for name, values in covariates.items() if clean else ():
+        at_clean = np.full(values.shape, np.nan)
+        at_clean[tuple(np.transpose(clean))] = values[tuple(np.transpose(clean))]
+        count = np.isfinite(at_clean).sum(axis=1)
+        center = np.nansum(at_clean, axis=1) / np.where(count, count, np.nan)
+        found[f"{name}, distance from the clean records"] = np.abs(values - center[:, None])
     return found
 
 

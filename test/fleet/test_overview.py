@@ -125,3 +125,29 @@ def test_a_click_opens_the_page_of_a_record(tmp_path):
         page.get_by_role("link", name=unit).first.click()
         page.wait_for_url("**/reports/*")
         assert page.title() == "own page"
+
+
+def test_a_gap_that_grows_with_the_distance_from_the_clean_nights_is_no_change():
+    """Temperature: a gap to clean records at 20 degrees grows as it gets warmer and as it gets colder."""
+    rng = np.random.default_rng(8)
+    temperature = 20.0 + np.concatenate([np.zeros(2), 3.0 * rng.standard_normal(24), np.full(4, -4.0)])
+    records = [
+        {
+            "unit": f"u{unit:02d}",
+            "time": str(night),
+            "moment": float(night),
+            "status": "done",
+            "verdict": "not_diagnosed",
+            "baseline": [] if night < 2 else [f"u{unit:02d}_0"],
+            "temperature": str(degrees),
+            "gap_rms": 0.5
+            if night < 2
+            else 0.01 + 0.002 * abs(degrees - 20.0) + 5e-4 * rng.standard_normal() + 0.05 * (unit == 5 and night > 14),
+            "effects": [],
+        }
+        for unit in range(20)
+        for night, degrees in enumerate(temperature)
+    ]  # fmt: skip
+    found = overview("diagnose", records, ["temperature"])
+    assert [(onset.unit, onset.moment) for onset in found.onsets] == [("u05", 15.0)] and not found.trends
+    assert [effect.covariate for effect in found.covariates] == ["temperature, distance from the clean records"]
