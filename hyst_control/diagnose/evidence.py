@@ -192,6 +192,8 @@ class HypothesisEvidence:
         Only of the hypotheses that the policy may choose.
     farthest : float
         Distance of the coefficient that is farthest from its nominal value, tolerances.
+    at_bound : bool
+        Whether the size of one of its effects is at the end of the range that the catalogue gives it.
 
     """
 
@@ -203,6 +205,7 @@ class HypothesisEvidence:
     strain: float
     residual: ResidualEvidence | None = None
     farthest: float = 0.0
+    at_bound: bool = False
 
 
 @dataclass(frozen=True)

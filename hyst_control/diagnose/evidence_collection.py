@@ -326,7 +326,14 @@ def _hypothesis(scored: Scored, size: int) -> HypothesisEvidence:
     energy = float(solution.residual @ solution.residual) / size
     farthest = float(np.max(np.abs(solution.z), initial=0.0)) * scored.tolerances
     return HypothesisEvidence(
-        scored.names, scored.inflated, scored.score, solution.misfit, energy, strain(solution), farthest=farthest
+        scored.names,
+        scored.inflated,
+        scored.score,
+        solution.misfit,
+        energy,
+        strain(solution),
+        farthest=farthest,
+        at_bound=scored.candidate is not None and scored.candidate.is_at_bound(solution.x),
     )
 
 

@@ -21,6 +21,8 @@ from hyst_control.effects.placement import mechanics_index
 
 STEP = 0.02
 """Of difference quotients by scaled parameters."""
+AT_BOUND = 1e-3
+"""Distance of a scaled parameter from its bound up to which it is there."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,26 @@ class Member:
             ]
         )
         return lower, upper, centre
+
+    def is_at_bound(self, x: Array) -> bool:
+        """True where the effect's size is at an end of its range that only the catalogue sets.
+
+        Its first parameter is its size. A bound of 0 is none of these, nor are those of a voltage that begins where the command ends.
+
+        Parameters
+        ----------
+        x : ndarray, shape (P,)
+            Scaled parameters.
+
+        Returns
+        -------
+        bool
+        """
+        if self.is_line or not self.parameters or not (np.isfinite(self.parameters[0].absent) or self.parameters[0].logarithmic):
+            return False
+        size = self.parameters[0]
+        ends = np.array([_scaled(size, end) for end in (size.lower, size.upper) if size.logarithmic or end != 0.0])
+        return bool(np.any(np.abs(x[0] - ends) < AT_BOUND))
 
     def values(self, x: Array) -> dict[str, float]:
         """Convert scaled parameters to values, under the names of the gap report.
@@ -385,6 +407,20 @@ class Candidate:
         """Slice of the scaled parameters that belongs to each member."""
         edges = np.cumsum([0, *(member.size for member in self.members)])
         return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+    def is_at_bound(self, x: Array) -> bool:
+        """True where the size of one of the effects is at the end of its range.
+
+        Parameters
+        ----------
+        x : ndarray, shape (P,)
+            Scaled parameters of all effects.
+
+        Returns
+        -------
+        bool
+        """
+        return any(member.is_at_bound(x[part]) for member, part in zip(self.members, self.slices(), strict=True))
 
     def unknowns(self) -> Unknowns:
         """The candidate as unknowns of a fit."""

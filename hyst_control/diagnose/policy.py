@@ -3,7 +3,8 @@
 `decide` judges one problem, `join` the axes of a plant. A hypothesis is a claim where it beats the simulated null and takes off more
 than the practical size; claims become probabilities by their scores. The verdict is the first of these whose rule holds:
 
-    unknown      the best explanation leaves too much, needs too many effects, or one whose size changes with something else
+    unknown      the best explanation leaves too much, needs too many effects, one at the end of its range, or one whose size changes
+                 with something else
     ambiguous    the data cannot separate several explanations
     effect       one explanation by effects, or a check of the record found something
     parameters   the coefficients explain it, further off than their tolerance
@@ -59,6 +60,9 @@ class Reason(str, Enum):
 
     TOO_MANY_EFFECTS = "too_many_effects"
     """Unknown: the best explanation needs more effects at once than are likely."""
+
+    AT_BOUND = "at_bound"
+    """Unknown: the one explanation has an effect at the end of its range."""
 
     DISTORTION_TIME = "distortion_time"
     """Unknown: the size of a named effect would have to change with time."""
@@ -224,9 +228,11 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
     distorted = _distorted(evidence, chosen, thresholds)
     listed = (chosen,) if left_too_much or too_many or distorted else _listed(evidence, claims, probability, thresholds)
     effects = any(evidence.hypotheses[index].names for index in listed)
+    at_bound = len(listed) == 1 and evidence.hypotheses[chosen].at_bound
     reasons: set[Reason] = set()
-    if too_many or distorted or remainder > thresholds.unknown_share:
+    if too_many or distorted or at_bound or remainder > thresholds.unknown_share:
         verdict = Verdict.UNKNOWN
+        reasons |= {Reason.AT_BOUND} if at_bound else set()
         reasons |= {Reason(f"distortion_{one.variable}") for one in distorted}
         if remainder > thresholds.unknown_share:
             reasons |= {Reason.ENERGY_LEFT} | ({Reason.OUTLIERS} if remainder > left else set())
@@ -628,13 +634,13 @@ def _findings(
                 continue
             white = measured if noise is None else noise.white * evidence.noise[0] / thresholds.flicker_white
             more = excess_noise(white, evidence.stated_noise[axis], others, axis, evidence.noise_bins, thresholds.excess_ratio)
-            if more is None:
-                continue
             count, rms = residual.outliers[axis], residual.outliers_rms[axis]
             few = thresholds.few_outliers <= count <= thresholds.many_outliers * evidence.rows
-            if few and rms > thresholds.outliers_share * more.rms:
+            # Where nobody states the noise, single samples that are nearly all of it are no noise either.
+            whole = more.rms if more is not None else white if evidence.stated_noise[axis] <= 0.0 else np.inf
+            if few and rms > thresholds.outliers_share * whole:
                 outliers.append(Outliers(axis, count, rms))
-            else:
+            elif more is not None:
                 found.append(more)
     if noise is not None:
         scale = evidence.noise[0]

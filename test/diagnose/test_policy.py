@@ -117,6 +117,26 @@ class Row:
 
 V, R, C = Verdict, Reason, RecordCheck
 TABLE = (
+    Row(
+        "an effect at the end of its range, alone",
+        evidence(effect("backlash", at_bound=True)),
+        V.UNKNOWN,
+        (R.AT_BOUND,),
+        ("backlash",),
+    ),
+    Row(
+        "an effect at the end of its range, beside another",
+        evidence(effect("backlash", at_bound=True), effect("gain")),
+        V.AMBIGUOUS,
+        (R.SEVERAL_EXPLANATIONS,),
+        ("backlash", "gain"),
+    ),
+    Row(
+        "single samples that are all of a noise that nobody states",
+        evidence(base=none(energy=1.0, residual=replace(QUIET, outliers=(8,), outliers_rms=(0.95,))), stated_noise=(0.0,)),
+        V.UNKNOWN,
+        (R.ENERGY_LEFT, R.OUTLIERS),
+    ),
     Row("a session's zero larger than usual", evidence(base=session(1.0)), V.EFFECT, (R.SESSION_DIFFERS,)),
     Row(
         "no more is left than the model leaves on clean records",
