@@ -86,6 +86,38 @@ def held_out(
     return HeldOut(before, after, before_fitted, after_fitted)
 
 
+def holds(linearised: Linearised, scored: Scored, none: Scored, settings: ReductionSettings = CONFIGURATION.reduction) -> bool:
+    """Check that effects leave less than no effect does on blocks that they were not fitted to.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    scored : Scored
+        Explanation by effects.
+    none : Scored
+        No effect.
+    settings : ReductionSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    bool
+        In units of noise and own error together.
+    """
+    assert scored.candidate is not None
+    unknowns = scored.candidate.unknowns()
+    fold = (np.arange(len(linearised.measured)) * settings.blocks // len(linearised.measured)) % 2
+    before = after = 0.0
+    for held in (0, 1):
+        weight, rows = (fold != held).astype(float), fold == held
+        alone = fit(linearised, z=none.solution.z, weight=weight, rounds=settings.rounds)
+        both = fit(linearised, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=settings.rounds)
+        before += float(np.sum((linearised.measured - linearised.simulate(alone.z))[rows] ** 2))
+        after += float(np.sum((linearised.measured - linearised.simulate(both.z, unknowns, both.x))[rows] ** 2))
+    return after < before
+
+
 def shrink(
     before: Array, after: Array, seed: int, settings: ReductionSettings = CONFIGURATION.reduction
 ) -> tuple[float, tuple[float, float]]:
