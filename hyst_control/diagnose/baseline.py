@@ -445,15 +445,19 @@ def _between_periods(command: Array, error: Array, settings: BaselineSettings) -
 
 
 def _beside_periods(command: Array, error: Array, settings: BaselineSettings) -> list[Array]:
-    """The error (N, A) without its mean over the periods of a periodic command; empty if it is not periodic."""
+    """The error (N, A) without its mean over the periods of a periodic command; empty if it is not periodic.
+
+    Of three and more the first is left out: what is left of the memory fills in it.
+    """
     period = period_of(command, settings.same_command)
     if period is None:
         return []
-    count = len(command) // period
+    if len(command) >= 3 * period:
+        error = error[period:]
+    count = len(error) // period
     whole = error[: count * period].reshape(count, period, -1)
-    # Drift is taken off what the mean period leaves: off the periods themselves it would take a part of their shape.
-    beside, _ = without_zero((whole - whole.mean(axis=0)).reshape(count * period, -1))
-    return [beside / np.sqrt(1.0 - 1.0 / count)]
+    beside = (whole - whole.mean(axis=0)) / np.sqrt(1.0 - 1.0 / count)
+    return [without_zero(beside.reshape(count * period, -1))[0]]
 
 
 def _first_counted(piece: Piece) -> int:

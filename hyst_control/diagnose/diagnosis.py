@@ -26,6 +26,7 @@ from hyst_control.diagnose.evidence_collection import (
     stated_noise,
     white_noise,
 )
+from hyst_control.diagnose.gap_reduction import holds
 from hyst_control.diagnose.hypothesis import Member, catalogue
 from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, fit
 from hyst_control.diagnose.hypothesis_search import Found, Scored, search
@@ -39,6 +40,9 @@ from hyst_control.effects.effect import PLACES, RecordCheck
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
+
+VETOES = 3
+"""Explanations in turn that are dropped because they leave more than no effect does on blocks that they were not fitted to."""
 
 
 @dataclass(frozen=True)
@@ -378,23 +382,35 @@ def _axis(
     null = threshold(linearised, members, seed, cache=cache, configuration=configuration)
     found = search(linearised, members, null + thresholds.margin, floor, prepared.leaves, progress, configuration)
     collected = collect(found, null, floor, prepared.stated, prepared.record, checks, configuration)
-    evidence = collected.evidence.with_residuals(
-        {
-            index: residual_evidence(
-                problem,
-                collected.hypotheses[index],
-                findings,
-                checks,
-                configuration,
-                companions(linearised, collected.hypotheses[index], baseline.usual_zero, baseline.mean_zero, found.temper)
-                if baseline
-                else (),
-                distortions(linearised, collected.hypotheses[index], found.temper),
-            )
-            for index in contenders(collected.evidence, thresholds)
-        }
-    )
-    return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decide(evidence, thresholds), baseline)
+
+    def with_residuals(evidence: Evidence) -> Evidence:
+        return evidence.with_residuals(
+            {
+                index: residual_evidence(
+                    problem,
+                    collected.hypotheses[index],
+                    findings,
+                    checks,
+                    configuration,
+                    companions(linearised, collected.hypotheses[index], baseline.usual_zero, baseline.mean_zero, found.temper)
+                    if baseline
+                    else (),
+                    distortions(linearised, collected.hypotheses[index], found.temper),
+                )
+                for index in contenders(evidence, thresholds)
+                if evidence.hypotheses[index].residual is None
+            }
+        )
+
+    evidence = with_residuals(collected.evidence)
+    decision = decide(evidence, thresholds)
+    for _ in range(VETOES if evidence.whitened else 0):
+        best = collected.hypotheses[decision.chosen]
+        if best.candidate is None or holds(linearised, best, found.none, configuration.reduction):
+            break
+        evidence = with_residuals(evidence.without(decision.chosen))
+        decision = decide(evidence, thresholds)
+    return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decision, baseline)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from hyst_control.effects.effect import RecordCheck
 
 
@@ -262,6 +264,22 @@ class Evidence:
     weight: float = 1.0
     clean_noise: bool = False
     whitened: bool = False
+
+    def without(self, index: int) -> Evidence:
+        """Drop a hypothesis: it claims nothing, whatever it scored.
+
+        Parameters
+        ----------
+        index : int
+            Of the hypothesis; indices of the others stay.
+
+        Returns
+        -------
+        Evidence
+
+        """
+        dropped = replace(self.hypotheses[index], score=-np.inf)
+        return replace(self, hypotheses=(*self.hypotheses[:index], dropped, *self.hypotheses[index + 1 :]))
 
     def with_residuals(self, residuals: Mapping[int, ResidualEvidence]) -> Evidence:
         """Add what hypotheses leave.

@@ -77,7 +77,9 @@ def held_out(
         rows = fold == held
 
         def left(within: Linearised, simulated: Array, rows: Array = rows) -> Array:
-            return _beside_companions(within, in_noise(linearised.measured - simulated), rows) ** 2
+            companions = [in_noise(column)[rows] for column in within.columns[:, within.scatter.companions > 0].T]
+            columns = np.stack(companions, axis=1) if companions else np.zeros((np.count_nonzero(rows), 0))
+            return _beside_companions(columns, in_noise(linearised.measured - simulated)[rows]) ** 2
 
         alone = fit(without, z=none.solution.z, weight=weight, rounds=settings.rounds)
         before_fitted[rows] = left(without, linearised.simulate(alone.z))
@@ -90,14 +92,46 @@ def held_out(
     return HeldOut(before, after, before_fitted, after_fitted)
 
 
-def _beside_companions(within: Linearised, residual: Array, rows: Array) -> Array:
-    """Those rows of a residual (M,), without what the companions explain of them within their priors."""
-    found = residual[rows]
-    columns = within.columns[:, within.scatter.companions > 0]
+def _beside_companions(columns: Array, residual: Array) -> Array:
+    """A residual (N,) without what columns (N, K) explain of it within their priors."""
     if not columns.shape[1]:
-        return found
-    own = np.stack([within.problem.in_noise(column) for column in columns.T], axis=1)[rows]
-    return np.asarray(found - own @ np.linalg.solve(own.T @ own + np.eye(own.shape[1]), own.T @ found), dtype=np.float64)
+        return residual
+    gram = columns.T @ columns + np.eye(columns.shape[1])
+    return np.asarray(residual - columns @ np.linalg.solve(gram, columns.T @ residual), dtype=np.float64)
+
+
+def holds(linearised: Linearised, scored: Scored, none: Scored, settings: ReductionSettings = CONFIGURATION.reduction) -> bool:
+    """Check that effects leave less than no effect does on blocks that they were not fitted to.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    scored : Scored
+        Explanation by effects.
+    none : Scored
+        No effect.
+    settings : ReductionSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    bool
+        In units of noise and own error together.
+    """
+    assert scored.candidate is not None
+    unknowns = scored.candidate.unknowns()
+    fold = (np.arange(len(linearised.measured)) * settings.blocks // len(linearised.measured)) % 2
+    before = after = 0.0
+    for held in (0, 1):
+        weight, rows = (fold != held).astype(float), fold == held
+        alone = fit(linearised, z=none.solution.z, weight=weight, rounds=settings.rounds)
+        both = fit(linearised, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=settings.rounds)
+        columns = linearised.columns[rows][:, linearised.scatter.companions > 0]
+        before += float(np.sum(_beside_companions(columns, (linearised.measured - linearised.simulate(alone.z))[rows]) ** 2))
+        left = (linearised.measured - linearised.simulate(both.z, unknowns, both.x))[rows]
+        after += float(np.sum(_beside_companions(columns, left) ** 2))
+    return after < before
 
 
 def shrink(

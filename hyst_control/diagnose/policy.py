@@ -39,6 +39,10 @@ PARAMETERS = ("parameters",)
 """Key of the coefficients alone in `Decision.probability`."""
 
 
+HOLDING = ("backlash",)
+"""Effects that repeat a value by themselves: play stands still after every reversal."""
+
+
 class Verdict(str, Enum):
     """Verdict of a diagnosis, in the order in which they prevail over one another."""
 
@@ -441,7 +445,8 @@ def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thre
     A rate part, loops or a gain scaled by one factor moves several coefficients together, or one of them far away.
     """
     one = evidence.hypotheses[index]
-    if not one.coefficients_alone or one.farthest < thresholds.many_tolerances:
+    # Beside clean records the coefficients are those of these records, and what has changed is an effect if a known one does it.
+    if not one.coefficients_alone or (one.farthest < thresholds.many_tolerances and not evidence.whitened):
         return False
     size = 0.5 * evidence.temper * evidence.weight * evidence.rows * len(evidence.noise)  # nats of a noise energy
     taken_off = size * (evidence.hypotheses[0].energy - one.energy)
@@ -623,7 +628,12 @@ def _findings(
     evidence: Evidence, chosen: int, noise: FlickerEvidence | None, thresholds: Thresholds
 ) -> tuple[tuple[Finding, ...], tuple[Outliers, ...]]:
     """Effects without a waveform, and excess noise that is outliers."""
-    found = list(detected(evidence.record, evidence.checks, thresholds))
+    holds = any(name in HOLDING for name in evidence.hypotheses[chosen].names)
+    found = [
+        finding
+        for finding in detected(evidence.record, evidence.checks, thresholds)
+        if not (holds and finding.check is RecordCheck.REPEATED_VALUES)
+    ]
     outliers: list[Outliers] = []
     hidden = noise is not None and noise.top > thresholds.flicker_hides
     if RecordCheck.WHITE_SPECTRUM in evidence.checks and not hidden:

@@ -40,6 +40,8 @@ LIMITS = replace(
     distortion_change=0.5,
     distortion_share=0.01,
     least_explained=0.1,
+    least_explained_whitened=0.7,
+    sharpness_whitened=0.5,
 )
 """The values that the rows below were made for, so that tuning changes no row."""
 
@@ -283,6 +285,34 @@ TABLE = (
         evidence(effect("a", left=60.0), stated=95.0),
         V.NO_GAP,
         (R.BELOW_PRACTICAL_SIZE,),
+    ),
+    Row(
+        "play repeats values by itself",
+        evidence(effect("backlash"), record=(replace(PLAIN, repeated=0.1, repeated_rms=0.3),)),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("backlash",),
+    ),
+    Row(
+        "coefficients beside clean records, where one known effect does the same",
+        evidence(effect("a"), coefficients(1010.0), whitened=True),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
+        "half of what exceeds the own error of the clean records",
+        evidence(effect("a", left=51.0), base=UNRELATED, whitened=True),
+        V.UNKNOWN,
+        (R.ENERGY_LEFT,),
+        ("",),
+    ),
+    Row(
+        "a score that is six nats behind, where the own error's spectrum is known",
+        evidence(effect("a"), effect("b", 994.0), whitened=True),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
     ),
     Row(
         "held samples",
