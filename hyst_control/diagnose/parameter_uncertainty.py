@@ -229,7 +229,8 @@ def pinned(scatter: Scatter, clean: Problem) -> Scatter:
     begin, rest = 0, []
     for piece in clean.pieces:  # the zero of each session is its own
         end = begin + len(piece.counted(piece.measurement)) * len(clean.model.axes)
-        rest.append(without_zero(design[begin:end])[0])
+        by_axis = design[begin:end].reshape(-1, len(clean.model.axes) * design.shape[1])
+        rest.append(without_zero(by_axis)[0].reshape(end - begin, -1))
         begin = end
     own_rows = np.concatenate(rest)
     values, vectors = np.linalg.eigh(own_rows.T @ own_rows)
