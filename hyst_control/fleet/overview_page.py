@@ -177,13 +177,13 @@ def _verdict_map(found: Overview, links: _Links) -> go.Figure:
 def _course(found: Overview, unit: str, quantity: str, links: _Links) -> go.Figure:
     """A quantity of one unit before those of all."""
     values = found.series[quantity]
-    low, middle, high = np.nanpercentile(values, (5.0, 50.0, 95.0), axis=0)
+    there = np.isfinite(values).any(axis=0)
+    nights = found.moments[there]
+    low, middle, high = np.nanpercentile(values[:, there], (5.0, 50.0, 95.0), axis=0)
     figure = go.Figure()
-    figure.add_trace(go.Scatter(x=found.moments, y=high, line={"width": 0}, showlegend=False, hoverinfo="skip"))
-    figure.add_trace(
-        go.Scatter(x=found.moments, y=low, fill="tonexty", line={"width": 0}, name="90 % of all units", fillcolor=BAND)
-    )
-    figure.add_trace(go.Scatter(x=found.moments, y=middle, name="median of all units", line={"color": COLORS[2]}))
+    figure.add_trace(go.Scatter(x=nights, y=high, line={"width": 0}, showlegend=False, hoverinfo="skip"))
+    figure.add_trace(go.Scatter(x=nights, y=low, fill="tonexty", line={"width": 0}, name="90 % of all units", fillcolor=BAND))
+    figure.add_trace(go.Scatter(x=nights, y=middle, name="median of all units", line={"color": COLORS[2]}))
     own = values[list(found.units).index(unit)]
     figure.add_trace(
         go.Scatter(x=found.moments, y=own, customdata=links.of(unit), name=unit, mode="lines+markers", line={"color": COLORS[1]})
