@@ -104,3 +104,14 @@ def test_every_test_that_the_safety_page_names_exists():
     }
     named = set(re.findall(r"`(test_\w+)`", text))
     assert named and not named - defined
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_pictures_of_two_schemes_are_shown_one_at_a_time(page):
+    """Also by readers that know nothing of the site's style sheet, such as the repository's pages."""
+    text = page.read_text(encoding="utf-8")
+    assert "#only-" not in text
+    for picture in re.findall(r"<picture>(.*?)</picture>", text, re.DOTALL):
+        dark, light = re.findall(r'src(?:set)?="([^"]+)"', picture)
+        assert 'media="(prefers-color-scheme: dark)" srcset=' in picture and "alt=" in picture
+        assert dark != light and (page.parent / dark).exists() and (page.parent / light).exists()

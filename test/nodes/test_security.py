@@ -11,6 +11,8 @@ import pytest
 from loop_case import MODEL
 
 from hyst_control.config_files import config_path
+from hyst_control.dashboard.live_state import LiveState
+from hyst_control.nodes.dashboard import ASKED, DashboardNode
 from hyst_control.nodes.identification import Identification
 from hyst_control.nodes.managed import ManagedNode
 from hyst_control.nodes.pipeline import COMPOSABLE, node_class
@@ -64,6 +66,20 @@ def test_policy_allows_what_a_node_does_and_no_more(bench, tmp_path, name):
     offered = {"/" + each.srv_name.replace("~", name).lstrip("/") for each in node.services}
     assert allowed[name, "services reply"] == offered
     assert offered <= allowed["operator", "services request"]
+
+
+def test_policy_allows_the_dashboard_what_its_buttons_do(bench):
+    node = bench.add(lambda context, **_: DashboardNode(LiveState(), context=context))
+    allowed = policy()
+    heard = {each.topic_name for each in super(type(node), node).subscriptions} | {
+        each.topic for each in getattr(node, "polled", ())
+    }
+    assert allowed["dashboard", "topics subscribe"] - set(ROS_OWN) == heard - set(ROS_OWN)
+    assert {each.topic_name for each in node.publishers} <= set(ROS_OWN)
+    offered = {"/" + each.srv_name.replace("~", "dashboard").lstrip("/") for each in node.services}
+    assert allowed["dashboard", "services reply"] == offered
+    driving = {name for (name, right), topics in allowed.items() if right == "topics publish" and {"/command", "/applied"} & topics}
+    assert allowed["dashboard", "services request"] == {f"/{name}/{what}" for name in driving for what in ASKED}
 
 
 def test_only_the_feedback_may_command_and_only_a_plant_or_a_stage_measures():
