@@ -62,12 +62,34 @@ def run(table: Table, records: int = RECORDS, jobs: int = JOBS, clusters: Sequen
 
 
 def nothing(number: int) -> dict[str, Any]:
-    """Compute a record without any work: a row of the size that a record's has."""
+    """Compute a record without any work: a row of the size that a record's has.
+
+    Parameters
+    ----------
+    number : int
+        Of the record.
+
+    Returns
+    -------
+    dict
+        The row.
+    """
     return {"number": number, "report_file": "x" * 200, "effects": [{"name": "creep", "probability": 1.0}], "seconds": 0.0}
 
 
 def busy(number: int) -> int:
-    """Compute for `BUSY` seconds of processor time."""
+    """Compute for `BUSY` seconds of processor time.
+
+    Parameters
+    ----------
+    number : int
+        Of the record.
+
+    Returns
+    -------
+    int
+        The same number.
+    """
     end = time.process_time() + BUSY
     while time.process_time() < end:
         pass

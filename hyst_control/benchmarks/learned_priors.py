@@ -1,4 +1,4 @@
-"""What a population's model is worth: verdicts on new units with the fleet's usual scatter, and with the tolerance of a single unit."""
+"""Worth of a population's model: verdicts on new units with the fleet's usual scatter, and with the tolerance of a single unit."""
 
 from __future__ import annotations
 

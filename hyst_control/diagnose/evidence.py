@@ -246,6 +246,8 @@ class Evidence:
         True where a single clean record is carried over, so that its own noise is in the residual and nobody knows how much that is.
     whitened : bool
         True where the fits know the spectrum of the model's own error: energies are then in units of it and the noise together.
+    repeating : frozenset of str
+        Names of the effects that repeat values by themselves.
 
     """
 
@@ -264,6 +266,7 @@ class Evidence:
     weight: float = 1.0
     clean_noise: bool = False
     whitened: bool = False
+    repeating: frozenset[str] = frozenset()
 
     def without(self, index: int) -> Evidence:
         """Drop a hypothesis: it claims nothing, whatever it scored.

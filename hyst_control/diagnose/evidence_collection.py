@@ -107,6 +107,7 @@ def collect(
         problem.weight,
         problem.slowest is not None and problem.own_error is None,
         problem.own_spectrum is not None,
+        frozenset(name for name, effect in EFFECTS.items() if effect.repeats_values),
     )
     return Collected(evidence, hypotheses)
 

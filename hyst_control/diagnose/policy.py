@@ -39,10 +39,6 @@ PARAMETERS = ("parameters",)
 """Key of the coefficients alone in `Decision.probability`."""
 
 
-HOLDING = ("backlash",)
-"""Effects that repeat a value by themselves: play stands still after every reversal."""
-
-
 class Verdict(str, Enum):
     """Verdict of a diagnosis, in the order in which they prevail over one another."""
 
@@ -628,7 +624,7 @@ def _findings(
     evidence: Evidence, chosen: int, noise: FlickerEvidence | None, thresholds: Thresholds
 ) -> tuple[tuple[Finding, ...], tuple[Outliers, ...]]:
     """Effects without a waveform, and excess noise that is outliers."""
-    holds = any(name in HOLDING for name in evidence.hypotheses[chosen].names)
+    holds = bool(evidence.repeating.intersection(evidence.hypotheses[chosen].names))
     found = [
         finding
         for finding in detected(evidence.record, evidence.checks, thresholds)

@@ -78,4 +78,5 @@ EFFECT = Effect(
     lambda values, around: Backlash(values["half_width"], values["start"] if np.any(values.get("begun", 0.0)) else None),
     variants=lambda around: ({"start": 0.0, "begun": 0.0}, {"begun": 1.0}),
     phrase="backlash of ±{half_width}",
+    repeats_values=True,
 )

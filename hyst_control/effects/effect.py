@@ -172,6 +172,8 @@ class Effect:
         The stage for parameter values and surroundings.
     exercised
         Whether a record could show the effect at all.
+    repeats_values
+        Whether the measurement repeats a value while the effect holds it, which is then no sample that was held.
     waveform
         Whether it has one that a simulation can be compared with; noise, lattices and repeated samples have none and are found by
         looking at the record.
@@ -214,6 +216,7 @@ class Effect:
     parameters: Callable[[Surroundings], tuple[Parameter, ...]]
     stage: Callable[[Values, Surroundings], Stage]
     exercised: Callable[[Surroundings], bool] = lambda _: True
+    repeats_values: bool = False
     waveform: bool = True
     couples: bool = False
     shared: bool = False

@@ -288,7 +288,7 @@ TABLE = (
     ),
     Row(
         "play repeats values by itself",
-        evidence(effect("backlash"), record=(replace(PLAIN, repeated=0.1, repeated_rms=0.3),)),
+        evidence(effect("backlash"), record=(replace(PLAIN, repeated=0.1, repeated_rms=0.3),), repeating=frozenset({"backlash"})),
         V.EFFECT,
         (R.ONE_EXPLANATION,),
         ("backlash",),
