@@ -1,4 +1,4 @@
-"""Screening of records before a diagnosis: the same verdict and the same gap, to rounding, as the whole diagnosis gives."""
+"""Screening of records before a diagnosis: the same verdict and the same gap, to four digits, as the whole diagnosis gives."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_screening_changes_no_verdict(made, tmp_path):
     assert whole["verdict"] == screened["verdict"] == "no_gap"
     assert whole["measurement_unit"] == screened["measurement_unit"]
     for name in ("gap_rms", "gap_nrmse", "floor_rms"):
-        assert whole[name] == pytest.approx(screened[name], rel=1e-9), name
+        assert whole[name] == pytest.approx(screened[name], rel=1e-4), name
     assert "report_file" in whole
 
 
@@ -63,7 +63,7 @@ def test_only_the_clearest_record_of_a_unit_that_changed_is_diagnosed_and_as_eve
         assert diagnosed[name] == whole[name], name
     assert [one["name"] for one in diagnosed["effects"]] == [one["name"] for one in whole["effects"]]
     for name in ("gap_rms", "gap_nrmse", "floor_rms"):
-        assert diagnosed[name] == pytest.approx(whole[name], rel=1e-9), name
+        assert diagnosed[name] == pytest.approx(whole[name], rel=1e-4), name
     assert whole["verdict"] != "no_gap"
-    assert short["gap_rms"] == pytest.approx(whole["gap_rms"], rel=1e-9)
-    assert short["left_rms"] == pytest.approx(diagnosed["left_rms"], rel=1e-9)
+    assert short["gap_rms"] == pytest.approx(whole["gap_rms"], rel=1e-4)
+    assert short["left_rms"] == pytest.approx(diagnosed["left_rms"], rel=1e-4)
