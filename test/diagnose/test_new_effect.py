@@ -29,16 +29,14 @@ def documented(tmp_path, monkeypatch):
     ]
     (tmp_path / "documented_effect.py").write_text(source, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    kept = {name: dict(value) for name, value in vars(stages).items() if isinstance(value, dict) and not name.startswith("__")}
+    kept = dict(stages.STAGES)
     import documented_effect
 
     monkeypatch.setitem(EFFECTS, documented_effect.EFFECT.name, documented_effect.EFFECT)
     assert candidates.EFFECTS is EFFECTS
     yield documented_effect
-    for name, value in kept.items():
-        registry = getattr(stages, name)
-        registry.clear()
-        registry.update(value)
+    for name in set(stages.STAGES) - set(kept):
+        del stages.STAGES[name]
     sys.modules.pop("documented_effect")
 
 
