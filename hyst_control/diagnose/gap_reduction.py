@@ -66,8 +66,8 @@ def held_out(
     fold = (np.arange(count) * settings.blocks // count) % 2
     unknowns = scored.candidate.unknowns() if scored.candidate else None
     in_noise = linearised.problem.in_noise
-    before = in_noise(linearised.measured - linearised.simulate(linearised.companions(none.solution.z))) ** 2
-    after, before_fitted, after_fitted = before.copy(), np.empty(count), np.empty(count)
+    as_given = linearised.simulate(linearised.companions(none.solution.z))
+    before, after, before_fitted, after_fitted = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     without = Linearised(linearised.problem, linearised.scatter, none.solution.z)
     within = (
         Linearised(linearised.problem, linearised.scatter, scored.solution.z, unknowns, scored.solution.x) if unknowns else without
@@ -82,9 +82,10 @@ def held_out(
             return _beside_companions(columns, in_noise(linearised.measured - simulated)[rows]) ** 2
 
         alone = fit(without, z=none.solution.z, weight=weight, rounds=settings.rounds)
+        before[rows] = left(without, as_given)
         before_fitted[rows] = left(without, linearised.simulate(alone.z))
         if unknowns is None:
-            after_fitted[rows] = before_fitted[rows]
+            after[rows], after_fitted[rows] = before[rows], before_fitted[rows]
             continue
         both = fit(within, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=settings.rounds)
         after_fitted[rows] = left(within, linearised.simulate(both.z, unknowns, both.x))

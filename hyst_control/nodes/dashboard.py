@@ -390,6 +390,8 @@ def serve(loop: LoopSettings, port: int, folder: Path, window: float, opened: Ca
     if exposed := environment.exposure():
         print(exposed, file=sys.stderr)
     environment.prepare()
+    # A shell starts a job in the background with interrupts ignored: this one could neither be ended nor end itself.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     interrupts.end_with_parent()
     context = Context()
     rclpy.init(args=loop.arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)

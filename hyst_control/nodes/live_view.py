@@ -107,7 +107,7 @@ class LiveView(SignalNode):
         return matched
 
     def _look(self, ticks: NDArray[np.int64], references: Array, commands: Array, measured: Array) -> None:
-        """Process rows (N, A) of successive ticks of the three signals, and publish those that are due."""
+        """Process successive rows (N, A) of the three signals, and publish what is due."""
         self._seen += len(ticks)
         self._polls += 1
         kept, rows = self._extremes.add(ticks, np.hstack([references, commands, measured, references - measured]))

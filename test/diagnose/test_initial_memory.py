@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from hyst_control.diagnose.diagnosis import diagnose
+from hyst_control.diagnose.gap_reduction import held_out
 from hyst_control.diagnose.initial_memory import is_new_ground, left_of_memory
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.records.record import Record, Signal
@@ -75,3 +78,15 @@ def test_an_extreme_that_is_met_late_is_no_effect_and_hides_none():
     assert [effect["name"] for effect in report["effects"]] == ["gain"]
     assert abs(report["effects"][0]["parameters"]["gain"]["value"] + 0.05) < 2e-3
     assert report["effects"][0]["shrink"] > 0.9
+
+
+def test_an_effect_of_no_size_takes_nothing_off():
+    """Companions are free on held-out blocks with the effect and without it alike."""
+    clean = record(machine((0.0, 100.0), 1, command=LATE), "clean", LATE)
+    new = record(machine((20.0, 60.0), 3, command=LATE), "new", LATE)
+    [part] = diagnose([new], None, cache=False, baseline=[clean]).parts
+    absent = next(
+        one for one in part.found.singles if one.solution.misfit == pytest.approx(part.found.none.solution.misfit, rel=1e-9)
+    )
+    left = held_out(part.linearised, absent, part.found.none)
+    assert left.after.mean() == pytest.approx(left.before.mean(), rel=1e-6)

@@ -144,7 +144,7 @@ def test_the_order_of_axes_does_not_matter(found):
 @settings(max_examples=60, deadline=None)
 @given(any_evidence(), st.floats(1.0, 50.0))
 def test_more_energy_left_never_turns_unknown_into_something_known(found, more):
-    """What every hypothesis leaves beyond what its effects leave by nature grows, all else as it is."""
+    """Every hypothesis leaves more than its effects leave by nature; nothing else changes."""
     worse = found.with_residuals(
         {i: replace(one.residual, energy=more * one.residual.energy) for i, one in enumerate(found.hypotheses)}
     )

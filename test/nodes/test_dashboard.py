@@ -64,11 +64,12 @@ def loop(folder):
 
 @contextmanager
 def dashboard(folder, *arguments):
-    """The command in a process of its own; its address."""
+    """The command in a process of its own, as a shell's job in the background, which begins with interrupts ignored; its address."""
     process = subprocess.Popen(
         [sys.executable, "-c", HYST, "dashboard", "--rate", str(RATE), "--folder", str(folder / "recordings"), *arguments],
         stdout=subprocess.PIPE,
         text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
     )
     try:
         yield process.stdout.readline().strip(), process
