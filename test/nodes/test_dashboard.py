@@ -23,7 +23,11 @@ from hyst_control.processes.node_processes import Processes
 from hyst_control.records.bag_reader import read_bag
 
 RATE = 200.0
-HYST = "import sys; from hyst_control.cli import main; raise SystemExit(main(sys.argv[1:]))"
+HYST = """import signal, sys
+signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a shell starts a job in the background
+from hyst_control.cli import main
+raise SystemExit(main(sys.argv[1:]))
+"""
 SEEN = """() => {
   const page = Bokeh.documents[0], named = name => page.get_model_by_name(name);
   const words = name => named(name).text.replace(/<[^>]*>/g, " ").replace(/\\s+/g, " ").trim();
@@ -64,12 +68,11 @@ def loop(folder):
 
 @contextmanager
 def dashboard(folder, *arguments):
-    """The command in a process of its own, as a shell's job in the background, which begins with interrupts ignored; its address."""
+    """The command in a process of its own, as a shell's job in the background; its address."""
     process = subprocess.Popen(
         [sys.executable, "-c", HYST, "dashboard", "--rate", str(RATE), "--folder", str(folder / "recordings"), *arguments],
         stdout=subprocess.PIPE,
         text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
     )
     try:
         yield process.stdout.readline().strip(), process
