@@ -271,6 +271,10 @@ SELF_step(s, in, out);
 """`MadelungFilter.settle` in C."""
 
 
+Curves = tuple[Array, Array, Array, Array, float, Array]
+"""Breaks and coefficients of the rising and of the falling curve of an axis, the output at the end, slopes beyond the ends."""
+
+
 @njit(cache=True, error_model="numpy")
 def scaled_branches(
     block: Array,
@@ -279,12 +283,7 @@ def scaled_branches(
     to_inside: float,
     to_outside: float,
     inverse: bool,
-    rising_breaks: Array,
-    rising: Array,
-    falling_breaks: Array,
-    falling: Array,
-    full: float,
-    end_slope: Array,
+    curves: Curves,
     stack: Array,
     stack_depth: NDArray[np.int64],
     last: Array,
@@ -293,9 +292,11 @@ def scaled_branches(
 ) -> int:
     """`madelung_branches` of an `axis` in units: one call in place of an array operation for each scale, which a single row pays for.
 
-    block, output (N, A); offset V; to_inside, to_outside: factors from the input's unit and to the output's.
+    block, output (N, A); offset V; to_inside, to_outside: factors from the input's unit and to the output's; curves: the arguments
+    rising_breaks to end_slope.
     """
     count = block.shape[0]
+    rising_breaks, rising, falling_breaks, falling, full, end_slope = curves
     source, result = np.empty(count), np.empty(count)
     for row in range(start, count):
         source[row] = (block[row, axis] if inverse else block[row, axis] - offset) * to_inside
@@ -340,7 +341,7 @@ class MadelungFilter(Filter):
         self._scales: list[Scales] = list(
             zip(input_offset.tolist(), self.to_inside.tolist(), self.to_outside.tolist(), strict=True)
         )
-        self._curves = [
+        self._curves: list[Curves] = [
             (*rising, *falling, full, slope)
             for rising, falling, full, slope in zip(self.rising, self.falling, self.full, self.end_slope, strict=True)
         ]
@@ -420,7 +421,7 @@ class MadelungFilter(Filter):
         curves, depth, last, row = self._curves[axis], self.stack_depth[axis], self.last[axis], 0
         while True:
             row = scaled_branches(
-                block, axis, offset, to_inside, to_outside, inverse, *curves, self.stack[axis], depth, last, output, row
+                block, axis, offset, to_inside, to_outside, inverse, curves, self.stack[axis], depth, last, output, row
             )
             if row == len(block):
                 return
