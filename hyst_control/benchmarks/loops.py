@@ -155,6 +155,8 @@ def run(table: Table, seconds: float = SECONDS) -> None:
 def dashboard(table: Table, seconds: float = SECONDS) -> None:
     """Measure what a live page costs the composed loop at 1 kHz: without a live view, with one, and with a page open in a browser.
 
+    All three also under real-time priority, with which what else runs on the cores does not delay the loop.
+
     Parameters
     ----------
     table
@@ -162,13 +164,16 @@ def dashboard(table: Table, seconds: float = SECONDS) -> None:
     seconds
         Length of every run, s.
     """
-    _add_timing(table, "composed, no live view", "hyst", measure("composed", "hyst", "timer", seconds))
-    _add_view(table, "composed, live view", measure("composed", "hyst", "timer", seconds, watched=Watched.BY_NOBODY))
-    if not _browser()[0] or find_spec("bokeh") is None:
-        progress.step("no chromium or no bokeh: the cost of an open page is not measured")
-        return
-    measured = measure("composed", "hyst", "timer", seconds, watched=Watched.ON_A_PAGE)
-    _add_view(table, "composed, live view, page open", measured)
+    for priority in (0, PRIORITY):
+        case = f"composed{f', SCHED_FIFO {priority}' if priority else ''}"
+        _add_timing(table, f"{case}, no live view", "hyst", measure("composed", "hyst", "timer", seconds, priority=priority))
+        watched = measure("composed", "hyst", "timer", seconds, watched=Watched.BY_NOBODY, priority=priority)
+        _add_view(table, f"{case}, live view", watched)
+        if not _browser()[0] or find_spec("bokeh") is None:
+            progress.step("no chromium or no bokeh: the cost of an open page is not measured")
+        else:
+            shown = measure("composed", "hyst", "timer", seconds, watched=Watched.ON_A_PAGE, priority=priority)
+            _add_view(table, f"{case}, live view, page open", shown)
 
 
 def _add_view(table: Table, case: str, measured: Run) -> None:
@@ -269,6 +274,7 @@ def measure(
     backend: str = "python",
     stage: str = "plant",
     watched: Watched = Watched.NOT,
+    priority: int = 0,
 ) -> Run:
     """Run the loop once.
 
@@ -294,6 +300,8 @@ def measure(
         "plant", or the node of a stage on hardware in its place.
     watched
         Parts of a live page; the processor load is that of the loop with its live view, without page and browser.
+    priority
+        Real-time priority of the loop's process, where the system allows one; 0: none, or the stage's own.
 
     Returns
     -------
@@ -307,6 +315,8 @@ def measure(
     """
     progress.step(f"{schedule}, {case}, {subject}{', recorded' if bag else ''}{' from outside' if outside else ''}: {seconds:g} s")
     each = settings(schedule, bag, block, backend, stage)
+    if priority:
+        each[stage]["realtime_priority"] = priority
     if watched is not Watched.NOT:
         each["live_view"] = {name: each[stage][name] for name in ("schedule", "rate_hz", "axes", "unit")}
     with _running(case, subject, each, outside, stage) as (processes, plant):
