@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from hyst_control import progress
+from hyst_control.benchmarks import bare_timer
 from hyst_control.config_files import config_path
 from hyst_control.errors import InputError
 from hyst_control.processes.node_processes import Processes
@@ -227,6 +228,8 @@ def soak_lockstep(table: Table, minutes: float = 60.0) -> None:
 def soak_wall_clock(table: Table, minutes: float = 10.0) -> None:
     """Run at 1 kHz on the wall clock against a stage on hardware: lost rows, missed ticks, processor load, memory.
 
+    Afterwards a bare loop of the same priority waits for as many ticks: those that it misses are the computer's.
+
     Parameters
     ----------
     table
@@ -234,7 +237,13 @@ def soak_wall_clock(table: Table, minutes: float = 10.0) -> None:
     minutes
         Length of the run, min.
     """
-    _soak(table, "timer", "soak, stage on hardware, 1 kHz", minutes, STAGE)
+    name = "soak, stage on hardware, 1 kHz"
+    _soak(table, "timer", name, minutes, STAGE)
+    progress.step(f"a bare loop, for comparison: {60.0 * minutes:g} s")
+    wakes = bare_timer.measure(TIMER_RATE, 60.0 * minutes, PRIORITY)
+    case = f"{minutes:g} min, {'no real-time priority' if wakes.refused else f'SCHED_FIFO {PRIORITY}'}"
+    table.add(name, case, "bare loop", "missed_ticks", "", wakes.missed, n=wakes.ticks + wakes.missed)
+    table.add(name, case, "bare loop", "latest_wake", "us", 1e6 * wakes.latest, n=wakes.ticks + wakes.missed)
 
 
 def _soak(table: Table, schedule: str, name: str, minutes: float, stage: str) -> None:
