@@ -271,6 +271,48 @@ SELF_step(s, in, out);
 """`MadelungFilter.settle` in C."""
 
 
+@njit(cache=True, error_model="numpy")
+def scaled_branches(
+    block: Array,
+    axis: int,
+    offset: float,
+    to_inside: float,
+    to_outside: float,
+    inverse: bool,
+    rising_breaks: Array,
+    rising: Array,
+    falling_breaks: Array,
+    falling: Array,
+    full: float,
+    end_slope: Array,
+    stack: Array,
+    stack_depth: NDArray[np.int64],
+    last: Array,
+    output: Array,
+    start: int,
+) -> int:
+    """`madelung_branches` of an `axis` in units: one call in place of an array operation for each scale, which a single row pays for.
+
+    block, output (N, A); offset V; to_inside, to_outside: factors from the input's unit and to the output's.
+    """
+    count = block.shape[0]
+    source, result = np.empty(count), np.empty(count)
+    for row in range(start, count):
+        source[row] = (block[row, axis] if inverse else block[row, axis] - offset) * to_inside
+    reached = madelung_branches(
+        source, inverse, rising_breaks, rising, falling_breaks, falling, full, end_slope, stack, stack_depth, last, result, start
+    )
+    for row in range(start, reached):
+        scaled = result[row] * to_outside
+        output[row, axis] = scaled + offset if inverse else scaled
+    return reached
+
+
+Scales = tuple[float, float, float]
+"""Offset of the input in V, and the factors into and out of normalized numbers."""
+NORMALIZED: Scales = (0.0, 1.0, 1.0)
+
+
 class MadelungFilter(Filter):
     """Streaming Madelung hysteresis, or its inverse, one stack per axis."""
 
@@ -295,6 +337,13 @@ class MadelungFilter(Filter):
         self.full = [full_output(up) for up, _ in curves]
         # Beyond the ends: the ascending curve's slope above 1, the descending curve's slope below 0.
         self.end_slope = [np.array([end_slope(down, 0.0), end_slope(up, 1.0)]) for up, down in curves]
+        self._scales: list[Scales] = list(
+            zip(input_offset.tolist(), self.to_inside.tolist(), self.to_outside.tolist(), strict=True)
+        )
+        self._curves = [
+            (*rising, *falling, full, slope)
+            for rising, falling, full, slope in zip(self.rising, self.falling, self.full, self.end_slope, strict=True)
+        ]
         self.stack = [np.zeros((64, 2)) for _ in curves]
         self.stack_depth = [np.zeros(1, dtype=np.int64) for _ in curves]
         self.last = [np.zeros(3) for _ in curves]
@@ -312,15 +361,15 @@ class MadelungFilter(Filter):
             self.stack_depth[axis][0] = 2
             self.last[axis][:] = (1.0, full, -1.0) if at_top else (0.0, 0.0, 1.0)
             if 0.0 < self.rest[axis] < 1.0:
-                self._follow(axis, died_away(float(self.rest[axis])), inverse=False)
+                swings = np.repeat(died_away(float(self.rest[axis]))[:, None], len(self.full), axis=1)
+                self._follow(axis, swings, np.empty_like(swings), False, NORMALIZED)
 
     def process(self, block: Array) -> Array:
-        inside = (block if self.inverse else block - self.input_offset) * self.to_inside
-        output = np.empty_like(inside)
+        block = np.ascontiguousarray(block, dtype=float)
+        output = np.empty_like(block)
         for axis in range(block.shape[1]):
-            output[:, axis] = self._follow(axis, np.ascontiguousarray(inside[:, axis]), self.inverse)
-        output *= self.to_outside
-        return output + self.input_offset if self.inverse else output
+            self._follow(axis, block, output, self.inverse, self._scales[axis])
+        return output
 
     def c_code(self) -> CCode:
         axes, rested = len(self.full), copy(self)
@@ -365,25 +414,16 @@ class MadelungFilter(Filter):
             (FORGET, EVALUATE, SOLVE) if self.inverse else (FORGET, EVALUATE),
         )
 
-    def _follow(self, axis: int, column: Array, inverse: bool) -> Array:
-        """Normalized output (N,) of one axis for a normalized `column` (N,)."""
-        result, row = np.empty(len(column)), 0
+    def _follow(self, axis: int, block: Array, output: Array, inverse: bool, scales: Scales) -> None:
+        """Write the output (N, A) of one axis for a `block` (N, A)."""
+        offset, to_inside, to_outside = scales
+        curves, depth, last, row = self._curves[axis], self.stack_depth[axis], self.last[axis], 0
         while True:
-            row = madelung_branches(
-                column,
-                inverse,
-                *self.rising[axis],
-                *self.falling[axis],
-                self.full[axis],
-                self.end_slope[axis],
-                self.stack[axis],
-                self.stack_depth[axis],
-                self.last[axis],
-                result,
-                row,
+            row = scaled_branches(
+                block, axis, offset, to_inside, to_outside, inverse, *curves, self.stack[axis], depth, last, output, row
             )
-            if row == len(column):
-                return result
+            if row == len(block):
+                return
             self.stack[axis] = np.concatenate([self.stack[axis], np.zeros_like(self.stack[axis])])
 
 

@@ -57,10 +57,10 @@ def admit(block: Array, period: float) -> int | Refusal:
         if not (-LARGEST_VALUE <= block.min() and block.max() <= LARGEST_VALUE):  # neither is a NaN
             return refused_values(block)
     else:
-        for value in block.ravel().tolist():
+        for value in block.ravel().tolist():  # rather than all(…): once per message of a running loop
             if not -LARGEST_VALUE <= value <= LARGEST_VALUE:
                 return refused_values(block)
-    tick = tick_at(float(block[0, 0]), period) if rows == 1 else first_tick(block, period)
+    tick = tick_at(block.item(0), period) if rows == 1 else first_tick(block, period)
     return Refusal(OFF_THE_CLOCK, off_the_clock(period)) if tick is None else tick
 
 
