@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hyst_control.chain.linear_filter import LinearFilter
+from hyst_control.chain.discretization import Discretised
 from hyst_control.chain.linear_kernels import TINY
 from hyst_control.chain.parameter import Array
 
@@ -23,6 +23,8 @@ TOGETHER = 16
 """Rows T that are computed at once."""
 FEW = 4 * TOGETHER
 """Rows of a block that is not worth the products."""
+GROUPS = 128
+"""Groups of rows in one product: few enough to stay in the cache, and for BLAS to start no threads for it."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -179,27 +181,29 @@ def group_matrices(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array
 
 
 class LinearLanes:
-    """Filters of one linear system each, run side by side.
+    """Linear systems of one input each, running side by side.
 
-    The outputs are those of each filter run by itself, to rounding.
+    The outputs are those of a `LinearFilter` of each, to rounding.
 
     Parameters
     ----------
-    filters
-        Filters of one axis with equally many states. Their own states are neither read nor changed.
+    systems
+        Systems of one input and equally many states.
+    whole
+        Delay (L,) of every system, samples.
     """
 
-    def __init__(self, filters: Sequence[LinearFilter]) -> None:
-        self._whole = np.array([each.whole[0] for each in filters])
-        self._rest = np.array([each.rest[0, :, 0] for each in filters])
-        self._static_gain = np.array([each.static_gain[0, 0, 0] for each in filters])
-        self._a = np.array([each.a[0] for each in filters])
-        self._b = np.array([each.b[0, :, :, 0] for each in filters])
-        self._c = np.array([each.c[0, 0] for each in filters])
-        self._d = np.array([each.d[0, :, 0, 0] for each in filters])
-        self._bias = np.array([each.bias[0] for each in filters])
+    def __init__(self, systems: Sequence[Discretised], whole: Sequence[int]) -> None:
+        self._whole = np.array(whole, dtype=np.int64)
+        self._a = np.array([each.A for each in systems])
+        self._b = np.array([each.B[:, :, 0] for each in systems])
+        self._c = np.array([each.C[0] for each in systems])
+        self._d = np.array([each.D[:, 0, 0] for each in systems])
+        self._bias = np.array([each.bias[0] for each in systems])
+        self._rest = np.linalg.solve(np.eye(self._a.shape[1]) - self._a, self._b.sum(axis=1)[:, :, None])[:, :, 0]
+        self._static_gain = (self._c * self._rest).sum(axis=1) + self._d.sum(axis=1)
         self._state = np.zeros_like(self._rest)
-        self._past = np.zeros((len(filters), int(self._whole.max()) + 2))
+        self._past = np.zeros((len(systems), int(self._whole.max()) + 2))
         self._driven, self._transition, self._outputs = group_matrices(self._a, self._b, self._c, self._d)
 
     def settle(self, values: Array) -> Array:
@@ -208,7 +212,7 @@ class LinearLanes:
         Parameters
         ----------
         values
-            Input (L,) of every filter.
+            Input (L,) of every system.
 
         Returns
         -------
@@ -220,13 +224,18 @@ class LinearLanes:
         settled: Array = self._static_gain * values + self._bias
         return settled
 
-    def process(self, blocks: Sequence[Array]) -> Array:
+    @property
+    def count(self) -> int:
+        """Number of systems."""
+        return len(self._state)
+
+    def process(self, blocks: Sequence[Array] | Array) -> Array:
         """Filter blocks of consecutive samples.
 
         Parameters
         ----------
         blocks
-            Input (N,) of every filter.
+            Input (N,) of every system.
 
         Returns
         -------
@@ -241,18 +250,18 @@ class LinearLanes:
         self._past = inputs[:, count:].copy()
         begin = kept - 2 - self._whole
         output = np.empty((len(blocks), count))
-        many = count // TOGETHER * TOGETHER if count >= FEW else 0
-        if many:
-            output[:, :many] = self._groups(inputs, begin, many // TOGETHER)
-        advance_rows(inputs, begin + many, self._a, self._b, self._c, self._d, self._bias, self._state, output[:, many:])
+        done = 0
+        while count - done >= FEW:
+            groups = min((count - done) // TOGETHER, GROUPS)
+            done += self._groups(inputs, begin + done, output[:, done : done + groups * TOGETHER])
+        advance_rows(inputs, begin + done, self._a, self._b, self._c, self._d, self._bias, self._state, output[:, done:])
         return output
 
-    def _groups(self, inputs: Array, begin: NDArray[np.int64], groups: int) -> Array:
-        """Outputs (L, K T) of K groups of T rows."""
+    def _groups(self, inputs: Array, begin: NDArray[np.int64], output: Array) -> int:
+        """Write the outputs (L, K T) of K groups of T rows; returns the number of rows."""
         lanes, n = self._state.shape
-        acting = np.empty((lanes, groups, TOGETHER + 2 + n))
+        acting = np.empty((lanes, output.shape[1] // TOGETHER, TOGETHER + 2 + n))
         fill_taps(inputs, begin, acting)
         advance_states(self._transition, acting[:, :, : TOGETHER + 2] @ self._driven, self._state, acting)
-        found = (acting @ self._outputs).reshape(lanes, -1)
-        found += self._bias[:, None]
-        return found
+        np.add((acting @ self._outputs).reshape(lanes, -1), self._bias[:, None], out=output)
+        return int(output.shape[1])

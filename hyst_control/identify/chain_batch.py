@@ -10,12 +10,13 @@ from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from itertools import groupby
+from typing import TypeGuard
 
 import numpy as np
 
 from hyst_control.chain import Filter, Parallel, Sampling, Stage
 from hyst_control.chain.chain import arrange, resolved, started
-from hyst_control.chain.linear import Delay
+from hyst_control.chain.linear import Delay, Discretised
 from hyst_control.chain.linear_filter import LinearFilter
 from hyst_control.chain.linear_lanes import LinearLanes
 from hyst_control.chain.stage import Array
@@ -110,11 +111,13 @@ class Bundle:
         return [signals[number] for number in self.outputs]
 
     def _run(self, numbers: Sequence[int]) -> LinearLanes | Filter | None:
-        """What runs nodes: of several linear ones, their systems side by side."""
+        """What runs nodes: of linear ones, their systems side by side."""
         filters = [self.nodes[number].running for number in numbers]
-        if len(filters) == 1:
+        linear = [each for each in filters if single(each)]
+        if not linear:
             return filters[0]
-        return LinearLanes([each for each in filters if isinstance(each, LinearFilter)])
+        systems = [Discretised(each.a[0], each.b[0], each.c[0], each.d[0], each.bias) for each in linear]
+        return LinearLanes(systems, [int(each.whole[0]) for each in linear])
 
     def _series(self, stages: Sequence[Stage], before: int) -> int:
         """Number of the node that ends stages in series; adjacent linear stages are one filter, as in a chain."""
@@ -144,7 +147,7 @@ class Bundle:
         if (run, hold) not in self._filters:
             self._filters[run, hold] = started(run, self._sampling.with_hold(hold))
         running = self._filters[run, hold]
-        running = running.another() if isinstance(running, LinearFilter) else deepcopy(running)
+        running = running if single(running) else deepcopy(running)
         return self._node((run, before), Node((before,), running, running.hold, self._depth((before,))))
 
     def _node(self, key: tuple[object, ...], node: Node) -> int:
@@ -169,7 +172,23 @@ def alike(nodes: Sequence[Node]) -> list[list[int]]:
     """
     steps: dict[tuple[int, ...], list[int]] = {}
     for number, node in enumerate(nodes):
-        single = isinstance(node.running, LinearFilter) and node.running.a.shape[0] == 1 and node.running.c.shape[1] == 1
-        key = (node.depth, 0, node.running.a.shape[1]) if single else (node.depth, 1, number)
+        running = node.running
+        key = (node.depth, 0, running.a.shape[1]) if single(running) else (node.depth, 1, number)
         steps.setdefault(key, []).append(number)
     return [steps[key] for key in sorted(steps)]
+
+
+def single(running: Filter | None) -> TypeGuard[LinearFilter]:
+    """Tell a filter of one linear system of one input from others.
+
+    Parameters
+    ----------
+    running
+        A filter; None for a sum.
+
+    Returns
+    -------
+    bool
+        True where it is one.
+    """
+    return isinstance(running, LinearFilter) and running.a.shape[0] == 1 and running.c.shape[1] == 1
