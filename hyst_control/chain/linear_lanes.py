@@ -262,6 +262,7 @@ class LinearLanes:
         lanes, n = self._state.shape
         acting = np.empty((lanes, output.shape[1] // TOGETHER, TOGETHER + 2 + n))
         fill_taps(inputs, begin, acting)
-        advance_states(self._transition, acting[:, :, : TOGETHER + 2] @ self._driven, self._state, acting)
-        np.add((acting @ self._outputs).reshape(lanes, -1), self._bias[:, None], out=output)
+        with np.errstate(all="ignore"):  # as in a loop: an input beyond all bounds is for those to see who use the output
+            advance_states(self._transition, acting[:, :, : TOGETHER + 2] @ self._driven, self._state, acting)
+            np.add((acting @ self._outputs).reshape(lanes, -1), self._bias[:, None], out=output)
         return int(output.shape[1])
