@@ -80,10 +80,23 @@ class LinearFilter(Filter):
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
         if self.c.shape[1] > 1 and len(block) >= TOGETHER:
-            scratch = np.empty(self.by_input.shape[3])
-            entries = self.quads, self.acting, self.ends, self.by_input
-            running = self.late, self.c, self.d, self.bias, self.whole, self.state, scratch, self.history
-            self.position = advance_block(block, *entries, *running, self.position, output)  # type: ignore[call-arg]
+            self.position = advance_block(
+                block,
+                self.quads,
+                self.acting,
+                self.ends,
+                self.by_input,
+                self.late,
+                self.c,
+                self.d,
+                self.bias,
+                self.whole,
+                self.state,
+                np.empty(self.by_input.shape[3]),
+                self.history,
+                self.position,
+                output,
+            )
             return output
         system: tuple[Any, ...] = (
             block,
