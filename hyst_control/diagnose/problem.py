@@ -13,6 +13,7 @@ from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.linear import LinearStage
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.error_spectrum import ErrorSpectrum, filtered
+from hyst_control.diagnose.known_links import MOST_BYTES, KnownLinks
 from hyst_control.effects.effect import Surroundings
 from hyst_control.effects.placement import mechanics_index
 from hyst_control.errors import InputError
@@ -105,9 +106,7 @@ class Problem:
 
     def _piece(self, stages: Sequence[Stage], sampling: Sampling, index: int, piece: Piece) -> Array:
         record = None if piece.foreseen else index
-        running = Chain(tuple(stage.for_record(record) for stage in stages)).filter(sampling)
-        first = running.settle(piece.command[0])
-        output = running.process(piece.command)
+        first, output = self._links[index].run(tuple(stage.for_record(record) for stage in stages), sampling)
         if self.hold == "zoh":
             output = np.concatenate([first[None], output[:-1]])
         return (piece.counted(output) / self.sigma).reshape(-1)
@@ -133,6 +132,11 @@ class Problem:
             return flat
         rows = np.split(flat.reshape(-1, len(self.model.axes)), self._edges)
         return np.concatenate([filtered(one, 1.0 / gain).reshape(-1) for one, gain in zip(rows, self._gains, strict=True)])
+
+    @cached_property
+    def _links(self) -> list[KnownLinks]:
+        """What is known of the chains that were run on every piece's command."""
+        return [KnownLinks(piece.command, MOST_BYTES // len(self.pieces)) for piece in self.pieces]
 
     @cached_property
     def _counts(self) -> list[int]:
