@@ -24,6 +24,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, SearchSettings, Thresholds
 from hyst_control.diagnose.hypothesis import Candidate, Member
 from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, Unknowns, effect_columns, fit, is_bounded, refined
+from hyst_control.diagnose.joint_pairs import joint_pairs
 from hyst_control.diagnose.policy import strained as are_strained
 from hyst_control.diagnose.problem import Problem
 from hyst_control.errors import InputError
@@ -157,6 +158,7 @@ def search(
         depth = min(depth, settings.depth_with_own_error)
         beam = max(beam, settings.beam_with_own_error)
     strained = partial(_strained, thresholds=thresholds)
+    side_by_side = whitened and len(linearised.problem.model.axes) == 1
     none = Scored(None, settled(linearised), 0.0)
     wide = inflated(linearised, settings.inflation)
     parameters = Scored(None, settled(wide, none.solution.z / settings.inflation), 0.0, True, settings.inflation)
@@ -185,7 +187,14 @@ def search(
             break  # nothing but noise is left, and no coefficients were strained for it
         if whitened and none.solution.misfit - parents[0][1].misfit < threshold:
             break  # there is no gap to explain
-        grown = _grown(linearised, parents, members, settings.promise * threshold, none.solution.misfit, progress, configuration)
+        # Beside the own error several effects are alike, and the two at work need not lead alone.
+        joint = (
+            joint_pairs(linearised, members, settings.joint_pairs, settings.joint_starts)
+            if size_reached == 1 and side_by_side
+            else []
+        )
+        least = settings.promise * threshold
+        grown = _grown(linearised, parents, members, least, none.solution.misfit, progress, configuration, joint)
         if not grown:
             break
         gain, weight = best - grown[0][1].misfit, _temper(linearised.problem, grown[0][1].residual)
@@ -289,8 +298,9 @@ def _grown(
     before: float,
     progress: Callable[[str], None],
     configuration: Configuration,
+    joint: Sequence[tuple[Candidate, Array]] = (),
 ) -> list[tuple[Candidate, Solution]]:
-    """The parents with one effect more each, best first."""
+    """The parents with one effect more each, and the candidates (with their starts) of `joint`, best first."""
     settings = configuration.search
     promising = map_forked(lambda i: _promising(linearised, *parents[i], members, least, settings), len(parents))
     wanted: list[tuple[Candidate, Array]] = []
@@ -299,6 +309,7 @@ def _grown(
             pair = candidate.with_member(members[index])
             if not any(_same(pair, other) for other, _ in wanted):
                 wanted.append((pair, _merged(pair, candidate, solution.x, members[index], start)))
+    wanted += [(pair, start) for pair, start in joint if not any(_same(pair, other) for other, _ in wanted)]
     fitted = map_forked(lambda i: _fitted(linearised, wanted[i][0], [wanted[i][1]], settings), len(wanted))
     grown = []
     for (pair, _), end in zip(wanted, fitted, strict=True):
