@@ -233,7 +233,7 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
     effects = any(evidence.hypotheses[index].names for index in listed)
     at_bound = len(listed) == 1 and evidence.hypotheses[chosen].at_bound
     unexplained = max(remainder, _unexplained(evidence, chosen, thresholds))
-    half_explained = bool(listed and evidence.hypotheses[chosen].names) and unexplained > thresholds.named_unexplained_share
+    half_explained = bool(listed) and _half_explained(evidence, chosen, unexplained, thresholds)
     reasons: set[Reason] = set()
     if too_many or distorted or at_bound or half_explained or remainder > thresholds.unknown_share:
         verdict = Verdict.UNKNOWN
@@ -552,6 +552,14 @@ def _unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> flo
     if before <= thresholds.least_excess * evidence.stated:
         return beyond  # coefficients took all of it
     return max(beyond, float(np.clip((_residual(evidence, chosen).energy - _due(evidence, chosen)) / before, 0.0, 1.0)))
+
+
+def _half_explained(evidence: Evidence, chosen: int, unexplained: float, thresholds: Thresholds) -> bool:
+    """True where effects are named that explain no more than a part: what is left, or coefficients far away take up, is another part."""
+    one, due = evidence.hypotheses[chosen], _due(evidence, chosen)
+    left = _residual(evidence, chosen).energy - due > max(evidence.floor**2, thresholds.least_excess * due)
+    far = one.farthest > thresholds.many_tolerances
+    return bool(one.names) and (left or far) and unexplained > thresholds.named_unexplained_share
 
 
 def _due(evidence: Evidence, chosen: int) -> float:
