@@ -197,7 +197,7 @@ def search(
         grown = _grown(linearised, parents, members, least, none.solution.misfit, progress, configuration, joint)
         if not grown:
             break
-        gain, weight = best - grown[0][1].misfit, _temper(linearised.problem, grown[0][1].residual)
+        gain, weight = best - grown[0][1].misfit, temper_of(linearised.problem, grown[0][1].residual)
         relieved = strained(parents[0][1]) and not strained(grown[0][1])
         taken_off = 2.0 * gain / (size * linearised.problem.weight)
         if gain * weight < threshold or (taken_off < floor**2 and not relieved):
@@ -208,7 +208,7 @@ def search(
     for candidate, solution in _pruned(linearised, combinations):
         (combinations if len(candidate.members) > 1 else fits).append((candidate, solution))
     everything = [solution for _, solution in fits + combinations] + [none.solution]
-    temper = _temper(linearised.problem, min(everything, key=lambda solution: solution.misfit).residual)
+    temper = temper_of(linearised.problem, min(everything, key=lambda solution: solution.misfit).residual)
 
     def scored(candidate: Candidate, solution: Solution) -> Scored:
         count = len(candidate.members)
@@ -349,11 +349,23 @@ def _occam(solution: Solution, temper: float, most: float = np.inf) -> float:
     return min(0.5 * max(float(value), 0.0), most) if sign > 0 else 0.0
 
 
-def _temper(problem: Problem, residual: Array) -> float:
+def temper_of(problem: Problem, residual: Array) -> float:
     """Weight of a residual's samples: 1 for white noise of the stated size, less for what is larger and correlated.
 
     Beside clean records what is left is no model's error but the machine's own variation from run to run. It is slow, so that
     its samples count as few as are independent. The problem's own weight, which the fits have already, is not applied again.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and model.
+    residual : ndarray, shape (M,)
+        In units of the noise.
+
+    Returns
+    -------
+    float
+        At most 1.
     """
     size = float(np.mean(residual**2))
     length = 1.0 if problem.slowest is None else correlation_length(residual.reshape(-1, len(problem.model.axes)))
