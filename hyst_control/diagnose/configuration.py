@@ -40,6 +40,10 @@ class Thresholds:
     unknown_share: float = _setting(
         "share of the gap's energy", "most that the best explanation may leave before it is called unknown"
     )
+    named_unexplained_share: float = _setting(
+        "share of the gap's energy",
+        "most that an explanation by effects leaves, or takes off by coefficients many tolerances away",
+    )
     most_effects: int = _setting(
         "effects", "most that may act together on an axis; beyond, an effect outside the catalogue is likelier"
     )
@@ -200,6 +204,10 @@ class SearchSettings:
     near: float = _setting("nats", "the same, at least")
     promising: int = _setting("effects", "effects that a linear step makes most of, added to an explanation")
     promise: float = _setting("share of the threshold", "least that such a step must gain")
+    joint_pairs: int = _setting(
+        "pairs", "pairs that are closest to the record to first order and fitted, beside clean records of one axis"
+    )
+    joint_starts: int = _setting("starts", "starts of an effect that are laid beside those of another for that")
     spent: float = _setting("share of the noise's energy", "energy beyond the noise's under which no further effect is looked for")
     spent_floor: float = _setting("practical sizes squared", "the same, of what is too small to be named")
     kept_beams: int = _setting("beams", "combinations kept of every size")

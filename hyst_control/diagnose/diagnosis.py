@@ -32,6 +32,7 @@ from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, fit
 from hyst_control.diagnose.hypothesis_search import Found, Scored, search
 from hyst_control.diagnose.null_distribution import threshold
 from hyst_control.diagnose.parameter_uncertainty import pinned, scatter_of, within_own_error
+from hyst_control.diagnose.passed_error import passed_error
 from hyst_control.diagnose.policy import Decision, contenders, decide, detected, practical_floor
 from hyst_control.diagnose.problem import Piece, Problem, check_command, check_units, split
 from hyst_control.diagnose.record_checks import effect_found_by, lattice_of, lines, record_evidence
@@ -396,6 +397,7 @@ def _axis(
                     if baseline
                     else (),
                     distortions(linearised, collected.hypotheses[index], found.temper),
+                    passed_error(linearised, collected.hypotheses[index]),
                 )
                 for index in contenders(evidence, thresholds)
                 if evidence.hypotheses[index].residual is None

@@ -96,6 +96,8 @@ class ResidualEvidence:
         As this hypothesis has them; none without clean records.
     distortions : tuple of DistortionEvidence
         Of its effects.
+    passed : float
+        Energy with which its effects pass on the model's own error, as a factor.
 
     """
 
@@ -107,6 +109,7 @@ class ResidualEvidence:
     predictable: float = 1.0
     companions: tuple[CompanionEvidence, ...] = ()
     distortions: tuple[DistortionEvidence, ...] = ()
+    passed: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -168,7 +168,18 @@ class Problem:
             self.slowest,
             shared_modes(self.model),
             min(0 if piece.keep is None else int(np.argmax(piece.keep)) for piece in self.pieces) * self.sample_time,
+            self._modelled,
         )
+
+    @cached_property
+    def _modelled(self) -> tuple[float, float] | None:
+        """Range of the nominal model's output on all rows that count; None where it has none."""
+        try:
+            output = self.rows(self.simulate(self.model.chain.stages))
+        except InputError:
+            return None
+        low, high = float(output.min()), float(output.max())
+        return (low, high) if np.isfinite(low) and np.isfinite(high) and low < high else None
 
 
 def shared_modes(model: Model) -> tuple[tuple[float, float], ...]:

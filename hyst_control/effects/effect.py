@@ -63,6 +63,8 @@ class Surroundings:
         stands for two real poles.
     begin
         s from the start of the record to the first sample that is compared.
+    modelled
+        Range of what the nominal model simulates on the record, in the measurement's unit; None where that is not known.
     """
 
     sample_time: float
@@ -74,6 +76,7 @@ class Surroundings:
     slowest: float | None = None
     modes: tuple[tuple[float, float], ...] = ()
     begin: float = 0.0
+    modelled: tuple[float, float] | None = None
 
     @property
     def stroke(self) -> float:
