@@ -21,6 +21,8 @@ WINDOWS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
 """Samples to one side of the parabola's windows."""
 AGREEMENT = 1.5
 """Standard deviations up to which estimates of two windows agree."""
+OWN = 2.0
+"""Standard deviations up to which a sample itself agrees with a window; what is uniform is 1.7 off at most."""
 NEIGHBORS = 40
 """Most bins to either side over which the power of the cosine transform is averaged."""
 NORMAL_MEDIAN = 0.6745
@@ -96,7 +98,8 @@ def _grown(values: Array, sigma: float, left: int, right: int) -> tuple[Array, A
     """Value, variance and weight of the sample itself (N,) of parabolas whose windows reach to the left, the right or both."""
     rows = np.arange(len(values))
     value, variance, own = values.astype(float).copy(), np.full(len(values), sigma**2), np.ones(len(values))
-    low, high, growing = np.full(len(values), -np.inf), np.full(len(values), np.inf), np.ones(len(values), dtype=bool)
+    low, high = value - OWN * sigma, value + OWN * sigma
+    growing = np.ones(len(values), dtype=bool)
     for window in WINDOWS:
         before, after = left * window, right * window
         if 4 * window >= len(values):

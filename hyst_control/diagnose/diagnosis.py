@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from hyst_control.chain.stage import Array
-from hyst_control.diagnose.baseline import Baseline, no_model, with_baseline, with_discrepancy
+from hyst_control.diagnose.baseline import Baseline, as_clean_command, no_model, with_baseline, with_discrepancy
 from hyst_control.diagnose.clean_lines import beyond_clean
 from hyst_control.diagnose.command_roughness import as_recorded, roughness_evidence, with_commands
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
@@ -241,6 +241,8 @@ def with_clean(
     for index, part in enumerate(split(problem)):
         if looked_for:
             part = _without_roughness(part, configuration)
+            if clean is not None:
+                part = as_clean_command(part, clean[index], configuration.baseline)
         beside = _beside(part, clean[index] if clean else None, configuration)
         if bare and (beside is None or not beside.carried):
             raise InputError(
