@@ -73,6 +73,15 @@ class Thresholds:
     repeated_share: float = _setting("1", "the same, as a share of the samples")
     repeated_share_on_lattice: float = _setting("1", "the same on a lattice, where neighbors coincide more often")
     lattice_noise: float = _setting("noise rms", "rounding error from which a lattice is a quantization")
+    beyond_clean: float = _setting(
+        "1", "times as much as in clean records from which repeats, a lattice or a rough command are new"
+    )
+    rough_share: float = _setting("share of the smooth command's energy", "most that a roughness of the command may have")
+    rough_correlation: float = _setting("1", "most that it may be correlated from sample to sample")
+    rough_tail: float = _setting("median size", "95 % quantile of its size up to which it is uniform (1.9), and not normal (2.9)")
+    rough_deviations: float = _setting("standard deviations", "coefficient from which it is known whether the plant received it")
+    rough_received: float = _setting("1", "most of it that the plant may have received, in any band and at any time")
+    rough_scatter: float = _setting("standard deviations", "the same where its coefficient is known less well")
     excess_ratio: float = _setting("stated rms", "noise from which it exceeds the stated one: that is never stated better")
     few_outliers: int = _setting("samples", "samples that stand out from which they are outliers")
     many_outliers: float = _setting("share of the samples", "samples that stand out up to which they are outliers")

@@ -31,8 +31,9 @@ from hyst_control.diagnose.evidence import (
     Outliers,
     RecordEvidence,
     ResidualEvidence,
+    RoughnessEvidence,
 )
-from hyst_control.diagnose.record_checks import excess_noise, held_samples, rounding
+from hyst_control.diagnose.record_checks import excess_noise, held_samples, rounded_command, rounding
 from hyst_control.effects.effect import RecordCheck
 
 PARAMETERS = ("parameters",)
@@ -296,7 +297,7 @@ def contenders(evidence: Evidence, thresholds: Thresholds) -> tuple[int, ...]:
 
 
 def detected(record: Sequence[RecordEvidence], checks: Collection[RecordCheck], thresholds: Thresholds) -> tuple[Finding, ...]:
-    """Repeated samples and lattices of a record, which the fits have to know of.
+    """Repeated samples, lattices and commands that were not received as recorded, which the fits have to know of.
 
     Parameters
     ----------
@@ -315,13 +316,49 @@ def detected(record: Sequence[RecordEvidence], checks: Collection[RecordCheck], 
     found = []
     for axis, seen in enumerate(record):
         least = thresholds.repeated_share_on_lattice if seen.step else thresholds.repeated_share
-        repeats = seen.repeated * seen.repeats_counted > thresholds.repeats and seen.repeated > least
+        new = seen.repeated - seen.usual_repeated
+        repeats = new * seen.repeats_counted > thresholds.repeats and seen.repeated > least
+        repeats &= seen.repeated > thresholds.beyond_clean * seen.usual_repeated
         if RecordCheck.REPEATED_VALUES in checks and repeats:
             found.append(held_samples(seen, axis))
         coarse = seen.step > 0 and seen.step / np.sqrt(12.0) > thresholds.lattice_noise * seen.noise
+        coarse &= seen.step > thresholds.beyond_clean * seen.usual_step
         if RecordCheck.VALUE_LATTICE in checks and coarse and not seen.step_modelled:
             found.append(rounding(seen, axis))
+        rough = seen.roughness is not None and seen.roughness.rms > thresholds.beyond_clean * seen.usual_roughness
+        if RecordCheck.COMMAND_LATTICE in checks and rough:
+            found.append(rounded_command(seen, axis))
     return tuple(found)
+
+
+def not_received(seen: RoughnessEvidence, thresholds: Thresholds) -> bool:
+    """True where a recorded command is rough as a rounded one is, and the plant did not receive that.
+
+    Parameters
+    ----------
+    seen : RoughnessEvidence
+        Of an axis.
+    thresholds : Thresholds
+        Values of the configuration.
+
+    Returns
+    -------
+    bool
+    """
+    rounded = (
+        seen.share < thresholds.rough_share
+        and seen.correlation < max(thresholds.rough_correlation, thresholds.rough_scatter / float(np.sqrt(seen.samples)))
+        and seen.tail < thresholds.rough_tail
+    )
+
+    def absent(received: float, deviation: float) -> bool:
+        return abs(received) <= max(thresholds.rough_received, thresholds.rough_scatter * deviation)
+
+    known = -seen.coefficient > thresholds.rough_deviations * seen.deviation
+    within = absent(seen.coefficient + 1.0, 0.0) and all(absent(value + 1.0, spread) for value, spread in seen.bands)
+    # Of many times at which an echo may come, the largest by chance is farther off than one is.
+    chance = seen.deviation * float(np.sqrt(2.0 * np.log(seen.samples))) / max(thresholds.rough_scatter, 1e-300)
+    return rounded and known and within and absent(seen.echo, chance + 0.25 * seen.deviation)
 
 
 def practical_floor(spans: Array, steps: Array, stated: Array, noise: Array, thresholds: Thresholds) -> float:
@@ -656,7 +693,8 @@ def _findings(
     if RecordCheck.WHITE_SPECTRUM in evidence.checks and not hidden:
         residual = _residual(evidence, chosen)
         for axis, measured in enumerate(residual.white):
-            others = [finding for finding in found if finding.axis == axis]
+            # What is rough in a command is in no residual, since fits go on without it.
+            others = [one for one in found if one.axis == axis and one.check is not RecordCheck.COMMAND_LATTICE]
             if any(finding.check is RecordCheck.REPEATED_VALUES for finding in others):
                 continue
             white = measured if noise is None else noise.white * evidence.noise[0] / thresholds.flicker_white

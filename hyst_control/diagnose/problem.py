@@ -13,6 +13,7 @@ from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.linear import LinearStage
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.error_spectrum import ErrorSpectrum, filtered
+from hyst_control.diagnose.evidence import RoughnessEvidence
 from hyst_control.diagnose.known_links import MOST_BYTES, KnownLinks
 from hyst_control.effects.effect import Surroundings
 from hyst_control.effects.placement import mechanics_index
@@ -31,7 +32,8 @@ class Piece:
     """A gapless stretch of a record: command (N, A) in V, measurement (N, A), and which rows (N,) count (None: all).
 
     others, driven_beside: measurement and command (N, B) of the plant's other axes, which a simulation of these axes alone does not
-    give. foreseen: whether it is a run to come, whose session is not known.
+    give. foreseen: whether it is a run to come, whose session is not known. recorded: command (N, A) as it was recorded, where `command` is
+    without a roughness that the plant did not receive; None: the same.
     """
 
     command: Array
@@ -40,6 +42,7 @@ class Piece:
     others: Array | None = None
     foreseen: bool = False
     driven_beside: Array | None = None
+    recorded: Array | None = None
 
     def counted(self, values: Array) -> Array:
         """Select the rows that count.
@@ -74,6 +77,8 @@ class Problem:
     """Samples of that error per independent one."""
     own_spectrum: ErrorSpectrum | None = None
     """Spectrum of that error, by which flat vectors are whitened; None: its size and its correlation alone are known."""
+    roughness: tuple[RoughnessEvidence | None, ...] = ()
+    """By axis, the roughness of a recorded command that the plant did not receive and `Piece.command` is without."""
 
     @property
     def weight(self) -> float:
