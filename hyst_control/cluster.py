@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
@@ -15,10 +17,12 @@ LOCAL = "local"
 LOOPBACK = "127.0.0.1"
 CONNECT_TIMEOUT = 20.0
 """Seconds that a scheduler has to answer."""
+LOOK_AGAIN = 3.0
+"""Seconds after which the workers are counted again."""
 
 
 @contextmanager
-def cluster_executor(address: str, count: int) -> Iterator[tuple[Any, int]]:
+def cluster_executor(address: str, count: int) -> Iterator[tuple[Any, Callable[[], int]]]:
     """Connect to a Dask scheduler, or start one.
 
     Parameters
@@ -32,8 +36,8 @@ def cluster_executor(address: str, count: int) -> Iterator[tuple[Any, int]]:
     ------
     executor
         A `concurrent.futures.Executor`.
-    slots
-        Jobs that the cluster computes at the same time.
+    slots : callable
+        Returns how many jobs the cluster computes at the same time; workers may join it and leave it.
 
     Raises
     ------
@@ -67,5 +71,19 @@ def cluster_executor(address: str, count: int) -> Iterator[tuple[Any, int]]:
                 f"--cluster {address}: no scheduler answers ({error}): start dask scheduler, or check the address"
             ) from None
         progress.step(f"Dask dashboard at {client.dashboard_link}")
-        slots = sum(worker["nthreads"] for worker in client.scheduler_info(n_workers=-1)["workers"].values())
-        yield stack.enter_context(client.get_executor(pure=False)), max(slots, 1)
+        yield stack.enter_context(client.get_executor(pure=False)), _Slots(client).count
+
+
+class _Slots:
+    """Jobs that the workers of a cluster compute at the same time, looked up again every few seconds."""
+
+    def __init__(self, client: Any) -> None:
+        self._client, self._until, self._count = client, -math.inf, 1
+
+    def count(self) -> int:
+        """One a thread of every worker; at least one, for whom the first worker finds work."""
+        if time.monotonic() > self._until:
+            workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
+            self._count = max(sum(worker["nthreads"] for worker in workers), 1)
+            self._until = time.monotonic() + LOOK_AGAIN
+        return self._count

@@ -181,15 +181,15 @@ class Workers:
             raise InputError("--workers: a cluster that is running has its own number of workers: leave it out")
 
     @contextmanager
-    def open(self) -> Iterator[tuple[Executor, int]]:
-        """Provide the executor, and the number of jobs that it computes at the same time."""
+    def open(self) -> Iterator[tuple[Executor, Callable[[], int]]]:
+        """Provide the executor, and a function that returns the number of jobs that it computes at the same time."""
         count = self.count or cores()
         if self.cluster is not None:
             with cluster_executor(self.cluster, count) as opened:
                 yield opened
             return
         with executor(count) as pool:
-            yield pool, count
+            yield pool, lambda: count
 
 
 @dataclass(frozen=True)
@@ -279,7 +279,7 @@ class _PoolLost(Exception):
 
 def _drive(
     pool: Executor,
-    slots: int,
+    slots: Callable[[], int],
     work: Callable[[Job], Result],
     source: Iterator[Job],
     again: deque[tuple[Job, int]],
@@ -291,7 +291,7 @@ def _drive(
     while True:
         if not under_way:
             alone = bool(suspects)
-        while len(under_way) < (1 if alone else AHEAD * slots):
+        while len(under_way) < (1 if alone else AHEAD * slots()):
             waiting = suspects if alone else again
             try:
                 due = waiting.popleft() if waiting else (next(source), 0)

@@ -12,6 +12,9 @@ import time
 
 import pytest
 
+from hyst_control import cluster
+from hyst_control.parallel import Workers
+
 BEGIN = """
 import os, signal, sys, time
 from pathlib import Path
@@ -159,3 +162,17 @@ def test_a_scheduler_that_is_lost_is_looked_for_again(tmp_path, dask_processes):
     assert all(result == number * number for number, result, _ in found)
     twice = [number for number in range(200) if len((tmp_path / str(number)).read_text()) > 1]
     assert len(twice) <= 12, "done again is only what was under way"
+
+
+def test_workers_that_join_later_are_counted(dask_processes, monkeypatch):
+    """Under a batch system they come when they have waited for their turn: what is handed out ahead has to grow with them."""
+    monkeypatch.setattr(cluster, "LOOK_AGAIN", 0.05)
+    address = f"tcp://127.0.0.1:{(port := free_port())}"
+    dask_processes("dask_scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard", "--no-jupyter")
+    with Workers(None, address).open() as (_, slots):
+        assert slots() == 1  # none yet
+        dask_processes("dask_worker", address, "--host", "127.0.0.1", "--nthreads", "3", "--nworkers", "1", "--no-dashboard")
+        deadline = time.monotonic() + 60
+        while slots() != 3:
+            assert time.monotonic() < deadline, "the worker was not counted"
+            time.sleep(0.05)

@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hyst_control.blind_test.simulated_fleet import CLEAN_NIGHTS, make_fleet
+from hyst_control.cluster import LOOPBACK
+from hyst_control.errors import InputError
 from hyst_control.fleet.manifest import read_manifest
 from hyst_control.fleet.record_jobs import GAPS, ONSETS, RecordJob, compute
 from hyst_control.parallel import Workers, outcomes
 from hyst_control.reporting.tables import Table
 
 RECORDS = 10_000
-"""Records without any work in them; of the first tenth the memory is taken for comparison."""
+"""Records without any work in them; after half of them the memory is taken for comparison."""
+STARTED = 30.0
+"""Seconds that a scheduler has to come up."""
 BUSY = 0.1
 """Processor time of a job with which scaling is measured, s."""
 JOBS = 60
@@ -44,9 +52,15 @@ def run(table: Table, records: int = RECORDS, jobs: int = JOBS, clusters: Sequen
         name = "processes" if cluster is None else f"Dask {cluster}"
         seconds, grown = _handing_out(Workers(2, cluster), records)
         table.add("fleet", f"{records} records without work", name, "overhead", "ms/record", 1e3 * seconds, n=records)
-        table.add("fleet", f"from {records // 10} to {records} records", name, "client_memory_growth", "MiB", grown, n=records)
+        table.add("fleet", f"from {records // 2} to {records} records", name, "client_memory_growth", "MiB", grown, n=records)
         one, two = (_rate(Workers(count, cluster), jobs) for count in (1, 2))
         table.add("fleet", f"jobs of {BUSY:g} s", name, "rate of 2 workers / of 1", "1", two / one, n=jobs)
+    if any(clusters):
+        with own_cluster() as address:
+            seconds, grown = _handing_out(Workers(None, address), records)
+        name = "Dask, processes of its own"
+        table.add("fleet", f"{records} records without work", name, "overhead", "ms/record", 1e3 * seconds, n=records)
+        table.add("fleet", f"from {records // 2} to {records} records", name, "client_memory_growth", "MiB", grown, n=records)
     with tempfile.TemporaryDirectory() as folder:
         make_fleet(Path(folder) / "fleet", 1, UNITS, NIGHTS, 0.0)
         entries = read_manifest([str(Path(folder) / "fleet" / "manifest.csv")])
@@ -59,6 +73,53 @@ def run(table: Table, records: int = RECORDS, jobs: int = JOBS, clusters: Sequen
                     spent.append(time.process_time() - begin)
             case = f"healthy unit, {NIGHTS - CLEAN_NIGHTS} nights of 6000 samples"
             table.add("fleet", case, f"diagnose --only {only}", "processor_time", "s/record", float(np.median(spent)), n=len(spent))
+
+
+@contextmanager
+def own_cluster(workers: int = 2) -> Iterator[str]:
+    """Run a scheduler and workers as processes of their own, on the loopback address only.
+
+    Parameters
+    ----------
+    workers
+        Worker processes.
+
+    Yields
+    ------
+    str
+        Path of the scheduler file.
+
+    Raises
+    ------
+    InputError
+        The scheduler does not come up.
+    """
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as running:
+        file = Path(folder) / "scheduler.json"
+
+        def start(what: str, *options: str) -> None:
+            words = [
+                sys.executable,
+                "-m",
+                f"distributed.cli.dask_{what}",
+                "--scheduler-file",
+                str(file),
+                "--host",
+                LOOPBACK,
+                *options,
+            ]
+            process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+            running.callback(process.wait)
+            running.callback(os.killpg, process.pid, signal.SIGTERM)
+
+        start("scheduler", "--port", "0", "--dashboard-address", f"{LOOPBACK}:0", "--no-jupyter")
+        end = time.monotonic() + STARTED
+        while not file.exists():
+            if time.monotonic() > end:
+                raise InputError(f"bench: no Dask scheduler came up within {STARTED:g} s")
+            time.sleep(0.1)
+        start("worker", "--nthreads", "1", "--nworkers", str(workers), "--no-dashboard")
+        yield str(file)
 
 
 def nothing(number: int) -> dict[str, Any]:
@@ -97,12 +158,12 @@ def busy(number: int) -> int:
 
 
 def _handing_out(workers: Workers, records: int) -> tuple[float, float]:
-    """Seconds a record, and growth of this process from a tenth of the records to all, MiB."""
+    """Seconds a record, and growth of this process from half of the records to all, MiB."""
     first = before = 0.0
     for done, _ in enumerate(outcomes(nothing, range(records), workers), 1):
         if done == 1:
             first = time.perf_counter()
-        if done == records // 10:
+        if done == records // 2:
             before = _resident()
     return (time.perf_counter() - first) / (records - 1), _resident() - before
 

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from hyst_control import progress
+from hyst_control.benchmarks import bare_timer
 from hyst_control.config_files import config_path
 from hyst_control.errors import InputError
 from hyst_control.processes.node_processes import Processes
@@ -155,6 +156,8 @@ def run(table: Table, seconds: float = SECONDS) -> None:
 def dashboard(table: Table, seconds: float = SECONDS) -> None:
     """Measure what a live page costs the composed loop at 1 kHz: without a live view, with one, and with a page open in a browser.
 
+    All three also under real-time priority, with which what else runs on the cores does not delay the loop.
+
     Parameters
     ----------
     table
@@ -162,13 +165,16 @@ def dashboard(table: Table, seconds: float = SECONDS) -> None:
     seconds
         Length of every run, s.
     """
-    _add_timing(table, "composed, no live view", "hyst", measure("composed", "hyst", "timer", seconds))
-    _add_view(table, "composed, live view", measure("composed", "hyst", "timer", seconds, watched=Watched.BY_NOBODY))
-    if not _browser()[0] or find_spec("bokeh") is None:
-        progress.step("no chromium or no bokeh: the cost of an open page is not measured")
-        return
-    measured = measure("composed", "hyst", "timer", seconds, watched=Watched.ON_A_PAGE)
-    _add_view(table, "composed, live view, page open", measured)
+    for priority in (0, PRIORITY):
+        case = f"composed{f', SCHED_FIFO {priority}' if priority else ''}"
+        _add_timing(table, f"{case}, no live view", "hyst", measure("composed", "hyst", "timer", seconds, priority=priority))
+        watched = measure("composed", "hyst", "timer", seconds, watched=Watched.BY_NOBODY, priority=priority)
+        _add_view(table, f"{case}, live view", watched)
+        if not _browser()[0] or find_spec("bokeh") is None:
+            progress.step("no chromium or no bokeh: the cost of an open page is not measured")
+        else:
+            shown = measure("composed", "hyst", "timer", seconds, watched=Watched.ON_A_PAGE, priority=priority)
+            _add_view(table, f"{case}, live view, page open", shown)
 
 
 def _add_view(table: Table, case: str, measured: Run) -> None:
@@ -222,6 +228,8 @@ def soak_lockstep(table: Table, minutes: float = 60.0) -> None:
 def soak_wall_clock(table: Table, minutes: float = 10.0) -> None:
     """Run at 1 kHz on the wall clock against a stage on hardware: lost rows, missed ticks, processor load, memory.
 
+    Afterwards a bare loop of the same priority waits for as many ticks: those that it misses are the computer's.
+
     Parameters
     ----------
     table
@@ -229,7 +237,13 @@ def soak_wall_clock(table: Table, minutes: float = 10.0) -> None:
     minutes
         Length of the run, min.
     """
-    _soak(table, "timer", "soak, stage on hardware, 1 kHz", minutes, STAGE)
+    name = "soak, stage on hardware, 1 kHz"
+    _soak(table, "timer", name, minutes, STAGE)
+    progress.step(f"a bare loop, for comparison: {60.0 * minutes:g} s")
+    wakes = bare_timer.measure(TIMER_RATE, 60.0 * minutes, PRIORITY)
+    case = f"{minutes:g} min, {'no real-time priority' if wakes.refused else f'SCHED_FIFO {PRIORITY}'}"
+    table.add(name, case, "bare loop", "missed_ticks", "", wakes.missed, n=wakes.ticks + wakes.missed)
+    table.add(name, case, "bare loop", "latest_wake", "us", 1e6 * wakes.latest, n=wakes.ticks + wakes.missed)
 
 
 def _soak(table: Table, schedule: str, name: str, minutes: float, stage: str) -> None:
@@ -269,6 +283,7 @@ def measure(
     backend: str = "python",
     stage: str = "plant",
     watched: Watched = Watched.NOT,
+    priority: int = 0,
 ) -> Run:
     """Run the loop once.
 
@@ -294,6 +309,8 @@ def measure(
         "plant", or the node of a stage on hardware in its place.
     watched
         Parts of a live page; the processor load is that of the loop with its live view, without page and browser.
+    priority
+        Real-time priority of the loop's process, where the system allows one; 0: none, or the stage's own.
 
     Returns
     -------
@@ -307,6 +324,8 @@ def measure(
     """
     progress.step(f"{schedule}, {case}, {subject}{', recorded' if bag else ''}{' from outside' if outside else ''}: {seconds:g} s")
     each = settings(schedule, bag, block, backend, stage)
+    if priority:
+        each[stage]["realtime_priority"] = priority
     if watched is not Watched.NOT:
         each["live_view"] = {name: each[stage][name] for name in ("schedule", "rate_hz", "axes", "unit")}
     with _running(case, subject, each, outside, stage) as (processes, plant):

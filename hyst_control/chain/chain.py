@@ -30,6 +30,9 @@ from hyst_control.chain.parameter import Array, chains
 from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, register
 from hyst_control.errors import InputError
 
+Link = tuple[tuple[Stage, ...], bool, Sampling]
+"""Stages of one filter of a chain, whether its output is held at its means, and its clock: equal links have equal filters."""
+
 
 @dataclass(frozen=True)
 class Chain:
@@ -207,20 +210,40 @@ def started(stages: Sequence[Stage], sampling: Sampling) -> Filter:
         Not yet settled.
     """
     filters: list[Filter] = []
+    for _, running in links(stages, sampling):
+        filters.append(running)
+        sampling = sampling.with_hold(running.hold)
+    return filters[0] if len(filters) == 1 else SeriesFilter(filters, sampling.hold)
+
+
+def links(stages: Sequence[Stage], sampling: Sampling) -> Iterator[tuple[Link, Filter]]:
+    """Start the filters of stages that are arranged already, one after the other.
+
+    Parameters
+    ----------
+    stages
+        In signal order.
+    sampling
+        Clock of the first of them.
+
+    Yields
+    ------
+    tuple of Link and Filter
+        What the filter is made of, and the filter, not yet settled.
+    """
     runs = [(linear, list(group)) for linear, group in groupby(stages, key=_in_linear_run)]
     for number, (linear, run) in enumerate(runs):
         pieces = _cut_before_uneven_delays(run) if linear else [[stage] for stage in run]
         for piece in pieces:
+            averaged = linear and number + 1 < len(runs) and sampling.hold == "zoh" and _averaged(piece)
             if linear:
-                averaged = number + 1 < len(runs) and sampling.hold == "zoh" and _averaged(piece)
                 running: Filter = linear_filter(piece, sampling, averaged)
             elif isinstance(piece[0], Parallel):
                 running = ParallelFilter([Chain(branch).filter(sampling) for branch in piece[0].branches])
             else:
                 running = piece[0].filter(sampling)
-            filters.append(running)
+            yield (tuple(piece), averaged, sampling), running
             sampling = sampling.with_hold(running.hold)
-    return filters[0] if len(filters) == 1 else SeriesFilter(filters, sampling.hold)
 
 
 def arrange(stages: Sequence[Stage], hold: str = "foh") -> tuple[Stage, ...]:

@@ -46,13 +46,13 @@ def discretise(system: LinearSystem, fraction: Array, sampling: Sampling) -> Dis
     n, m = system.B.shape
     b_taps, d_taps = np.zeros((3, n, m)), np.zeros((2, len(system.D), m))
     transition = expm(system.A * ts)
+    carried = {f: expm(system.A * (1.0 - f) * ts) if f else transition for f in set(fraction.tolist())}
     for j in range(m):
         f = fraction[j]
         column = system.B[:, j : j + 1]
         first_start, first_end = _held_input(system.A, column, f * ts)
         second_start, second_end = _held_input(system.A, column, (1.0 - f) * ts)
-        carry = expm(system.A * (1.0 - f) * ts)
-        older, newer = carry @ np.hstack([first_start, first_end]), np.hstack([second_start, second_end])
+        older, newer = carried[float(f)] @ np.hstack([first_start, first_end]), np.hstack([second_start, second_end])
         if sampling.hold == "zoh":
             b_taps[0, :, j] = newer.sum(axis=1)
             b_taps[1, :, j] = older.sum(axis=1)

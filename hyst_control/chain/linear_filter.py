@@ -10,7 +10,17 @@ from numpy.typing import NDArray
 
 from hyst_control.chain.c_code import CCode, integers, reals
 from hyst_control.chain.discretization import Discretised
-from hyst_control.chain.linear_kernels import CLOSE, SETTLE, STEP, advance_linear, advance_single
+from hyst_control.chain.linear_kernels import (
+    CLOSE,
+    QUAD,
+    SETTLE,
+    STEP,
+    TOGETHER,
+    advance_block,
+    advance_linear,
+    advance_single,
+    quads_of,
+)
 from hyst_control.chain.parameter import Array
 from hyst_control.chain.stage import Filter
 
@@ -37,6 +47,10 @@ class LinearFilter(Filter):
         # Modes that do not act on each other leave most of a matrix empty: only what is there is computed.
         self.reach = _reach(self.a)
         self.late: NDArray[np.bool_] = np.any(self.b[:, 1:] != 0.0, axis=(1, 2, 3))
+        if m > 1:
+            self.quads, self.acting, self.ends = quads_of(self.a)
+            self.by_input = np.zeros((count, 3, m, n + -n % QUAD))
+            self.by_input[..., :n] = self.b.transpose(0, 1, 3, 2)
         # State and output at rest, for a unit input; the states that fill up a shorter system stay 0.
         self.rest = np.stack([np.linalg.solve(np.eye(n) - a, b.sum(axis=0)) for a, b in zip(self.a, self.b, strict=True)])
         self.static_gain = self.c @ self.rest + self.d.sum(axis=1)
@@ -65,6 +79,25 @@ class LinearFilter(Filter):
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
+        if self.c.shape[1] > 1 and len(block) >= TOGETHER:
+            self.position = advance_block(
+                block,
+                self.quads,
+                self.acting,
+                self.ends,
+                self.by_input,
+                self.late,
+                self.c,
+                self.d,
+                self.bias,
+                self.whole,
+                self.state,
+                np.empty(self.by_input.shape[3]),
+                self.history,
+                self.position,
+                output,
+            )
+            return output
         system: tuple[Any, ...] = (
             block,
             self.a,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -22,6 +23,8 @@ from hyst_control.reporting.templates import render
 Array = NDArray[np.float64]
 
 INTERVAL = 150  # ms, between two looks at the state
+REST = 3.0
+"""Pause after an update, in the time that the browser took to draw it: drawing keeps a quarter of a core busy at most."""
 SILENT_AFTER = 1.0
 """s without a row after which the page says so."""
 MOST_ROWS = 20_000
@@ -139,6 +142,7 @@ class _Window:
             )
         )
         self._sent, self._drawn = 0, -1  # number of the newest update, and of the newest one that the browser has drawn
+        self._sent_at = self._rested_at = 0.0  # s, of the monotonic clock
         document.on_event(DocumentReady, self._ready)
         self._status.js_on_change("tags", CustomJS(args={"drawn": self._answers}, code=CONFIRM))
         self._answers.on_change("tags", self._confirmed)
@@ -147,10 +151,11 @@ class _Window:
 
     def update(self) -> None:
         """Show what is new, once the browser has drawn what it got before: a slow one, or one in the background, gets less."""
-        if self._drawn != self._sent:
+        if self._drawn != self._sent or time.monotonic() < self._rested_at:
             return
         self._show()
         self._sent += 1
+        self._sent_at = time.monotonic()
         self._status.tags = [self._sent]
 
     def _show(self) -> None:
@@ -170,6 +175,8 @@ class _Window:
 
     def _confirmed(self, _attribute: str, _before: Any, now: list[int]) -> None:
         self._drawn = int(now[0]) if now else self._drawn
+        now_at = time.monotonic()
+        self._rested_at = now_at + REST * (now_at - self._sent_at)
 
     def _status_values(self) -> dict[str, Any]:
         age = self._state.signals.age

@@ -269,9 +269,9 @@ def _without_waveform(diagnosis: Diagnosis) -> list[Named]:
             effect = effect_found_by(finding.check)
             if effect is None:
                 continue
-            (parameter,) = effect.parameters(diagnosis.problem.surroundings)
+            parameter = effect.checked_parameter(diagnosis.problem.surroundings)
             unit = diagnosis.model.units["measurement"] if parameter.unit == "unit" else parameter.unit
-            own = finding.rms**2 if finding.check.is_noise else 0.0
+            own = finding.rms**2 if finding.check.is_noise or finding.check.is_of_the_record else 0.0
             probability = float(1.0 - np.exp(-min(finding.gain, 50.0)))
             parameters[effect.name] = parameter.name
             value = (finding.value, finding.ci90, unit)

@@ -58,9 +58,9 @@ def augmented(diagnosis: Diagnosis) -> Model | None:
     for part in diagnosis.parts:
         for finding in part.decision.findings:
             effect = effect_found_by(finding.check)
-            if effect is None or finding.check.is_noise:
+            if effect is None or finding.check.is_noise or finding.check.is_of_the_record:
                 continue
-            (parameter,) = effect.parameters(diagnosis.problem.surroundings)
+            parameter = effect.checked_parameter(diagnosis.problem.surroundings)
             slots = values.setdefault((effect.name, 0), {}).setdefault(parameter.name, [parameter.absent] * count)
             slots[part.axes[finding.axis]] = finding.value
     noise = _noise(diagnosis)

@@ -346,6 +346,39 @@ def _carried(
     return Baseline(beside, True, repeatability, usual, floor, clean, error, mean_zero=np.zeros(usual.shape))
 
 
+def as_clean_command(problem: Problem, clean: Problem, settings: BaselineSettings) -> Problem:
+    """Put the command of a clean record in the place of one whose roughness the plant did not receive, where both are the same.
+
+    What smoothing leaves of a roughness is slow, as an effect is; a clean record of the same command has none of it.
+
+    Parameters
+    ----------
+    problem : Problem
+        The new records; those whose commands were smoothed have the recorded ones beside.
+    clean : Problem
+        Clean records of the same axes.
+    settings : BaselineSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    Problem
+    """
+    pieces = []
+    for piece in problem.pieces:
+        if piece.recorded is not None:
+            rough = float(np.sqrt(np.mean((piece.recorded - piece.command) ** 2))) / float(np.ptp(piece.command))
+            same = min(max(settings.same_command, rough), settings.similar_command)
+            found = matching(piece.command, clean.pieces, same, settings.overlap)
+            if found:
+                command, match = piece.command.copy(), found[0]
+                rows = slice(match.begin, match.end)
+                command[rows] = match.clean.command[match.begin + match.shift : match.end + match.shift]
+                piece = replace(piece, command=command)
+        pieces.append(piece)
+    return replace(problem, pieces=tuple(pieces))
+
+
 def _fills_memory(
     command: Array, begin: int, end: int, settings: BaselineSettings
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:

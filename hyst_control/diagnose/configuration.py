@@ -40,6 +40,10 @@ class Thresholds:
     unknown_share: float = _setting(
         "share of the gap's energy", "most that the best explanation may leave before it is called unknown"
     )
+    named_unexplained_share: float = _setting(
+        "share of the gap's energy",
+        "most that an explanation by effects leaves, or takes off by coefficients many tolerances away",
+    )
     most_effects: int = _setting(
         "effects", "most that may act together on an axis; beyond, an effect outside the catalogue is likelier"
     )
@@ -69,6 +73,15 @@ class Thresholds:
     repeated_share: float = _setting("1", "the same, as a share of the samples")
     repeated_share_on_lattice: float = _setting("1", "the same on a lattice, where neighbors coincide more often")
     lattice_noise: float = _setting("noise rms", "rounding error from which a lattice is a quantization")
+    beyond_clean: float = _setting(
+        "1", "times as much as in clean records from which repeats, a lattice or a rough command are new"
+    )
+    rough_share: float = _setting("share of the smooth command's energy", "most that a roughness of the command may have")
+    rough_correlation: float = _setting("1", "most that it may be correlated from sample to sample")
+    rough_tail: float = _setting("median size", "95 % quantile of its size up to which it is uniform (1.9), and not normal (2.9)")
+    rough_deviations: float = _setting("standard deviations", "coefficient from which it is known whether the plant received it")
+    rough_received: float = _setting("1", "most of it that the plant may have received, in any band and at any time")
+    rough_scatter: float = _setting("standard deviations", "the same where its coefficient is known less well")
     excess_ratio: float = _setting("stated rms", "noise from which it exceeds the stated one: that is never stated better")
     few_outliers: int = _setting("samples", "samples that stand out from which they are outliers")
     many_outliers: float = _setting("share of the samples", "samples that stand out up to which they are outliers")
@@ -200,6 +213,10 @@ class SearchSettings:
     near: float = _setting("nats", "the same, at least")
     promising: int = _setting("effects", "effects that a linear step makes most of, added to an explanation")
     promise: float = _setting("share of the threshold", "least that such a step must gain")
+    joint_pairs: int = _setting(
+        "pairs", "pairs that are closest to the record to first order and fitted, beside clean records of one axis"
+    )
+    joint_starts: int = _setting("starts", "starts of an effect that are laid beside those of another for that")
     spent: float = _setting("share of the noise's energy", "energy beyond the noise's under which no further effect is looked for")
     spent_floor: float = _setting("practical sizes squared", "the same, of what is too small to be named")
     kept_beams: int = _setting("beams", "combinations kept of every size")

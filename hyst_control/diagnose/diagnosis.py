@@ -12,11 +12,12 @@ from functools import partial
 import numpy as np
 
 from hyst_control.chain.stage import Array
-from hyst_control.diagnose.baseline import Baseline, no_model, with_baseline, with_discrepancy
+from hyst_control.diagnose.baseline import Baseline, as_clean_command, no_model, with_baseline, with_discrepancy
 from hyst_control.diagnose.clean_lines import beyond_clean
+from hyst_control.diagnose.command_roughness import as_recorded, roughness_evidence, with_commands
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.distortion import distortions
-from hyst_control.diagnose.evidence import Evidence, Finding, RecordEvidence
+from hyst_control.diagnose.evidence import Evidence, Finding, RecordEvidence, RoughnessEvidence
 from hyst_control.diagnose.evidence_collection import (
     collect,
     companions,
@@ -32,7 +33,8 @@ from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, fit
 from hyst_control.diagnose.hypothesis_search import Found, Scored, search
 from hyst_control.diagnose.null_distribution import threshold
 from hyst_control.diagnose.parameter_uncertainty import pinned, scatter_of, within_own_error
-from hyst_control.diagnose.policy import Decision, contenders, decide, detected, practical_floor
+from hyst_control.diagnose.passed_error import passed_error
+from hyst_control.diagnose.policy import Decision, contenders, decide, detected, not_received, practical_floor
 from hyst_control.diagnose.problem import Piece, Problem, check_command, check_units, split
 from hyst_control.diagnose.record_checks import effect_found_by, lattice_of, lines, record_evidence
 from hyst_control.effects import EFFECTS
@@ -100,9 +102,12 @@ class AxisDiagnosis:
         Returns
         -------
         ndarray, shape (M, A)
-            Measured minus simulated, measurement unit.
+            Measured minus simulated from the command as it was recorded, measurement unit.
 
         """
+        recorded = as_recorded(self.problem)
+        if recorded is not self.problem:
+            return recorded.rows(recorded.measured() - recorded.simulate(recorded.model.chain.stages))
         return self.problem.rows(self.linearised.measured - self.linearised.simulate(np.zeros(self.linearised.count)))
 
 
@@ -179,7 +184,7 @@ def diagnose(
         If the records cannot be used.
 
     """
-    model, problem, notes, beside = with_clean(records, model, warm_up, configuration, baseline)
+    model, problem, notes, beside = with_clean(records, model, warm_up, configuration, baseline, without)
     parts = []
     axis = 0
     for part, known, bare in beside:
@@ -197,12 +202,13 @@ def with_clean(
     warm_up: float,
     configuration: Configuration,
     baseline: Sequence[Record],
+    without: Sequence[str] = (),
 ) -> tuple[Model, Problem, list[str], list[tuple[Problem, Baseline | None, bool]]]:
     """Make the problems of records beside clean ones.
 
     Parameters
     ----------
-    records, model, warm_up, configuration, baseline
+    records, model, warm_up, configuration, baseline, without
         As in `diagnose`.
 
     Returns
@@ -230,7 +236,14 @@ def with_clean(
     problem, notes = problem_of(records, model, warm_up, configuration)
     clean = split(_clean_problem(baseline, problem, warm_up, configuration)) if baseline else None
     parts = []
+    looked_for = _is_used(RecordCheck.COMMAND_LATTICE, without) and not bare
+    if looked_for and clean is not None:
+        clean = [_without_roughness(part, configuration) for part in clean]
     for index, part in enumerate(split(problem)):
+        if looked_for:
+            part = _without_roughness(part, configuration)
+            if clean is not None:
+                part = as_clean_command(part, clean[index], configuration.baseline)
         beside = _beside(part, clean[index] if clean else None, configuration)
         if bare and (beside is None or not beside.carried):
             raise InputError(
@@ -396,6 +409,7 @@ def _axis(
                     if baseline
                     else (),
                     distortions(linearised, collected.hypotheses[index], found.temper),
+                    passed_error(linearised, collected.hypotheses[index]),
                 )
                 for index in contenders(evidence, thresholds)
                 if evidence.hypotheses[index].residual is None
@@ -509,8 +523,6 @@ def prepare(
     stated = stated_noise(problem.model)
     own = known_error(problem, stated)
     checks = frozenset(check for check in RecordCheck if _is_used(check, without))
-    if baseline is not None and baseline.clean is not None:
-        checks -= _shown_clean(baseline.clean, checks, configuration)
     progress("coefficients of the model")
     scatter = within_own_error(scatter_of(problem.model), problem)
     if baseline is not None and baseline.clean is not None and problem.own_spectrum is not None:
@@ -518,6 +530,8 @@ def prepare(
     linearised = Linearised(problem, scatter)
     none = fit(linearised)
     record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
+    if baseline is not None and baseline.clean is not None:
+        record = _beside_usual(record, baseline.clean, configuration)
     findings = detected(record, checks, thresholds)
     suggested = partial(_suggested, problem, linearised, none, baseline, configuration)
     # The first noise estimate still contained spectral leakage from the gap.
@@ -554,10 +568,33 @@ def _counts(problem: Problem) -> list[int]:
     return [len(piece.counted(piece.command)) for piece in problem.pieces]
 
 
-def _shown_clean(clean: Problem, checks: frozenset[RecordCheck], configuration: Configuration) -> frozenset[RecordCheck]:
-    """Checks that find their effect in the clean records too, where it is normal."""
-    record = record_evidence(clean, _residuals(clean), configuration.checks, configuration.noise)
-    return frozenset(finding.check for finding in detected(record, checks, configuration.policy))
+def _beside_usual(record: Sequence[RecordEvidence], clean: Problem, configuration: Configuration) -> tuple[RecordEvidence, ...]:
+    """The evidence on a record with what the clean records show of the same, which is normal."""
+    usual = record_evidence(clean, _residuals(clean), configuration.checks, configuration.noise)
+    return tuple(
+        replace(
+            new,
+            usual_repeated=old.repeated,
+            usual_step=old.step,
+            usual_roughness=0.0 if old.roughness is None else old.roughness.rms,
+        )
+        for new, old in zip(record, usual, strict=True)
+    )
+
+
+def _without_roughness(problem: Problem, configuration: Configuration) -> Problem:
+    """The same problem with smooth commands where the plant did not receive the roughness of the recorded ones."""
+    found: list[RoughnessEvidence | None] = []
+    for axis in range(len(problem.model.axes)):
+        seen, smooth = roughness_evidence(problem, axis)
+        missing = seen is not None and not_received(seen, configuration.policy)
+        if missing:
+            problem = with_commands(problem, axis, smooth)
+        found.append(seen if missing else None)
+    if not any(found):
+        return problem
+    problem = replace(problem, roughness=tuple(found))
+    return _with_noise(problem, _residuals(problem), configuration)
 
 
 def _is_used(check: RecordCheck, without: Sequence[str]) -> bool:

@@ -6,7 +6,8 @@ the coefficients and the parameters of all effects could still explain. The dist
 
     statistic = ½ w (cᵀ P r)² / (cᵀ P c) nats,    change = 2 (cᵀ P r) / (cᵀ P c),
 
-w the weight of a sample; change is the difference of the effect's size between both ends of the variable, as a share of the size.
+w the weight of a sample, by what is left with the distortion: where that is most of what the effect leaves, its own correlation is no
+reason to believe it less; change is the difference of the effect's size between both ends of the variable, as a share of the size.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.evidence import DistortionEvidence
 from hyst_control.diagnose.hypothesis_fit import Linearised, is_bounded
-from hyst_control.diagnose.hypothesis_search import Scored
+from hyst_control.diagnose.hypothesis_search import Scored, temper_of
 from hyst_control.errors import InputError
 
 VARIABLES = ("time", "level", "rate", "branch")
@@ -34,7 +35,7 @@ def distortions(linearised: Linearised, scored: Scored, temper: float) -> tuple[
     scored : Scored
         Explanation.
     temper : float
-        Weight of a sample beside the fits' own.
+        Least weight of a sample beside the fits' own.
 
     Returns
     -------
@@ -75,8 +76,9 @@ def distortions(linearised: Linearised, scored: Scored, temper: float) -> tuple[
             if not (is_bounded(distorted) and energy > 0.0) or size < LEAST_LEFT * float(distorted @ distorted):
                 continue  # this record cannot tell
             along = float(left @ solution.residual)
+            certain = max(temper, temper_of(problem, solution.residual - along / size * left)) * problem.weight
             found.append(
-                DistortionEvidence(member.name, name, 2.0 * along / size, 0.5 * weight * along**2 / size, along**2 / size / energy)
+                DistortionEvidence(member.name, name, 2.0 * along / size, 0.5 * certain * along**2 / size, along**2 / size / energy)
             )
     return tuple(found)
 

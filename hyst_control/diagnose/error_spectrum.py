@@ -121,9 +121,10 @@ def _envelope(error: Array, nyquist: float, slowest: float, longer: float) -> tu
     octave = np.maximum((2.0**OCTAVES - 1.0) * bins, 1.0)
     most = max(FUNDAMENTALS * slowest / nyquist * count, 1.0)
     reach = np.minimum(octave, most)
-    # Few different reaches, each a filter of the whole record.
-    for half in sorted({int(2.0 ** np.ceil(np.log2(value))) for value in (*reach[reach < most][:: max(count // 64, 1)], most)}):
-        here = np.ceil(np.log2(reach)) == np.ceil(np.log2(half))
+    # Few different reaches, powers of two, each a filter of the whole record.
+    steps = np.ceil(np.log2(reach))
+    for step in np.unique(steps):
+        half, here = int(2.0**step), steps == step
         width = 2 * half + 1
         chance = 1.0 + (np.log(width) + 1.0) / (0.5 * SMOOTHED)  # the largest of so many bins of white noise
         found[here] = (maximum_filter1d(smooth, width, axis=0) - chance * noise)[here]

@@ -14,6 +14,47 @@ from hyst_control.effects.effect import RecordCheck
 
 
 @dataclass(frozen=True)
+class RoughnessEvidence:
+    """Roughness of a recorded command, and how much of it the plant received.
+
+    Parameters
+    ----------
+    samples : int
+        Samples of the command.
+    rms : float
+        Size of the roughness, V.
+    share : float
+        Its energy in that of the smooth command.
+    correlation : float
+        Largest correlation with itself one, two or three samples later: 0 for white roughness.
+    tail : float
+        95 % quantile of its size over the median: 1.9 where it is uniform, 2.9 where it is normal.
+    coefficient : float
+        Of the residual on what the model makes of the roughness: -1 where the plant did not receive it, 0 where it did.
+    deviation : float
+        Standard deviation of the coefficient.
+    bands : tuple of (float, float)
+        The same in bands of frequency, the lowest first.
+    echo : float
+        Largest coefficient of the same later or earlier, on what is left where the plant did not receive it.
+    response : float
+        What the model makes of the roughness, rms, measurement unit.
+
+    """
+
+    samples: int
+    rms: float
+    share: float
+    correlation: float
+    tail: float
+    coefficient: float
+    deviation: float
+    bands: tuple[tuple[float, float], ...]
+    echo: float
+    response: float
+
+
+@dataclass(frozen=True)
 class RecordEvidence:
     """Record of one axis, looked at without a fit of effects.
 
@@ -33,6 +74,14 @@ class RecordEvidence:
         Whether the model has a lattice of its own.
     noise : float
         White noise (rms, measurement unit) in what the coefficients leave.
+    usual_repeated : float
+        The same share of repeated samples in clean records.
+    usual_step : float
+        Step of their lattice, measurement unit; 0 without one.
+    roughness : RoughnessEvidence or None
+        That of a command that the plant did not receive; None of any other.
+    usual_roughness : float
+        Its size (rms, V) in clean records; 0 without one.
 
     """
 
@@ -43,6 +92,10 @@ class RecordEvidence:
     step: float
     step_modelled: bool
     noise: float
+    usual_repeated: float = 0.0
+    usual_step: float = 0.0
+    roughness: RoughnessEvidence | None = None
+    usual_roughness: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -96,6 +149,8 @@ class ResidualEvidence:
         As this hypothesis has them; none without clean records.
     distortions : tuple of DistortionEvidence
         Of its effects.
+    passed : float
+        Energy with which its effects pass on the model's own error, as a factor.
 
     """
 
@@ -107,6 +162,7 @@ class ResidualEvidence:
     predictable: float = 1.0
     companions: tuple[CompanionEvidence, ...] = ()
     distortions: tuple[DistortionEvidence, ...] = ()
+    passed: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -120,6 +120,7 @@ def residual_evidence(
     configuration: Configuration = CONFIGURATION,
     beside: tuple[CompanionEvidence, ...] = (),
     distorted: tuple[DistortionEvidence, ...] = (),
+    passed: float = 1.0,
 ) -> ResidualEvidence:
     """Measure what a hypothesis leaves.
 
@@ -139,6 +140,8 @@ def residual_evidence(
         Companions, as the hypothesis has them.
     distorted : tuple of DistortionEvidence
         Distortion tests of its effects.
+    passed : float
+        Energy with which its effects pass on the model's own error, as a factor.
 
     Returns
     -------
@@ -164,6 +167,7 @@ def residual_evidence(
         1.0 if problem.slowest is None else _predictable(problem, rows, configuration.baseline.blocks),
         beside,
         distorted,
+        passed,
     )
 
 

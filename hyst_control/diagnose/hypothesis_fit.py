@@ -1,9 +1,10 @@
 """Fitting a model with candidate effects to records, its scattered coefficients marginalized.
 
 The penalized misfit, all in units of the noise, for coefficients z with prior N(0, 1) and effect parameters x (scaled so that
-their broad prior is N(x0, 1)):
+their broad prior is N(x0, 1) with heavier tails, ρ(a) = ½ c² log(1 + a²/c²), c = `TAIL`: how large an effect is
+is known by no more than the order of its size):
 
-    Φ(z, x) = ½ w ‖y - ŷ(z, x)‖² + ½ ‖z‖² + ½ ‖x - x0‖²
+    Φ(z, x) = ½ w ‖y - ŷ(z, x)‖² + ½ ‖z‖² + Σ ρ(x - x0)
 
 (w: the problem's weight of a sample, 1 where noise alone separates model and record) is minimized by Gauss-Newton steps whose z-columns
 J = ∂ŷ/∂z are those of the nominal model: a scatter of a per cent changes them by a per cent, so a step leaves a per cent of the error, and
@@ -28,6 +29,9 @@ STEP = 0.05
 
 RAN_AWAY = 1e60
 """Residual from which a chain is taken to be unstable."""
+
+TAIL = 3.0
+"""Size of a parameter, in usual deviations, from which its prior falls more slowly than a normal one."""
 
 LEAST_GAIN = 0.02
 """Misfit (nats) under which a step is not worth taking; a hundred thousandth of the misfit counts as little."""
@@ -209,7 +213,7 @@ def fit(
         prior = x if fitted is None else x - fitted.centre
         if not is_bounded(residual):
             return np.inf
-        return 0.5 * float(sample_weight * (residual @ residual) + z @ z + prior @ prior)
+        return 0.5 * float(sample_weight * (residual @ residual) + z @ z) + _prior_misfit(prior)
 
     residual = residual_of(z, x)
     misfit = misfit_of(residual, z, x)
@@ -249,8 +253,10 @@ def fit(
             break
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     information = np.zeros((0, 0))
-    if size:
-        information = np.asarray(np.linalg.inv(covariance[count:, count:]), dtype=np.float64)
+    if fitted is not None:
+        # Of the parameters' evidence the prior's part is that of its middle: 1.
+        beyond = 1.0 - _prior_weight(x - fitted.centre)
+        information = np.asarray(np.linalg.inv(covariance[count:, count:]), dtype=np.float64) + np.diag(beyond)
     return Solution(misfit, z, x, residual, covariance, information)
 
 
@@ -336,8 +342,19 @@ def _normal(
     cross = weight * (columns.T @ design)
     normal[:count, :count], normal[:count, count:], normal[count:, :count] = gram, cross, cross.T
     normal[count:, count:] = weight * (design.T @ design)
-    normal[np.diag_indices(count + size)] += 1.0
-    return normal, np.concatenate([weight * (columns.T @ residual) - z, weight * (design.T @ residual) - away])
+    prior = _prior_weight(away)
+    normal[np.diag_indices(count + size)] += np.concatenate([np.ones(count), prior])
+    return normal, np.concatenate([weight * (columns.T @ residual) - z, weight * (design.T @ residual) - prior * away])
+
+
+def _prior_misfit(away: Array) -> float:
+    """Misfit Σ ρ of parameters (P,) that are so far from the prior's middle."""
+    return 0.5 * TAIL**2 * float(np.sum(np.log1p((away / TAIL) ** 2)))
+
+
+def _prior_weight(away: Array) -> Array:
+    """Weights (P,) with which squares have the prior's slope there."""
+    return np.asarray(1.0 / (1.0 + (away / TAIL) ** 2), dtype=np.float64)
 
 
 def _within(normal: Array, right: Array, step: Array, x: Array, unknowns: Unknowns, count: int) -> Array:

@@ -24,6 +24,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, SearchSettings, Thresholds
 from hyst_control.diagnose.hypothesis import Candidate, Member
 from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, Unknowns, effect_columns, fit, is_bounded, refined
+from hyst_control.diagnose.joint_pairs import joint_pairs
 from hyst_control.diagnose.policy import strained as are_strained
 from hyst_control.diagnose.problem import Problem
 from hyst_control.errors import InputError
@@ -157,6 +158,7 @@ def search(
         depth = min(depth, settings.depth_with_own_error)
         beam = max(beam, settings.beam_with_own_error)
     strained = partial(_strained, thresholds=thresholds)
+    side_by_side = whitened and len(linearised.problem.model.axes) == 1
     none = Scored(None, settled(linearised), 0.0)
     wide = inflated(linearised, settings.inflation)
     parameters = Scored(None, settled(wide, none.solution.z / settings.inflation), 0.0, True, settings.inflation)
@@ -185,10 +187,17 @@ def search(
             break  # nothing but noise is left, and no coefficients were strained for it
         if whitened and none.solution.misfit - parents[0][1].misfit < threshold:
             break  # there is no gap to explain
-        grown = _grown(linearised, parents, members, settings.promise * threshold, none.solution.misfit, progress, configuration)
+        # Beside the own error several effects are alike, and the two at work need not lead alone.
+        joint = (
+            joint_pairs(linearised, members, settings.joint_pairs, settings.joint_starts)
+            if size_reached == 1 and side_by_side
+            else []
+        )
+        least = settings.promise * threshold
+        grown = _grown(linearised, parents, members, least, none.solution.misfit, progress, configuration, joint)
         if not grown:
             break
-        gain, weight = best - grown[0][1].misfit, _temper(linearised.problem, grown[0][1].residual)
+        gain, weight = best - grown[0][1].misfit, temper_of(linearised.problem, grown[0][1].residual)
         relieved = strained(parents[0][1]) and not strained(grown[0][1])
         taken_off = 2.0 * gain / (size * linearised.problem.weight)
         if gain * weight < threshold or (taken_off < floor**2 and not relieved):
@@ -199,7 +208,7 @@ def search(
     for candidate, solution in _pruned(linearised, combinations):
         (combinations if len(candidate.members) > 1 else fits).append((candidate, solution))
     everything = [solution for _, solution in fits + combinations] + [none.solution]
-    temper = _temper(linearised.problem, min(everything, key=lambda solution: solution.misfit).residual)
+    temper = temper_of(linearised.problem, min(everything, key=lambda solution: solution.misfit).residual)
 
     def scored(candidate: Candidate, solution: Solution) -> Scored:
         count = len(candidate.members)
@@ -289,8 +298,9 @@ def _grown(
     before: float,
     progress: Callable[[str], None],
     configuration: Configuration,
+    joint: Sequence[tuple[Candidate, Array]] = (),
 ) -> list[tuple[Candidate, Solution]]:
-    """The parents with one effect more each, best first."""
+    """The parents with one effect more each, and the candidates (with their starts) of `joint`, best first."""
     settings = configuration.search
     promising = map_forked(lambda i: _promising(linearised, *parents[i], members, least, settings), len(parents))
     wanted: list[tuple[Candidate, Array]] = []
@@ -299,6 +309,7 @@ def _grown(
             pair = candidate.with_member(members[index])
             if not any(_same(pair, other) for other, _ in wanted):
                 wanted.append((pair, _merged(pair, candidate, solution.x, members[index], start)))
+    wanted += [(pair, start) for pair, start in joint if not any(_same(pair, other) for other, _ in wanted)]
     fitted = map_forked(lambda i: _fitted(linearised, wanted[i][0], [wanted[i][1]], settings), len(wanted))
     grown = []
     for (pair, _), end in zip(wanted, fitted, strict=True):
@@ -338,11 +349,23 @@ def _occam(solution: Solution, temper: float, most: float = np.inf) -> float:
     return min(0.5 * max(float(value), 0.0), most) if sign > 0 else 0.0
 
 
-def _temper(problem: Problem, residual: Array) -> float:
+def temper_of(problem: Problem, residual: Array) -> float:
     """Weight of a residual's samples: 1 for white noise of the stated size, less for what is larger and correlated.
 
     Beside clean records what is left is no model's error but the machine's own variation from run to run. It is slow, so that
     its samples count as few as are independent. The problem's own weight, which the fits have already, is not applied again.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and model.
+    residual : ndarray, shape (M,)
+        In units of the noise.
+
+    Returns
+    -------
+    float
+        At most 1.
     """
     size = float(np.mean(residual**2))
     length = 1.0 if problem.slowest is None else correlation_length(residual.reshape(-1, len(problem.model.axes)))

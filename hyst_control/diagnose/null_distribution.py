@@ -33,6 +33,9 @@ MANY = 20
 """Parameters from which an effect's gain by chance is what its evidence takes off for their number (half a logarithm of the information
 of each, never less than its expected gain): as part of the threshold it would hide all effects of few parameters."""
 
+TOGETHER = 10
+"""Simulated records whose gains are computed at once: the tangents of all candidates are read from memory once for all of them."""
+
 
 def threshold(
     linearised: Linearised,
@@ -53,7 +56,7 @@ def threshold(
     seed : int
         Of everything drawn at random.
     progress : callable
-        Is told how many records are done.
+        Is told how many records are done, every few records.
     cache : bool
         Whether the threshold is kept between runs.
     configuration : Configuration
@@ -98,7 +101,7 @@ def null_scores(
     settings : NullSettings
         Values of the configuration.
     progress : callable
-        Is told how many records are done.
+        Is told how many records are done, every few records.
 
     Returns
     -------
@@ -115,7 +118,8 @@ def null_scores(
     flat = np.concatenate(known, axis=1) if known else np.zeros((len(linearised.measured), 0))
     edges = np.cumsum([0, *(left.shape[1] for left in known)])
 
-    def best(index: int) -> float | None:
+    def residual_of(index: int) -> Array | None:
+        """What a fit of the coefficients leaves of a simulated record; None where the coefficients that were drawn make no model."""
         random = np.random.default_rng([seed, index])
         z = random.standard_normal(linearised.count)
         try:
@@ -123,25 +127,29 @@ def null_scores(
             record = linearised.simulate(z) + noise
             solution = fit(linearised, measured=record, rounds=settings.rounds)
         except InputError:
-            return None  # these coefficients make no model
+            return None
         # Far from the nominal model the fit may end beside its minimum: the coefficients that were drawn are at least as good.
         drawn = 0.5 * (weight * float(noise @ noise) + float(z @ z))
-        residual = solution.residual if solution.misfit <= drawn else noise
-        # What the coefficients could still explain is projected out: as good as one more step.
-        right = flat.T @ residual
-        return max(
-            (
-                0.5 * weight * float(right[a:b] @ inverse @ right[a:b])
-                for a, b, inverse in zip(edges[:-1], edges[1:], inverses, strict=True)
-            ),
-            default=0.0,
-        )
+        return solution.residual if solution.misfit <= drawn else noise
 
-    scores = []
-    for i, score in enumerate(map_forked(best, settings.records)):
-        progress(i + 1)
-        if score is not None:
-            scores.append(score)
+    def best(block: int) -> list[float]:
+        indices = range(TOGETHER * block, min(TOGETHER * (block + 1), settings.records))
+        residuals = [residual for residual in map(residual_of, indices) if residual is not None]
+        if not residuals or not known:
+            return [0.0] * len(residuals)
+        # What the coefficients could still explain is projected out: as good as one more step.
+        right = flat.T @ np.column_stack(residuals)
+        gains = [
+            0.5 * weight * np.sum(right[a:b] * (inverse @ right[a:b]), axis=0)
+            for a, b, inverse in zip(edges[:-1], edges[1:], inverses, strict=True)
+        ]
+        return [float(gain) for gain in np.max(gains, axis=0)]
+
+    scores: list[float] = []
+    blocks = -(-settings.records // TOGETHER)
+    for block, found in enumerate(map_forked(best, blocks)):
+        progress(min(TOGETHER * (block + 1), settings.records))
+        scores += found
     return np.array(scores)
 
 

@@ -3,8 +3,8 @@
 `decide` judges one problem, `join` the axes of a plant. A hypothesis is a claim where it beats the simulated null and takes off more
 than the practical size; claims become probabilities by their scores. The verdict is the first of these whose rule holds:
 
-    unknown      the best explanation leaves too much, needs too many effects, one at the end of its range, or one whose size changes
-                 with something else
+    unknown      the best explanation leaves too much, needs too many effects, one at the end of its range, one whose size changes
+                 with something else, or beside effects much is left, or taken up by coefficients far away
     ambiguous    the data cannot separate several explanations
     effect       one explanation by effects, or a check of the record found something
     parameters   the coefficients explain it, further off than their tolerance
@@ -31,8 +31,9 @@ from hyst_control.diagnose.evidence import (
     Outliers,
     RecordEvidence,
     ResidualEvidence,
+    RoughnessEvidence,
 )
-from hyst_control.diagnose.record_checks import excess_noise, held_samples, rounding
+from hyst_control.diagnose.record_checks import excess_noise, held_samples, rounded_command, rounding
 from hyst_control.effects.effect import RecordCheck
 
 PARAMETERS = ("parameters",)
@@ -63,6 +64,9 @@ class Reason(str, Enum):
 
     AT_BOUND = "at_bound"
     """Unknown: the one explanation has an effect at the end of its range."""
+
+    UNEXPLAINED_SHARE = "unexplained_share"
+    """Unknown: beside the effects much of the gap is left, or taken up by coefficients many tolerances away."""
 
     DISTORTION_TIME = "distortion_time"
     """Unknown: the size of a named effect would have to change with time."""
@@ -229,10 +233,13 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
     listed = (chosen,) if left_too_much or too_many or distorted else _listed(evidence, claims, probability, thresholds)
     effects = any(evidence.hypotheses[index].names for index in listed)
     at_bound = len(listed) == 1 and evidence.hypotheses[chosen].at_bound
+    unexplained = max(remainder, _unexplained(evidence, chosen, thresholds))
+    half_explained = bool(listed) and _half_explained(evidence, chosen, unexplained, thresholds)
     reasons: set[Reason] = set()
-    if too_many or distorted or at_bound or remainder > thresholds.unknown_share:
+    if too_many or distorted or at_bound or half_explained or remainder > thresholds.unknown_share:
         verdict = Verdict.UNKNOWN
         reasons |= {Reason.AT_BOUND} if at_bound else set()
+        reasons |= {Reason.UNEXPLAINED_SHARE} if half_explained and remainder <= thresholds.unknown_share else set()
         reasons |= {Reason(f"distortion_{one.variable}") for one in distorted}
         if remainder > thresholds.unknown_share:
             reasons |= {Reason.ENERGY_LEFT} | ({Reason.OUTLIERS} if remainder > left else set())
@@ -265,7 +272,7 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
         outliers,
         companions,
         distorted,
-        max(remainder, _unexplained(evidence, chosen, thresholds)),
+        unexplained,
     )
 
 
@@ -290,7 +297,7 @@ def contenders(evidence: Evidence, thresholds: Thresholds) -> tuple[int, ...]:
 
 
 def detected(record: Sequence[RecordEvidence], checks: Collection[RecordCheck], thresholds: Thresholds) -> tuple[Finding, ...]:
-    """Repeated samples and lattices of a record, which the fits have to know of.
+    """Repeated samples, lattices and commands that were not received as recorded, which the fits have to know of.
 
     Parameters
     ----------
@@ -309,13 +316,49 @@ def detected(record: Sequence[RecordEvidence], checks: Collection[RecordCheck], 
     found = []
     for axis, seen in enumerate(record):
         least = thresholds.repeated_share_on_lattice if seen.step else thresholds.repeated_share
-        repeats = seen.repeated * seen.repeats_counted > thresholds.repeats and seen.repeated > least
+        new = seen.repeated - seen.usual_repeated
+        repeats = new * seen.repeats_counted > thresholds.repeats and seen.repeated > least
+        repeats &= seen.repeated > thresholds.beyond_clean * seen.usual_repeated
         if RecordCheck.REPEATED_VALUES in checks and repeats:
             found.append(held_samples(seen, axis))
         coarse = seen.step > 0 and seen.step / np.sqrt(12.0) > thresholds.lattice_noise * seen.noise
+        coarse &= seen.step > thresholds.beyond_clean * seen.usual_step
         if RecordCheck.VALUE_LATTICE in checks and coarse and not seen.step_modelled:
             found.append(rounding(seen, axis))
+        rough = seen.roughness is not None and seen.roughness.rms > thresholds.beyond_clean * seen.usual_roughness
+        if RecordCheck.COMMAND_LATTICE in checks and rough:
+            found.append(rounded_command(seen, axis))
     return tuple(found)
+
+
+def not_received(seen: RoughnessEvidence, thresholds: Thresholds) -> bool:
+    """True where a recorded command is rough as a rounded one is, and the plant did not receive that.
+
+    Parameters
+    ----------
+    seen : RoughnessEvidence
+        Of an axis.
+    thresholds : Thresholds
+        Values of the configuration.
+
+    Returns
+    -------
+    bool
+    """
+    rounded = (
+        seen.share < thresholds.rough_share
+        and seen.correlation < max(thresholds.rough_correlation, thresholds.rough_scatter / float(np.sqrt(seen.samples)))
+        and seen.tail < thresholds.rough_tail
+    )
+
+    def absent(received: float, deviation: float) -> bool:
+        return abs(received) <= max(thresholds.rough_received, thresholds.rough_scatter * deviation)
+
+    known = -seen.coefficient > thresholds.rough_deviations * seen.deviation
+    within = absent(seen.coefficient + 1.0, 0.0) and all(absent(value + 1.0, spread) for value, spread in seen.bands)
+    # Of many times at which an echo may come, the largest by chance is farther off than one is.
+    chance = seen.deviation * float(np.sqrt(2.0 * np.log(seen.samples))) / max(thresholds.rough_scatter, 1e-300)
+    return rounded and known and within and absent(seen.echo, chance + 0.25 * seen.deviation)
 
 
 def practical_floor(spans: Array, steps: Array, stated: Array, noise: Array, thresholds: Thresholds) -> float:
@@ -522,11 +565,12 @@ def _residual(evidence: Evidence, index: int) -> ResidualEvidence:
 def _remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
     """Share of the gap's energy that the chosen explanation leaves, 0 where that is under the floor."""
     before, after = evidence.hypotheses[0].energy, _residual(evidence, chosen).energy
-    if not after - evidence.stated > max(evidence.floor**2, thresholds.least_excess * evidence.stated):
+    due = _due(evidence, chosen)
+    if not after - due > max(evidence.floor**2, thresholds.least_excess * due):
         return 0.0
     # What does not follow the command varies from run to run, and no effect would explain it. Where clean records show how much that
     # is, many times as much is something new all the same.
-    left, follows = after - evidence.stated, _residual(evidence, chosen).predictable
+    left, follows = after - due, _residual(evidence, chosen).predictable
     usual = thresholds.run_to_run * evidence.stated if evidence.stated > 1.0 or evidence.whitened else np.inf
     new = follows * left + max((1.0 - follows) * left - usual, 0.0)
     return float(np.clip(new / max(before - evidence.stated, 1e-12), 0.0, 1.0))
@@ -544,7 +588,21 @@ def _unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> flo
     beyond = (1.0 - min(thresholds.many_tolerances / max(one.farthest, 1e-300), 1.0)) ** 2
     if before <= thresholds.least_excess * evidence.stated:
         return beyond  # coefficients took all of it
-    return max(beyond, float(np.clip((_residual(evidence, chosen).energy - evidence.stated) / before, 0.0, 1.0)))
+    return max(beyond, float(np.clip((_residual(evidence, chosen).energy - _due(evidence, chosen)) / before, 0.0, 1.0)))
+
+
+def _half_explained(evidence: Evidence, chosen: int, unexplained: float, thresholds: Thresholds) -> bool:
+    """True where effects are named that explain no more than a part: what is left, or coefficients far away take up, is another part."""
+    one, due = evidence.hypotheses[chosen], _due(evidence, chosen)
+    left = _residual(evidence, chosen).energy - due > max(evidence.floor**2, thresholds.least_excess * due)
+    far = one.farthest > thresholds.many_tolerances
+    return bool(one.names) and (left or far) and unexplained > thresholds.named_unexplained_share
+
+
+def _due(evidence: Evidence, chosen: int) -> float:
+    """Energy that the right explanation leaves: the one that the model states, its own error as the effects pass it on."""
+    own = evidence.stated if evidence.whitened else evidence.stated - 1.0
+    return evidence.stated + own * max(_residual(evidence, chosen).passed - 1.0, 0.0)
 
 
 def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
@@ -568,7 +626,7 @@ def _distorted(evidence: Evidence, chosen: int, thresholds: Thresholds) -> tuple
 
     What is left must exceed what the model leaves on clean records, which has a shape of its own.
     """
-    if _residual(evidence, chosen).energy <= (1.0 + thresholds.least_excess) * evidence.stated:
+    if _residual(evidence, chosen).energy <= (1.0 + thresholds.least_excess) * _due(evidence, chosen):
         return ()
     found = [
         one
@@ -635,7 +693,8 @@ def _findings(
     if RecordCheck.WHITE_SPECTRUM in evidence.checks and not hidden:
         residual = _residual(evidence, chosen)
         for axis, measured in enumerate(residual.white):
-            others = [finding for finding in found if finding.axis == axis]
+            # What is rough in a command is in no residual, since fits go on without it.
+            others = [one for one in found if one.axis == axis and one.check is not RecordCheck.COMMAND_LATTICE]
             if any(finding.check is RecordCheck.REPEATED_VALUES for finding in others):
                 continue
             white = measured if noise is None else noise.white * evidence.noise[0] / thresholds.flicker_white

@@ -13,6 +13,8 @@ from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.linear import LinearStage
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.error_spectrum import ErrorSpectrum, filtered
+from hyst_control.diagnose.evidence import RoughnessEvidence
+from hyst_control.diagnose.known_links import MOST_BYTES, KnownLinks
 from hyst_control.effects.effect import Surroundings
 from hyst_control.effects.placement import mechanics_index
 from hyst_control.errors import InputError
@@ -30,7 +32,8 @@ class Piece:
     """A gapless stretch of a record: command (N, A) in V, measurement (N, A), and which rows (N,) count (None: all).
 
     others, driven_beside: measurement and command (N, B) of the plant's other axes, which a simulation of these axes alone does not
-    give. foreseen: whether it is a run to come, whose session is not known.
+    give. foreseen: whether it is a run to come, whose session is not known. recorded: command (N, A) as it was recorded, where `command` is
+    without a roughness that the plant did not receive; None: the same.
     """
 
     command: Array
@@ -39,6 +42,7 @@ class Piece:
     others: Array | None = None
     foreseen: bool = False
     driven_beside: Array | None = None
+    recorded: Array | None = None
 
     def counted(self, values: Array) -> Array:
         """Select the rows that count.
@@ -73,6 +77,8 @@ class Problem:
     """Samples of that error per independent one."""
     own_spectrum: ErrorSpectrum | None = None
     """Spectrum of that error, by which flat vectors are whitened; None: its size and its correlation alone are known."""
+    roughness: tuple[RoughnessEvidence | None, ...] = ()
+    """By axis, the roughness of a recorded command that the plant did not receive and `Piece.command` is without."""
 
     @property
     def weight(self) -> float:
@@ -105,9 +111,7 @@ class Problem:
 
     def _piece(self, stages: Sequence[Stage], sampling: Sampling, index: int, piece: Piece) -> Array:
         record = None if piece.foreseen else index
-        running = Chain(tuple(stage.for_record(record) for stage in stages)).filter(sampling)
-        first = running.settle(piece.command[0])
-        output = running.process(piece.command)
+        first, output = self._links[index].run(tuple(stage.for_record(record) for stage in stages), sampling)
         if self.hold == "zoh":
             output = np.concatenate([first[None], output[:-1]])
         return (piece.counted(output) / self.sigma).reshape(-1)
@@ -133,6 +137,11 @@ class Problem:
             return flat
         rows = np.split(flat.reshape(-1, len(self.model.axes)), self._edges)
         return np.concatenate([filtered(one, 1.0 / gain).reshape(-1) for one, gain in zip(rows, self._gains, strict=True)])
+
+    @cached_property
+    def _links(self) -> list[KnownLinks]:
+        """What is known of the chains that were run on every piece's command."""
+        return [KnownLinks(piece.command, MOST_BYTES // len(self.pieces)) for piece in self.pieces]
 
     @cached_property
     def _counts(self) -> list[int]:
@@ -164,7 +173,18 @@ class Problem:
             self.slowest,
             shared_modes(self.model),
             min(0 if piece.keep is None else int(np.argmax(piece.keep)) for piece in self.pieces) * self.sample_time,
+            self._modelled,
         )
+
+    @cached_property
+    def _modelled(self) -> tuple[float, float] | None:
+        """Range of the nominal model's output on all rows that count; None where it has none."""
+        try:
+            output = self.rows(self.simulate(self.model.chain.stages))
+        except InputError:
+            return None
+        low, high = float(output.min()), float(output.max())
+        return (low, high) if np.isfinite(low) and np.isfinite(high) and low < high else None
 
 
 def shared_modes(model: Model) -> tuple[tuple[float, float], ...]:

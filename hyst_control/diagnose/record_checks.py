@@ -155,7 +155,8 @@ def record_evidence(
         step = lattice_of(values, settings)
         share, count = repeated_samples(values, step, noise, settings)
         rms = float(np.sqrt(share * np.mean(np.abs(np.diff(values)) ** 2)))
-        found.append(RecordEvidence(len(values), share, count, rms, step, modelled, noise))
+        rough = problem.roughness[axis] if problem.roughness else None
+        found.append(RecordEvidence(len(values), share, count, rms, step, modelled, noise, roughness=rough))
     return tuple(found)
 
 
@@ -200,6 +201,31 @@ def rounding(seen: RecordEvidence, axis: int) -> Finding:
     step = seen.step
     interval = (step * 0.999, step * 1.001)
     return Finding(RecordCheck.VALUE_LATTICE, axis, step, interval, float(step / np.sqrt(12.0)), float(seen.samples))
+
+
+def rounded_command(seen: RecordEvidence, axis: int) -> Finding:
+    """Finding of a recorded command that is rough as a rounded one, which the plant did not receive.
+
+    Parameters
+    ----------
+    seen : RecordEvidence
+        Evidence of the axis, with a roughness.
+    axis : int
+        Index in the problem.
+
+    Returns
+    -------
+    Finding
+        Its value is the step, V: the roughness is uniform over one.
+
+    """
+    rough = seen.roughness
+    assert rough is not None
+    step = float(np.sqrt(12.0)) * rough.rms
+    # Variance of the mean square of a uniform variable, and of how much is not known to be missing.
+    error = NORMAL_95 * step * float(np.hypot(np.sqrt(0.2 / rough.samples), rough.deviation))
+    gain = 0.5 * (rough.coefficient / rough.deviation) ** 2
+    return Finding(RecordCheck.COMMAND_LATTICE, axis, step, (step - error, step + error), rough.response, gain)
 
 
 def excess_noise(noise: float, stated: float, others: Sequence[Finding], axis: int, bins: float, ratio: float) -> Finding | None:

@@ -32,6 +32,11 @@ class RecordCheck(Enum):
         """True where noise is what it finds: that raises the model's noise, and is no stage of the chain."""
         return self in (RecordCheck.WHITE_SPECTRUM, RecordCheck.FALLING_SPECTRUM)
 
+    @property
+    def is_of_the_record(self) -> bool:
+        """True where what it finds is in the recorded command only, so that the chain gets no stage for it."""
+        return self is RecordCheck.COMMAND_LATTICE
+
 
 Values = Mapping[str, Any]
 """Parameter values by name: a number for every axis alike, or a list with one per axis."""
@@ -63,6 +68,8 @@ class Surroundings:
         stands for two real poles.
     begin
         s from the start of the record to the first sample that is compared.
+    modelled
+        Range of what the nominal model simulates on the record, in the measurement's unit; None where that is not known.
     """
 
     sample_time: float
@@ -74,6 +81,7 @@ class Surroundings:
     slowest: float | None = None
     modes: tuple[tuple[float, float], ...] = ()
     begin: float = 0.0
+    modelled: tuple[float, float] | None = None
 
     @property
     def stroke(self) -> float:
@@ -232,3 +240,18 @@ class Effect:
     also_at: tuple[str, ...] = ()
     also_beside_clean: tuple[str, ...] = ()
     phrase: str = ""
+
+    def checked_parameter(self, around: Surroundings) -> Parameter:
+        """Select the parameter that the effect's record check measures: its only one, or the one that a check suggests.
+
+        Parameters
+        ----------
+        around
+            Record that the sizes are judged by.
+
+        Returns
+        -------
+        Parameter
+        """
+        every = self.parameters(around)
+        return every[0] if len(every) == 1 else next(parameter for parameter in every if parameter.suggested)

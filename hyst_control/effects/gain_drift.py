@@ -13,11 +13,13 @@ from numba import njit
 from hyst_control.chain.c_code import CCode, each_axis
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
 from hyst_control.chain.stage import Stage, per_axis_scalars, register
-from hyst_control.effects.effect import Effect, Parameter, Surroundings
+from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.time_dependent import TimedStage
 
 STEPS = (np.arange(6) + 0.5) / 6.0 - 0.5
 """Places of the time constants in their decades."""
+STRAIGHT = 10.0
+"""Time constant, in lengths of the record, from which a drift is straight."""
 
 ARRIVED = """
 /* Share of a drift that has come at a time in s: the mean over its time constants. */
@@ -133,23 +135,66 @@ def drift_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     length = around.duration
     least = max(0.05 * length, around.begin)
     return (
-        Parameter("tau", "s", length, (max(0.2 * length, least), length), least, 10.0 * length, 1.0, True),
+        Parameter("tau", "s", length, (max(0.2 * length, least), length), least, STRAIGHT * length, 1.0, True),
         Parameter("decades", "", 0.0, (0.0, 1.5), 0.0, 3.0, 1.0, told=False),
         Parameter("initial", "", 0.0, (0.0,), -1.0, 0.0, 0.5, told=False),
     )
+
+
+def in_the_end(values: Values) -> dict[str, float]:
+    """Change in the end of a drift, where `span` is among the values: `change` is then what comes within this time, s.
+
+    So fitted, a slow drift is as small a number as a fast one that does the same to the record.
+
+    Parameters
+    ----------
+    values
+        Of the parameters, by name.
+    """
+    if "span" not in values:
+        return {}
+    times = drift_times(np.atleast_1d(values["tau"]).astype(float), np.atleast_1d(values.get("decades", 0.0)).astype(float))
+    share = arrived(np.atleast_1d(float(values["span"])), times)[0]
+    return {"change": float(values["change"] / share[0])}
+
+
+def drift_variants(around: Surroundings) -> tuple[Values, ...]:
+    """A drift of any course; and a straight one, which is one number and not four.
+
+    Parameters
+    ----------
+    around
+        Record that the sizes are judged by.
+    """
+    whole = {"span": around.duration}
+    return whole, {**whole, "tau": STRAIGHT * around.duration, "decades": 0.0, "initial": 0.0}
+
+
+def parameters(around: Surroundings) -> tuple[Parameter, ...]:
+    """What comes of the change over the record; beside the model's own error from a fifth of the gain to five times as much.
+
+    Parameters
+    ----------
+    around
+        Record that the sizes are judged by.
+    """
+    change = (
+        Parameter("change", "", 0.0, (0.01,), -0.3, 0.3, 0.03)
+        if around.slowest is None
+        else Parameter("change", "", 0.0, (0.01,), -0.8, 4.0, 0.1)
+    )
+    span = Parameter("span", "s", around.duration, (around.duration,), around.duration, around.duration, 1.0, told=False)
+    return change, *drift_parameters(around), span
 
 
 EFFECT = Effect(
     "gain_drift",
     "sensor",
     "The gain changes over the record.",
-    lambda around: (
-        Parameter("change", "", 0.0, (0.01,), -0.3, 0.3, 0.03)
-        if around.slowest is None
-        else Parameter("change", "", 0.0, (0.01,), -0.8, 1.0, 0.1),
-        *drift_parameters(around),
-    ),
+    parameters,
     lambda values, around: GainDrift(values["change"], values["tau"], values.get("decades", 0.0), values.get("initial", 0.0)),
+    variants=drift_variants,
+    summary=in_the_end,
     also_at=("drive",),
     phrase="a gain drift of {change}",
 )

@@ -92,7 +92,7 @@ class SensorNonlinearity(Stage):
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """second, third: up to 5 % of the stroke, fourth, fifth: up to 2 %; beside clean records five times as much.
+    """second, third: up to 5 % of the stroke, fourth, fifth: up to 2 %; beside the model's own error up to all that is measured.
 
     ratio: of the constant to the first two's root sum square.
 
@@ -107,11 +107,12 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """
     size = around.stroke
     wide = 1.0 if around.slowest is None else 5.0
-    most, fewer = 0.05 * wide * size, 0.02 * wide * size
+    # No bend is larger than what is measured; how large a usual one is does not depend on that.
+    most, fewer, usual = (0.05 * size, 0.02 * size, 0.002 * size) if around.slowest is None else (size, 0.4 * size, 0.01 * size)
     return (
         *(Parameter(name, "unit", 0.0, (0.002 * size,), -most, most, 0.01 * wide * size) for name in ("second", "third")),
         Parameter("ratio", "", 0.0, (0.0,), -8.0, 8.0, 2.0, told=False),
-        *(Parameter(name, "unit", 0.0, (0.0,), -fewer, fewer, 0.1 * fewer, told=False) for name in ("fourth", "fifth")),
+        *(Parameter(name, "unit", 0.0, (0.0,), -fewer, fewer, usual, told=False) for name in ("fourth", "fifth")),
         *([Parameter("slope", "", 0.0, (0.0,), -8.0, 8.0, 2.0, told=False)] if around.slowest is not None else []),
     )
 
@@ -128,7 +129,7 @@ def variants(around: Surroundings) -> tuple[Values, ...]:
 
 
 def stage(values: Values, around: Surroundings) -> SensorNonlinearity:
-    """The bend over the record's range of measurement, unless `lower` and `upper` are among the values.
+    """The bend over the range that the model simulates, or else that of the measurement, unless `lower` and `upper` are among the values.
 
     Parameters
     ----------
@@ -137,7 +138,8 @@ def stage(values: Values, around: Surroundings) -> SensorNonlinearity:
     around
         Record that the sizes are judged by.
     """
-    lower, upper = around.measurement
+    # The range of the characteristic is that of its input: a large bend moves the ends of what is measured.
+    lower, upper = around.measurement if around.modelled is None else around.modelled
     upper = max(upper, lower + 1e-9)
     bend = np.hypot(values["second"], values["third"])
     zero, first = (frozen(np.multiply(values.get(name, 0.0), bend)) for name in ("ratio", "slope"))

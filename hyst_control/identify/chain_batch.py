@@ -1,7 +1,7 @@
 """Chains that differ in few parameters, run side by side; equal parts are computed once.
 
 A derivative by differences needs a chain per parameter, but a parameter changes one stage. Chains whose first stages are equal
-share their output, and so do equal branches of parallel stages.
+share their output, and so do equal branches of parallel stages. What is linear and of the same order runs side by side.
 """
 
 from __future__ import annotations
@@ -10,12 +10,15 @@ from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from itertools import groupby
+from typing import TypeGuard
 
 import numpy as np
 
 from hyst_control.chain import Filter, Parallel, Sampling, Stage
 from hyst_control.chain.chain import arrange, resolved, started
-from hyst_control.chain.linear import Delay
+from hyst_control.chain.linear import Delay, Discretised
+from hyst_control.chain.linear_filter import LinearFilter
+from hyst_control.chain.linear_lanes import LinearLanes
 from hyst_control.chain.stage import Array
 
 SOURCE = -1
@@ -34,11 +37,14 @@ class Node:
         The filter; None for a sum.
     hold
         Hold of the output, "zoh" or "foh".
+    depth
+        Number of nodes in a row that come before it.
     """
 
     before: tuple[int, ...]
     running: Filter | None
     hold: str
+    depth: int
 
 
 class Bundle:
@@ -60,6 +66,7 @@ class Bundle:
         self._known: dict[tuple[object, ...], int] = {}
         self._filters: dict[tuple[tuple[Stage, ...], str], Filter] = {}
         self.outputs = [self._series(arrange(resolved(stages, 1), sampling.hold), SOURCE) for stages in chains]
+        self._steps = [(numbers, self._run(numbers)) for numbers in alike(self.nodes)]
 
     def settle(self, value: float) -> None:
         """Come to rest at a constant input.
@@ -69,10 +76,15 @@ class Bundle:
         value
             The input.
         """
-        signals: list[Array] = []
-        for node in self.nodes:
-            inputs = [np.full(1, value) if number == SOURCE else signals[number] for number in node.before]
-            signals.append(node.running.settle(inputs[0]) if node.running else np.sum(inputs, axis=0))
+        signals: list[Array] = [np.empty(0)] * len(self.nodes) + [np.full(1, value)]
+        for numbers, running in self._steps:
+            inputs = [[signals[before] for before in self.nodes[number].before] for number in numbers]
+            if isinstance(running, LinearLanes):
+                settled = running.settle(np.array([each[0][0] for each in inputs]))
+                for number, end in zip(numbers, settled, strict=True):
+                    signals[number] = np.full(1, end)
+            else:
+                signals[numbers[0]] = running.settle(inputs[0][0]) if running else np.sum(inputs[0], axis=0)
 
     def process(self, block: Array) -> list[Array]:
         """Compute the chains' outputs for the next block of the input.
@@ -87,11 +99,25 @@ class Bundle:
         list[Array]
             An output (N,) a chain; equal chains have the same array.
         """
-        signals: list[Array] = []
-        for node in self.nodes:
-            inputs = [block if number == SOURCE else signals[number] for number in node.before]
-            signals.append(node.running.process(inputs[0]) if node.running else sum(inputs[1:], start=inputs[0]))
-        return [(block if number == SOURCE else signals[number])[:, 0] for number in self.outputs]
+        signals: list[Array] = [np.empty(0)] * len(self.nodes) + [block[:, 0]]
+        for numbers, running in self._steps:
+            inputs = [[signals[before] for before in self.nodes[number].before] for number in numbers]
+            if isinstance(running, LinearLanes):
+                for number, signal in zip(numbers, running.process([each[0] for each in inputs]), strict=True):
+                    signals[number] = signal
+            else:
+                ends = inputs[0]
+                signals[numbers[0]] = running.process(ends[0][:, None])[:, 0] if running else sum(ends[1:], start=ends[0])
+        return [signals[number] for number in self.outputs]
+
+    def _run(self, numbers: Sequence[int]) -> LinearLanes | Filter | None:
+        """What runs nodes: of linear ones, their systems side by side."""
+        filters = [self.nodes[number].running for number in numbers]
+        linear = [each for each in filters if single(each)]
+        if not linear:
+            return filters[0]
+        systems = [Discretised(each.a[0], each.b[0], each.c[0], each.d[0], each.bias) for each in linear]
+        return LinearLanes(systems, [int(each.whole[0]) for each in linear])
 
     def _series(self, stages: Sequence[Stage], before: int) -> int:
         """Number of the node that ends stages in series; adjacent linear stages are one filter, as in a chain."""
@@ -109,7 +135,10 @@ class Bundle:
 
     def _sum(self, ends: tuple[int, ...]) -> int:
         hold = "zoh" if all(self._hold(end) == "zoh" for end in ends) else "foh"
-        return self._node(("sum", *ends), Node(ends, None, hold))
+        return self._node(("sum", *ends), Node(ends, None, hold, self._depth(ends)))
+
+    def _depth(self, before: Sequence[int]) -> int:
+        return 1 + max((self.nodes[number].depth for number in before if number != SOURCE), default=-1)
 
     def _filtered(self, run: tuple[Stage, ...], before: int) -> int:
         if (run, before) in self._known:
@@ -117,11 +146,49 @@ class Bundle:
         hold = self._hold(before)
         if (run, hold) not in self._filters:
             self._filters[run, hold] = started(run, self._sampling.with_hold(hold))
-        running = deepcopy(self._filters[run, hold])
-        return self._node((run, before), Node((before,), running, running.hold))
+        running = self._filters[run, hold]
+        running = running if single(running) else deepcopy(running)
+        return self._node((run, before), Node((before,), running, running.hold, self._depth((before,))))
 
     def _node(self, key: tuple[object, ...], node: Node) -> int:
         if key not in self._known:
             self._known[key] = len(self.nodes)
             self.nodes.append(node)
         return self._known[key]
+
+
+def alike(nodes: Sequence[Node]) -> list[list[int]]:
+    """Numbers of nodes in an order in which they can be run, together those that linear systems of one order run side by side.
+
+    Parameters
+    ----------
+    nodes
+        All nodes.
+
+    Returns
+    -------
+    list[list[int]]
+        Numbers of the nodes of every step.
+    """
+    steps: dict[tuple[int, ...], list[int]] = {}
+    for number, node in enumerate(nodes):
+        running = node.running
+        key = (node.depth, 0, running.a.shape[1]) if single(running) else (node.depth, 1, number)
+        steps.setdefault(key, []).append(number)
+    return [steps[key] for key in sorted(steps)]
+
+
+def single(running: Filter | None) -> TypeGuard[LinearFilter]:
+    """Tell a filter of one linear system of one input from others.
+
+    Parameters
+    ----------
+    running
+        A filter; None for a sum.
+
+    Returns
+    -------
+    bool
+        True where it is one.
+    """
+    return isinstance(running, LinearFilter) and running.a.shape[0] == 1 and running.c.shape[1] == 1

@@ -66,8 +66,8 @@ def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordR
         error = residual(model, data)
         residuals.append(error)
         rest, own = without_zero(error)
-        for axis, name in enumerate(data.axes):
-            span = float(data.range[axis]) or 1.0
+        for axis, (name, whole) in enumerate(zip(data.axes, data.range, strict=True)):
+            span = float(whole) or 1.0
             e = error[:, axis]
             rows.append(
                 {

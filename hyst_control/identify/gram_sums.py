@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from hyst_control.chain.linear import Discretised
+from hyst_control.chain.linear_lanes import LinearLanes
 from hyst_control.chain.stage import Array, Sampling
 from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.records import row_store
@@ -24,89 +24,47 @@ MOST_BLOCKS = 2048
 """Gram matrices that a window keeps: of longer ones neighboring blocks are added up."""
 HELD_OUT_BLOCKS = 90
 """A record is cut into at least this many blocks."""
-TINY = 1e-80
-"""States below this are 0: a decaying state would otherwise end in subnormal numbers, which processors handle a hundred times slower."""
 NUISANCES = {"none": 0, "offset": 1, "linear": 2}
 
 
 @njit(cache=True, error_model="numpy")
-def filtered_regressors(
+def regressors(
     command: Array,
-    shift: int,
     rate_factor: float,
     center: float,
     thresholds: Array,
     release: Array,
     rate_gain: float,
     dynamic: bool,
-    a: Array,
-    b: Array,
-    c: Array,
-    d: Array,
-    whole: int,
     theta: Array,
-    pa: Array,
-    pb: Array,
-    pc: Array,
-    pd: Array,
-    pwhole: NDArray[np.int64],
     operators: Array,
     previous: Array,
-    ring: Array,
-    combined: Array,
-    position: int,
-    state: Array,
-    scratch: Array,
-    tangent: Array,
     output: Array,
-) -> int:
-    """Compute rows of G[φ_j] (J columns) and of G_i[Σ θ_j φ_j] for P neighboring dynamics G_i (P columns).
-
-    The arrays are arguments each, because named tuples of them take longer to pass: 7 % of the time of a record of 20,000 rows.
+) -> None:
+    """Compute φ_j (J rows) and Σ θ_j φ_j.
 
     Parameters
     ----------
     command
         Command (N,), V.
-    shift
-        1 when the sample sees the command of the interval before (zoh), else 0.
     rate_factor
         1 / sample time, 1/s.
     center
-        Command about which the column of k is taken, V.
+        Command about which the row of k is taken, V.
     thresholds, release
         Thresholds (n,) of the play operators and their release widths (n,), V.
     rate_gain
         Widening of the thresholds per rate |du/dt|, s.
     dynamic
-        Add the columns of m1, m2 and k.
-    a, b, c, d
-        One step of G: (n, n), (3, n), (n,), (2,).
-    whole
-        Delay of G, samples.
+        Add the rows of m1, m2 and k.
     theta
         Linear parameters (J,).
-    pa, pb, pc, pd, pwhole
-        The same of the neighbors: (n, n, P), (3, n, P), (n, P), (2, P), (P,), last axis innermost.
-    operators, previous, ring, combined
-        State: outputs of the operators, last command, ring of regressor rows and of their sums, for the delay.
-    position
-        Position in the ring.
-    state, tangent
-        State of G (n, J) and of the neighbors (n, P).
-    scratch
-        Working memory (n, J + P).
+    operators, previous
+        State: outputs of the operators (n,), last command (1,).
     output
-        Rows (N, J + P), written.
-
-    Returns
-    -------
-    int
-        The new position in the ring.
+        (J + 1, N), written.
     """
-    count, columns, order, neighbours = thresholds.size, ring.shape[1], a.shape[0], pwhole.size
-    length = ring.shape[0]
-    newest, middle, oldest = np.empty(neighbours), np.empty(neighbours), np.empty(neighbours)
+    count, columns = thresholds.size, theta.size
     for row in range(command.size):
         u = command[row]
         rate = (u - previous[0]) * rate_factor
@@ -120,55 +78,16 @@ def filtered_regressors(
             h = high if h > high else h
             h = low if h < low else h
             operators[i] = h
-            ring[position, i] = h
+            output[i, row] = h
             total += h
         if dynamic:
-            ring[position, count] = -rate * total if rate >= 0.0 else 0.0
-            ring[position, count + 1] = rate * total if rate < 0.0 else 0.0
-            ring[position, count + 2] = (u - center) * total
+            output[count, row] = -rate * total if rate >= 0.0 else 0.0
+            output[count + 1, row] = rate * total if rate < 0.0 else 0.0
+            output[count + 2, row] = (u - center) * total
         weighted = 0.0
         for j in range(columns):
-            weighted += theta[j] * ring[position, j]
-        combined[position] = weighted
-        first = position - shift - whole
-        first = first + length if first < 0 else first
-        second = first - 1 if first > 0 else length - 1
-        third = second - 1 if second > 0 else length - 1
-        for i in range(order):
-            for j in range(columns):
-                scratch[i, j] = b[0, i] * ring[first, j] + b[1, i] * ring[second, j] + b[2, i] * ring[third, j]
-            for m in range(order):
-                for j in range(columns):
-                    scratch[i, j] += a[i, m] * state[m, j]
-        for i in range(order):
-            for j in range(columns):
-                state[i, j] = scratch[i, j] if abs(scratch[i, j]) > TINY else 0.0
-        for j in range(columns):
-            output[row, j] = d[0] * ring[first, j] + d[1] * ring[second, j]
-        for i in range(order):
-            for j in range(columns):
-                output[row, j] += c[i] * state[i, j]
-        for p in range(neighbours):
-            first = position - shift - pwhole[p]
-            first = first + length if first < 0 else first
-            second = first - 1 if first > 0 else length - 1
-            third = second - 1 if second > 0 else length - 1
-            newest[p], middle[p], oldest[p] = combined[first], combined[second], combined[third]
-        for i in range(order):
-            for p in range(neighbours):
-                scratch[i, columns + p] = pb[0, i, p] * newest[p] + pb[1, i, p] * middle[p] + pb[2, i, p] * oldest[p]
-            for m in range(order):
-                for p in range(neighbours):
-                    scratch[i, columns + p] += pa[i, m, p] * tangent[m, p]
-        for p in range(neighbours):
-            output[row, columns + p] = pd[0, p] * newest[p] + pd[1, p] * middle[p]
-        for i in range(order):
-            for p in range(neighbours):
-                value = scratch[i, columns + p]
-                tangent[i, p] = value if abs(value) > TINY else 0.0
-                output[row, columns + p] += pc[i, p] * tangent[i, p]
-        position = position + 1 if position + 1 < length else 0
-    return position
+            weighted += theta[j] * output[j, row]
+        output[columns, row] = weighted
 
 
 @njit(cache=True, error_model="numpy")
@@ -220,7 +139,7 @@ def weighted_columns(
     Parameters
     ----------
     raw
-        Rows (N, J + P) of `filtered_regressors`.
+        Rows (N, J + P): the regressors behind G, and their sum behind the neighbors of G.
     theta
         Linear parameters (J,).
     step
@@ -406,13 +325,15 @@ def gram_matrices(
         n = len(window.command)
         place = np.r_[0 : columns + size, columns + size + window.group * extra + np.arange(extra), total - 1]
         length = max(min(BLOCK, n // HELD_OUT_BLOCKS), 1)
+        together, chunk = -(-n // (length * MOST_BLOCKS)), length * max(BLOCK // length, 1)
         buffer = np.empty((length, len(place)))
         weight = np.zeros(0) if window.weight is None else window.weight
-        together = -(-n // (length * MOST_BLOCKS))
         used_blocks = 0
         for begin in range(0, n, length):
             end = min(begin + length, n)
-            raw = passing.block(begin, end)
+            if begin % chunk == 0:
+                several = passing.rows(begin, min(begin + chunk, n))
+            raw = several[begin % chunk : begin % chunk + length]
             first = max(window.skip - begin, 0)
             if first >= end - begin:
                 continue
@@ -435,74 +356,48 @@ def gram_matrices(
 
 
 class _Pass:
-    """Streaming state of `filtered_regressors` over one window."""
+    """Streaming state of the regressors behind G, and of their sum behind the neighbors of G, over one window."""
 
     def __init__(self, window: Window, operators: Operators, systems: Sequence[tuple[Discretised, int]], theta: Array) -> None:
         self.window, self.operators, self.theta = window, operators, theta
-        self.shift = 1 if window.hold == "zoh" else 0
-        nominal, whole = systems[0]
-        order, columns, size = len(nominal.A), operators.columns, len(systems) - 1
-        self.nominal = nominal.A, nominal.B[:, :, 0], nominal.C[0], nominal.D[:, 0, 0]
-        self.neighbours = (np.empty((order, order, size)), np.empty((3, order, size)), np.empty((order, size)), np.empty((2, size)))
-        for p, (system, _) in enumerate(systems[1:]):
-            for part, values in zip(self.neighbours, (system.A, system.B[:, :, 0], system.C[0], system.D[:, 0, 0]), strict=True):
-                part[..., p] = values
-        self.whole, self.pwhole = whole, np.array([each for _, each in systems[1:]], dtype=np.int64)
+        late = 1 if window.hold == "zoh" else 0  # the sample sees the command of the interval before
+        every = [systems[0]] * operators.columns + list(systems[1:])
+        self.lanes = LinearLanes([system for system, _ in every], [whole + late for _, whole in every])
         self.h = np.zeros(len(operators.thresholds))
         self.previous = np.array([window.command[0]])
-        length = max(each for _, each in systems) + 5
-        self.ring, self.combined = np.zeros((length, columns)), np.zeros(length)
-        self.state, self.scratch = np.zeros((order, columns)), np.zeros((order, columns + size))
-        self.tangent = np.zeros((order, size))
-        self.position = 0
         self._settle()
 
     def _settle(self) -> None:
         # The play operators' memory up to the first command, then every linear state at rest there.
         if self.window.memory is not None:
             for part in row_store.blocks(len(self.window.memory)):
-                self.block_of(self.window.memory[part])
+                self._regressors(self.window.memory[part])
             self.previous[0] = self.window.command[0]
-        self.block_of(self.window.command[:1])
-        first = self.ring[(self.position - 1) % len(self.ring)].copy()
-        self.ring[:], self.combined[:] = first, first @ self.theta
-        a, b = self.nominal[:2]
-        order = len(a)
-        if order:
-            gain = np.linalg.solve(np.eye(order) - a, b.sum(axis=0))
-            self.state[:] = gain[:, None] * first
-            for p in range(len(self.pwhole)):
-                gain = np.linalg.solve(np.eye(order) - self.neighbours[0][..., p], self.neighbours[1][..., p].sum(axis=0))
-                self.tangent[:, p] = gain * (first @ self.theta)
+        self.lanes.settle(self._inputs(self._regressors(self.window.command[:1]))[:, 0])
 
-    def block(self, begin: int, end: int) -> Array:
-        return self.block_of(self.window.command[begin:end])
+    def rows(self, begin: int, end: int) -> Array:
+        """Rows (N, J + P) from `begin` to `end` of the window, which follow those of the call before."""
+        return self.lanes.process(self._inputs(self._regressors(self.window.command[begin:end]))).T
 
-    def block_of(self, command: Array) -> Array:
-        output = np.empty((len(command), self.ring.shape[1] + len(self.pwhole)))
+    def _inputs(self, found: Array) -> Array:
+        """Inputs (J + P, N) of G and of its neighbors."""
+        columns = self.operators.columns
+        return found[np.minimum(np.arange(self.lanes.count), columns)]
+
+    def _regressors(self, command: Array) -> Array:
         ops = self.operators
-        self.position = filtered_regressors(
+        found = np.empty((ops.columns + 1, len(command)))
+        regressors(
             command,
-            self.shift,
             1.0 / self.window.sample_time,
             ops.center,
             ops.thresholds,
             ops.release,
             ops.rate_gain,
             ops.dynamic,
-            *self.nominal,
-            self.whole,
             self.theta,
-            *self.neighbours,
-            self.pwhole,
             self.h,
             self.previous,
-            self.ring,
-            self.combined,
-            self.position,
-            self.state,
-            self.scratch,
-            self.tangent,
-            output,
+            found,
         )
-        return output
+        return found

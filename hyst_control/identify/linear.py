@@ -2,7 +2,7 @@
 
 Each record is transformed to the frequency domain. A record is in general not periodic, so the transient at its
 ends is estimated with the model (see `modal_fit`); the static line is left out, which frees the fit of each record's
-offset. The number of states is chosen on held-out data.
+offset. A long record is taken in parts, as if they were records. The number of states is chosen on held-out data.
 """
 
 from __future__ import annotations
@@ -33,9 +33,14 @@ from hyst_control.identify.modal_stages import (
 )
 from hyst_control.identify.options import INTEGER, NUMBER, TRUTH, Options, option
 from hyst_control.model_file import Model
+from hyst_control.records.row_store import blocks
 
 MAX_LINES = 6000
 """Largest number of lines of one record in a fit: those where the command is strongest."""
+WHOLE_ROWS, PART_ROWS = 2**22, 2**20
+"""Rows of a record up to which its spectrum is taken as a whole, and of the parts of a longer one."""
+PART_LINES, FEWEST_LINES = 4 * MAX_LINES, 200
+"""Largest number of lines of all parts of a long record, and that of one part where there are very many."""
 BAND_POWER = 1e-5
 """Power of a line relative to the strongest one below which it is left out."""
 NEGLIGIBLE_IMPROVEMENT = 0.01
@@ -100,7 +105,6 @@ class Linear(Estimator[LinearOptions]):
             found = [candidate for candidate, _ in searches]
             table = [{"axis": name, **row} for name, (_, rows) in zip(first.axes, searches, strict=True) for row in rows]
             stages = diagonal_stages([candidate.model for candidate in found], first.sample_time)
-        command = np.concatenate([data.command for data in datasets])
         model = Model(
             name="linear",
             axes=tuple(first.axes),
@@ -109,7 +113,10 @@ class Linear(Estimator[LinearOptions]):
             chain=Chain(tuple(stages)),
             hold=first.hold,
             valid={
-                "command": [float(command.min()), float(command.max())],
+                "command": [
+                    float(min(data.command.min() for data in datasets)),
+                    float(max(data.command.max() for data in datasets)),
+                ],
                 "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
             },
         )
@@ -117,8 +124,7 @@ class Linear(Estimator[LinearOptions]):
         model = replace(model, tolerance=tolerance_of(found, stages), uncertainty=known.document)
         # The static line took no part in the fit, so a common offset of the sensor comes last.
         _, residuals = record_rows(model, datasets)
-        offset = np.concatenate(residuals).mean(axis=0)
-        spread = np.concatenate(residuals).std(axis=0) / np.sqrt(sum(map(len, residuals)))
+        offset, spread = mean_of(residuals)
         if np.any(np.abs(offset) > 3.0 * spread):
             model = model.with_stages([*stages, Offset(scalar_if_alike(offset))])
         rows, residuals = record_rows(model, datasets)
@@ -182,7 +188,55 @@ def checked(datasets: Sequence[Dataset]) -> Dataset:
     return datasets[0]
 
 
-def spectra_of(data: Dataset, period: int | None = None) -> Spectra:
+def mean_of(residuals: Sequence[Array]) -> tuple[Array, Array]:
+    """Mean of residuals (N, A) of several records, per axis.
+
+    Parameters
+    ----------
+    residuals
+        Residuals of every record.
+
+    Returns
+    -------
+    mean : Array
+        Mean (A,).
+    error : Array
+        Its standard error (A,) if they were white.
+    """
+    count = sum(map(len, residuals))
+    mean = sum(error[part].sum(axis=0) for error in residuals for part in blocks(len(error))) / count
+    square = sum(((error[part] - mean) ** 2).sum(axis=0) for error in residuals for part in blocks(len(error))) / count
+    return np.asarray(mean), np.sqrt(square / count)
+
+
+def spectra_of_records(datasets: Sequence[Dataset]) -> list[Spectra]:
+    """Take the spectra of records, of a long one those of its parts.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+
+    Returns
+    -------
+    list[Spectra]
+        One a record, or one a part in which the command moves.
+    """
+    found = []
+    for data in datasets:
+        n = len(data.command)
+        if n <= WHOLE_ROWS:
+            found.append(spectra_of(data))
+            continue
+        parts = n // PART_ROWS
+        size = n // parts & -1024  # a length whose transform is quick
+        cuts = [data.rows(part * size, (part + 1) * size) for part in range(parts)]
+        moving = [cut for cut in cuts if np.any(np.ptp(cut.command, axis=0) > 0)]
+        found += [spectra_of(cut, most=max(PART_LINES // len(moving), FEWEST_LINES)) for cut in moving]
+    return found
+
+
+def spectra_of(data: Dataset, period: int | None = None, most: int = MAX_LINES) -> Spectra:
     """Take a record's discrete Fourier transform at the lines where the command has power, except the static line.
 
     Scaled to the root of the number of samples, so that sums of squares are those of the samples.
@@ -193,6 +247,8 @@ def spectra_of(data: Dataset, period: int | None = None) -> Spectra:
         The record.
     period
         Period in samples of a record in steady state, whose periods are averaged; None: not periodic.
+    most
+        Largest number of lines.
 
     Returns
     -------
@@ -211,8 +267,8 @@ def spectra_of(data: Dataset, period: int | None = None) -> Spectra:
     if n % 2 == 0:
         power[-1] = 0.0
     lines = np.flatnonzero(power > BAND_POWER * power.max())
-    if len(lines) > MAX_LINES:
-        lines = np.sort(lines[np.argsort(power[lines])[-MAX_LINES:]])
+    if len(lines) > most:
+        lines = np.sort(lines[np.argsort(power[lines])[-most:]])
     return Spectra(2 * np.pi * lines / n, u[lines][:, :, None], y[lines][:, :, None], bool(period))
 
 
@@ -243,13 +299,21 @@ def held_out_split(datasets: Sequence[Dataset]) -> tuple[list[Dataset], list[Dat
         kept, held = [data.rows(0, cut)], [data.rows(cut, len(data.command))]
 
     def motion(records: list[Dataset]) -> Array:
-        found: Array = np.sqrt(sum(np.mean(np.diff(data.command, axis=0) ** 2, axis=0) for data in records) / len(records))
+        found: Array = np.sqrt(sum(_mean_square_step(data.command) for data in records) / len(records))
         return found
 
     everything = motion(datasets)
     if np.any(motion(kept) < 0.2 * everything) or np.any(motion(held) < 0.2 * everything) or min(map(_length, held)) < 64:
         return datasets, []
     return kept, held
+
+
+def _mean_square_step(command: Array) -> Array:
+    """Mean square (A,) of the steps of a command (N, A), block by block."""
+    total = np.zeros(command.shape[1])
+    for part in blocks(len(command)):
+        total += np.sum(np.diff(command[part.start : part.stop + 1], axis=0) ** 2, axis=0)
+    return total / (len(command) - 1)
 
 
 def _length(data: Dataset) -> int:
@@ -350,7 +414,7 @@ def _search(datasets: Sequence[Dataset], options: LinearOptions, orders: Sequenc
     first = datasets[0]
     inputs = len(first.axes)
     kept, held = held_out_split(datasets)
-    train, test = [spectra_of(data) for data in kept], [spectra_of(data) for data in held]
+    train, test = spectra_of_records(kept), spectra_of_records(held)
     orders = [options.order] if options.order else orders
     lines = sum(len(spectra.angle) * inputs for spectra in train)
     orders = [order for order in orders if order * 2 * inputs + inputs * inputs < lines] or [1]
@@ -375,7 +439,7 @@ def _search(datasets: Sequence[Dataset], options: LinearOptions, orders: Sequenc
     good = [(candidate.model.parameters, index) for index, (candidate, _) in enumerate(results) if score(candidate) <= limit]
     index = min(good)[1]
     delays, direct, free = variants[index]
-    everything = [spectra_of(data) for data in datasets]
+    everything = spectra_of_records(datasets)
     final = refined(everything, results[index][0].model, direct, free, options.iterations)
     return replace(final, held_out=results[index][0].held_out), rows
 

@@ -255,11 +255,12 @@ def gram_matrices(
             columns = np.empty((stop - chunk, size + extra + 1), order="F")
             nominal, *neighbours = running.process(part)
             for i, neighbour in enumerate(neighbours):
-                columns[:, i] = (neighbour - nominal) / STEP
+                np.subtract(neighbour, nominal, out=columns[:, i])
+            columns[:, :size] /= STEP
             share = window.begin + window.share * np.arange(chunk, stop) / n
             for power in range(extra):
                 columns[:, size + power] = (share - 0.5) ** power
-            columns[:, -1] = window.measurement[chunk:stop] - nominal
+            np.subtract(window.measurement[chunk:stop], nominal, out=columns[:, -1])
             for begin in range(max(window.skip - chunk, 0), stop - chunk, length):
                 block = columns[begin : begin + length]
                 product = np.zeros((total, total))

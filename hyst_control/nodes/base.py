@@ -78,6 +78,7 @@ class SignalNode(EndingNode):
         self._diagnostics = DiagnosticsPublisher(self)
         self._state_log = StateLog(self, self.REMEDIES)
         self._diagnosed = (time.monotonic(), 0, 0)
+        self._telling: Iterator[None] = iter(())
         self._ready_since = math.inf  # s, since when the node spins
         self.once(self._say_ready)
         self.every(DIAGNOSTICS_INTERVAL, self._publish_diagnostics)
@@ -395,6 +396,10 @@ class SignalNode(EndingNode):
         self._polled_at = None
         self.tick(tick)
 
+    def after_tick(self) -> None:
+        """Do what has time until the next tick, under the timer."""
+        self._tell()
+
     def time_ran_backwards(self, seconds: float) -> None:
         """Start again after the clock was set back, as by a restarted simulation.
 
@@ -448,6 +453,19 @@ class SignalNode(EndingNode):
         return response
 
     def _publish_diagnostics(self) -> None:
+        """Publish the diagnostics; under the timer in steps after successive ticks, since all at once they take about a tick at 1 kHz."""
+        self._tell(whole=True)  # what no tick has gone on with
+        ticks = not self.lockstep and self.counts["ticks"] > self._diagnosed[1]
+        self._telling = self._diagnostics_in_steps()
+        self._tell(whole=not ticks)
+
+    def _tell(self, whole: bool = False) -> None:
+        """Go on with the diagnostics that are being published, by a step or to their end."""
+        for _ in self._telling:
+            if not whole:
+                return
+
+    def _diagnostics_in_steps(self) -> Iterator[None]:
         now = time.monotonic()
         ticks = max((signal.rows.end or 0 for signal in self.inputs), default=0) if self.lockstep else self.counts["ticks"]
         missed = self.counts["missed ticks"]
@@ -456,21 +474,20 @@ class SignalNode(EndingNode):
         wrong_clocks = self._source_clocks.look(self.longest_age, self.settings.ahead)
         for topic, seconds in wrong_clocks.items():
             self.warn(f"{topic}: clock", f"{topic}: its times are {describe(seconds)} this node's clock: {CLOCK_REMEDY}")
+        sources = {signal.topic: self.count_publishers(signal.topic) for signal in self.inputs}
         health = NodeHealth(
             trouble=self.trouble(),
             wrong_clocks=list(wrong_clocks),
             stale=[signal.topic for signal in self.inputs if not self.lockstep and signal.age > self.settings.timeout],
-            contested=[signal.topic for signal in self.inputs if self.count_publishers(signal.topic) > self.settings.most_sources],
+            contested=[topic for topic, count in sources.items() if count > self.settings.most_sources],
             waits=self.waits(now),
             enabled=self.working,
             slow=self._slow(ticks - ticks_before, missed - missed_before, now - before) if before > self._ready_since else "",
             unheard=[signal.topic for signal in self.inputs if not self.lockstep and signal.needed and signal.rows.end is None],
         )
         for topic in health.contested:
-            self.warn(
-                f"{topic}: sources", f"{topic}: {self.count_publishers(topic)} nodes publish this topic: was one started twice?"
-            )
-        values = {
+            self.warn(f"{topic}: sources", f"{topic}: {sources[topic]} nodes publish this topic: was one started twice?")
+        values: dict[str, Any] = {
             "schedule": self.settings.schedule,
             **({} if self.lockstep else {"offset to ROS time [s]": f"{self.offset_to_ros_time:.6f}"}),
             **self._source_clocks.entries(),
@@ -480,11 +497,16 @@ class SignalNode(EndingNode):
             **health.entries,
             "handed over": ", ".join(sender.topic for sender in self.senders if sender.within) or "none",
             **{f"age of {signal.topic} [s]": f"{signal.age:.4f}" for signal in self.inputs},
-            **self.tick_timer.intervals.entries("period"),
-            **{key: count for key, count in self.counts.items() if key != "ticks" and count},
-            **self.status(),
         }
-        self._diagnostics.publish(health, values)
+        stamp = self.get_clock().now().to_msg()
+        yield
+        values |= self.tick_timer.intervals.entries("period")
+        yield
+        values |= {key: count for key, count in self.counts.items() if key != "ticks" and count} | self.status()
+        yield
+        message = self._diagnostics.message(health, values, stamp)
+        yield
+        self._diagnostics.publish(message)
         if self._ready_since < now:
             self._state_log.tell(health)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,7 +19,8 @@ class Durations:
 
     def __init__(self) -> None:
         self._offset = math.log(SHORTEST)
-        self._counts = [0] * (int((math.log(LONGEST) - self._offset) / RESOLUTION) + 2)  # numpy's items would cost a tick more
+        bins = int((math.log(LONGEST) - self._offset) / RESOLUTION) + 2
+        self._counts = array("q", bytes(8 * bins))  # numpy's items would cost a tick more
 
     def add(self, seconds: float) -> None:
         """Count one duration.
@@ -51,10 +53,10 @@ class Durations:
         return self._quantiles([share])[0]
 
     def _quantiles(self, shares: Sequence[float]) -> list[float]:
-        below = np.cumsum(self._counts)
+        below = np.frombuffer(self._counts, np.int64).cumsum()
         if not below[-1]:
             return [math.nan] * len(shares)
-        at = np.searchsorted(below, [max(share * below[-1], 1) for share in shares])
+        at = below.searchsorted([max(share * below[-1], 1) for share in shares])
         return [math.exp(self._offset + (place + 0.5) * RESOLUTION) for place in at]
 
     def entries(self, name: str) -> dict[str, str]:

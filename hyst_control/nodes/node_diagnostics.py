@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
@@ -114,8 +115,8 @@ class DiagnosticsPublisher:
         self._node = node
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
 
-    def publish(self, health: NodeHealth, values: Mapping[str, Any]) -> None:
-        """Publish the status.
+    def message(self, health: NodeHealth, values: Mapping[str, Any], stamp: Time) -> DiagnosticArray:
+        """Make the message of a status.
 
         Parameters
         ----------
@@ -123,6 +124,12 @@ class DiagnosticsPublisher:
             State that gives level and message.
         values : mapping
             Entries by key.
+        stamp : Time
+            When they were taken.
+
+        Returns
+        -------
+        DiagnosticArray
         """
         status = DiagnosticStatus(
             name=f"{self._node.get_fully_qualified_name()}: loop",
@@ -132,7 +139,17 @@ class DiagnosticsPublisher:
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])
-        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.stamp = stamp
+        return message
+
+    def publish(self, message: DiagnosticArray) -> None:
+        """Publish a message.
+
+        Parameters
+        ----------
+        message : DiagnosticArray
+            What `message` made.
+        """
         self._publisher.publish(message)
 
 

@@ -27,6 +27,9 @@ class TickOwner(Protocol):
     def take_tick(self, tick: int) -> None:
         """Take the messages that have arrived, then tick."""
 
+    def after_tick(self) -> None:
+        """Do what has time until the next tick."""
+
     def time_ran_backwards(self, seconds: float) -> None:
         """Start again after the clock was set back by so many `seconds`."""
 
@@ -150,6 +153,7 @@ class TickTimer:
             owner.warn("overrun", f"a tick took longer than its {self.interval * 1e3:g} ms")
         else:
             self.overrun_streak = 0
+        owner.after_tick()
 
 
 class Jitter:

@@ -29,12 +29,14 @@ from hyst_control.identify.initial_memory import with_beginning
 from hyst_control.identify.reversal_points import turning_points
 from hyst_control.model_file import Model, simulate
 from hyst_control.reporting.tables import Table
+from hyst_control.reproduction.generalized_play import fit_generalized_play
 from hyst_control.reproduction.measured_data import data_folder
 
 SAMPLE_TIME = 5e-3
 SCORED = {"rows 7950-14150": slice(7950, 14150), "rows 7950-11950": slice(7950, 11950)}
 """Rows of the second file: loops whose amplitude shrinks and grows again, with and without the full loops that follow."""
 OPERATORS = 12
+GENERALIZED = {False: "one curve", True: "a curve each way"}
 CUT = 4700
 """Rows cut off the second file's beginning, its first third."""
 
@@ -399,7 +401,32 @@ def predictions(cycle: Dataset, record: Dataset) -> list[Prediction]:
         name = f"{OPERATORS} play operators, {'one' if one_sided else 'two'}-sided"
         found.append(Prediction(name, fitted_error(model, cycle), predict(model, record)))
     found += [mapped_operators(cycle, record, count) for count in (1, 2)]
+    found += [generalized_operators(cycle, record, each_way) for each_way in (False, True)]
     return found
+
+
+def generalized_operators(cycle: Dataset, record: Dataset, each_way: bool) -> Prediction:
+    """Fit generalized play operators, whose edges bend, on a cycle and predict a record.
+
+    Parameters
+    ----------
+    cycle : Dataset
+        Cycle on which the operators are fitted.
+    record : Dataset
+        Record to predict.
+    each_way : bool
+        A curve for each direction; False: one for both.
+
+    Returns
+    -------
+    Prediction
+        Prediction of the record.
+    """
+    thresholds = np.linspace(0.0, 0.5, OPERATORS, endpoint=False)
+    measured = cycle.measurement[:, 0]
+    model = fit_generalized_play(cycle.command[:, 0], measured, thresholds, each_way=each_way)
+    name = f"{OPERATORS} generalized play operators, {GENERALIZED[each_way]}"
+    return Prediction(name, 100.0 * model.fitted / float(np.ptp(measured)), model.predict(record.command[:, 0]))
 
 
 def run(json_path: str | Path | None = None, figures_dir: str | Path | None = None) -> Table:
@@ -471,15 +498,21 @@ def report_cycles(table: Table, available: Sequence[Dataset], nested: Dataset) -
     nested : Dataset
         Second file, with the nested loops.
     """
-    for case, rows in SCORED.items():
-        measured = nested.measurement[rows, 0]
-        errors = [score(measured, predict(identify([cycle], "madelung").model, nested)[rows]) for cycle in available[::4]]
-        for quantity, value in (
-            ("nrmse_mean", float(np.mean(errors))),
-            ("nrmse_least", min(errors)),
-            ("nrmse_greatest", max(errors)),
-        ):
-            table.add("P-885.91, every fourth cycle in turn", case, "Madelung, quintic", quantity, "%", value, n=len(errors))
+    found: dict[str, list[Array]] = {}
+    for cycle in available[::4]:
+        found.setdefault("Madelung, quintic", []).append(predict(identify([cycle], "madelung").model, nested))
+        for each_way in GENERALIZED:
+            play = generalized_operators(cycle, nested, each_way)
+            found.setdefault(play.name, []).append(play.predicted)
+    for name, predicted in found.items():
+        for case, rows in SCORED.items():
+            errors = [score(nested.measurement[rows, 0], each[rows]) for each in predicted]
+            for quantity, value in (
+                ("nrmse_mean", float(np.mean(errors))),
+                ("nrmse_least", min(errors)),
+                ("nrmse_greatest", max(errors)),
+            ):
+                table.add("P-885.91, every fourth cycle in turn", case, name, quantity, "%", value, n=len(errors))
 
 
 def report_fitted_there(table: Table, nested: Dataset) -> None:

@@ -22,7 +22,7 @@ COMMAND = 10.0 * np.sin(2 * np.pi * 3.0 * TIME)[:, None]
 LEVEL, RATE = COMMAND / 10.0, np.cos(2 * np.pi * 3.0 * TIME)[:, None]
 
 
-def distorted(sensor, name: str = "gain") -> dict[str, DistortionEvidence]:
+def distorted(sensor, name: str = "gain", temper: float = 1.0) -> dict[str, DistortionEvidence]:
     """Distortions, by variable, of a gain that is fitted to the record sensor(level, time, direction) of a static plant."""
     model = Model("m", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain((TransferFunction((1.0,), (1.0,)),)), "foh")
     measured = sensor(LEVEL, TIME[:, None] / TIME[-1], np.sign(RATE)) * COMMAND
@@ -32,7 +32,7 @@ def distorted(sensor, name: str = "gain") -> dict[str, DistortionEvidence]:
     (member,) = [one for one in catalogue(problem, {}) if one.name == name and one.place == "sensor"]
     candidate = Candidate((member,))
     solution = fit(linearised, candidate.unknowns(), candidate.starts()[0])
-    return {one.variable: one for one in distortions(linearised, Scored(candidate, solution, 0.0), 1.0)}
+    return {one.variable: one for one in distortions(linearised, Scored(candidate, solution, 0.0), temper)}
 
 
 def test_a_gain_that_is_one_changes_with_nothing():
@@ -56,3 +56,13 @@ def test_the_variable_is_found_with_which_a_gain_changes(variable, sensor):
     expected = 2.0 if variable == "time" else 0.8
     assert found[variable].change == pytest.approx(expected, rel=0.1)
     assert found[variable].statistic > 1000.0
+
+
+def test_a_distortion_that_leaves_noise_alone_is_as_sure_as_noise_allows():
+    """What the effect leaves is the distortion itself, slow and large: that is no reason to count its samples for few."""
+
+    def of_time(level, time, direction):
+        return 1.0 + 0.1 * time
+
+    assert distorted(of_time, temper=1e-4)["time"].statistic == pytest.approx(distorted(of_time)["time"].statistic, rel=0.1)
+    assert distorted(of_time, temper=1e-4)["rate"].statistic < 1.0

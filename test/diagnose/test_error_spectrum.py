@@ -109,3 +109,12 @@ def test_coefficients_are_pinned_by_clean_records():
     other = problem(1.4 * command, command, own_error=np.array([0.2]), own_spectrum=spectrum_of(1))
     assert abs(fit(Linearised(other, scatter_of(clean.model))).z[0]) < 1.1  # within 30 %
     assert abs(fit(Linearised(other, narrow)).z[0]) > 5.0  # many deviations: the gain of the clean record does not take it up
+
+
+@pytest.mark.parametrize("slowest", [0.02, 1.0, 10.0])
+def test_every_frequency_has_a_power_of_its_own(monkeypatch, slowest):
+    """What the memory held before is none: the same records have the same spectrum."""
+    wanted = ErrorSpectrum.of([slow_error(1)], STEP, ROWS, slowest).power
+    monkeypatch.setattr(np, "empty_like", lambda rows: np.full_like(rows, np.nan))
+    np.testing.assert_array_equal(ErrorSpectrum.of([slow_error(1)], STEP, ROWS, slowest).power, wanted)
+    assert np.isfinite(wanted).all()

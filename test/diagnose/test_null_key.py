@@ -128,3 +128,13 @@ def test_a_fit_that_ends_beside_its_minimum_does_not_set_the_threshold(monkeypat
     monkeypatch.setattr(null_distribution, "fit", stuck)
     found = null_distribution.null_scores(here, members(here), 0, few)
     assert found.max() < 3.0 * usual.max() + 10.0
+
+
+def test_scores_of_many_records_at_once_are_those_of_each(monkeypatch):
+    """Also of a number of records that leaves the last block half full."""
+    here = linearised()
+    some = replace(CONFIGURATION.null_distribution, records=7)
+    together = null_distribution.null_scores(here, members(here), 0, some)
+    monkeypatch.setattr(null_distribution, "TOGETHER", 1)
+    np.testing.assert_allclose(together, null_distribution.null_scores(here, members(here), 0, some), rtol=1e-9)
+    assert len(together) == 7 and np.ptp(together) > 0.0

@@ -246,3 +246,16 @@ def test_a_drift_has_not_settled_before_the_first_sample_that_is_compared(name):
     tau = parameters["tau"]
     assert tau.lower == 1.0 and all(tau.lower <= start <= tau.upper for start in tau.starts)
     assert {p.name: p for p in EFFECTS[name].parameters(AROUND)}["tau"].lower == pytest.approx(0.05)
+
+
+def test_a_straight_gain_drift_is_one_number_of_the_usual_size():
+    around = replace(AROUND, duration=2.0, slowest=3.0)
+    straight = next(one for one in EFFECTS["gain_drift"].variants(around) if "tau" in one)
+    free = [p.name for p in EFFECTS["gain_drift"].parameters(around) if p.name not in straight]
+    assert free == ["change"]
+    values = {"change": 0.05, **straight}
+    values |= EFFECTS["gain_drift"].summary(values)
+    time = np.arange(0.0, 2.0, STEP)
+    found = run([EFFECTS["gain_drift"].stage(values, around)], np.ones(len(time)))
+    np.testing.assert_allclose(found, 1.0 + 0.05 * time / 2.0, atol=0.002)
+    assert EFFECTS["gain_drift"].summary({"change": 0.05, "tau": 0.2}) == {}

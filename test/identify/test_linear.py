@@ -1,14 +1,16 @@
 """The family "linear": known systems, simulated by scipy's own discretisation, are found again from any excitation."""
 
 import json
+import tracemalloc
 
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, dlsim, dlti
 
 from hyst_control.errors import InputError
-from hyst_control.identify import Dataset, identify
+from hyst_control.identify import Dataset, identify, linear
 from hyst_control.model_file import simulate
+from hyst_control.records import row_store
 
 SAMPLE_TIME = 1e-4
 FREQUENCY, DAMPING, GAIN = 600.0, 0.05, 0.1
@@ -148,3 +150,34 @@ def test_one_line_tells_a_gain_and_no_more():
     model = identify([Dataset("sine", command, 0.7 * command, 1e-4, ("x",), "um")], "linear").model
     found = simulate(model, np.tile(command, (2, 1)))[2000:]
     np.testing.assert_allclose(np.ptp(found), 2 * 0.7, rtol=0.02)
+
+
+def test_a_long_record_is_taken_in_parts(monkeypatch):
+    """A slow sweep, of which no part excites the whole band, and a rest at its end: as good as whole, and never held twice."""
+    rows, part = 2**17, 2**13
+    time = np.arange(rows) * SAMPLE_TIME
+    command = (10 + 5 * np.sin(2 * np.pi * (5 * time + 1500 * time**2 / (2 * time[-1]))))[:, None]
+    command[-2 * part :] = command[-2 * part]
+    data = dataset(command)
+    monkeypatch.setattr(linear, "WHOLE_ROWS", 2 * part)
+    monkeypatch.setattr(linear, "PART_ROWS", part)
+    tracemalloc.start()
+    parts = linear.spectra_of_records([data])
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert len(parts) == rows // part - 2
+    assert peak < command.nbytes
+    found = entries(identify([data], "linear", order=2).report)
+    for name, true in (("frequency[0]", FREQUENCY), ("damping[0]", DAMPING)):
+        assert abs(found[name]["value"] - true) < 5 * found[name]["standard_error"] + 1e-4 * true
+
+
+def test_the_mean_of_residuals_is_that_of_all_their_rows(monkeypatch):
+    """Also where they come in several blocks."""
+    monkeypatch.setattr(row_store, "BLOCK", 100)
+    rng = np.random.default_rng(3)
+    residuals = [rng.normal(0.1, 1.0, (count, 2)) for count in (250, 70)]
+    mean, error = linear.mean_of(residuals)
+    together = np.concatenate(residuals)
+    np.testing.assert_allclose(mean, together.mean(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(error, together.std(axis=0) / np.sqrt(320), rtol=1e-12)

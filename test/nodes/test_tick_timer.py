@@ -25,6 +25,9 @@ class Owner:
     def take_tick(self, tick):
         self.ticks.append((tick, self.timer.missed))
 
+    def after_tick(self):
+        pass
+
     def time_ran_backwards(self, seconds):
         self.set_back.append(seconds)
 

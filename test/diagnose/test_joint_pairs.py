@@ -1,0 +1,84 @@
+"""Pairs of effects found side by side, the tails of a size's prior, and what effects make of the model's own error."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyst_control.chain import Chain
+from hyst_control.chain.linear import TransferFunction
+from hyst_control.diagnose.hypothesis import Candidate, Member, catalogue
+from hyst_control.diagnose.hypothesis_fit import Linearised, fit
+from hyst_control.diagnose.hypothesis_search import Scored
+from hyst_control.diagnose.joint_pairs import joint_pairs
+from hyst_control.diagnose.parameter_uncertainty import scatter_of
+from hyst_control.diagnose.passed_error import passed_error
+from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.model_file import Model
+
+STEP, NOISE, ROWS = 1e-3, 0.01, 2000
+TIME = STEP * np.arange(ROWS)
+COMMAND = 10.0 * np.sin(2 * np.pi * 3.0 * TIME)[:, None]
+
+
+def problem_of(measured, **changes) -> Problem:
+    """A static plant, whose record is `measured` (N, 1)."""
+    model = Model("m", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain((TransferFunction((1.0,), (1.0,)),)), "foh")
+    return Problem(model, (Piece(COMMAND, measured),), STEP, "foh", np.array([NOISE]), **changes)
+
+
+def prepared(problem: Problem) -> tuple[Linearised, list[Member]]:
+    return Linearised(problem, scatter_of(problem.model)), catalogue(problem, {})
+
+
+def fitted(linearised: Linearised, members, name: str, place: str = "sensor") -> Scored:
+    candidate = Candidate((next(one for one in members if one.name == name and one.place == place),))
+    return Scored(candidate, fit(linearised, candidate.unknowns(), candidate.starts()[0]), 0.0)
+
+
+def test_two_effects_are_found_of_which_neither_leads():
+    late = 10.0 * np.sin(2 * np.pi * 3.0 * (TIME - 0.002))[:, None]
+    linearised, members = prepared(problem_of(late * (1.0 + 0.05 * TIME[:, None] / TIME[-1])))
+    pairs = [set(candidate.names) for candidate, _ in joint_pairs(linearised, members, 3, 4)]
+    assert any("gain_drift" in pair and pair & {"delay", "sensor_lowpass", "amplifier_lowpass"} for pair in pairs)
+
+
+def test_the_start_of_a_pair_is_what_it_was_made_with():
+    measured = COMMAND * (1.0 + 0.05 * TIME[:, None] / TIME[-1]) + 0.3
+    linearised, members = prepared(problem_of(measured))
+    straight = next(one for one in members if one.name == "gain_drift" and "tau" in dict(one.fixed) and one.place == "sensor")
+    offset = next(one for one in members if one.name == "offset")
+    ((candidate, start),) = joint_pairs(linearised, [straight, offset], 1, 4)
+    values = {one.name: one.values(start[part]) for one, part in zip(candidate.members, candidate.slices(), strict=True)}
+    assert values["offset"]["offset"] == pytest.approx(0.3, abs=0.01)
+    # `change` is that in the end, of which the time constant lets a tenth come in the record.
+    assert values["gain_drift"]["change"] * -np.expm1(-TIME[-1] / values["gain_drift"]["tau"]) == pytest.approx(0.05, abs=0.002)
+
+
+def test_one_pair_is_listed_once_and_effects_that_exclude_each_other_never():
+    linearised, members = prepared(problem_of(1.02 * COMMAND))
+    found = [
+        frozenset(member.variant for member in candidate.members) for candidate, _ in joint_pairs(linearised, members, 1000, 2)
+    ]
+    assert len(found) == len(set(found)) and all(len(pair) == 2 for pair in found)
+
+
+def test_a_size_far_beyond_the_usual_one_is_kept_where_samples_count_little():
+    # The model's own error makes all samples together worth a few: a normal prior would draw the gain far toward 0.
+    problem = problem_of(1.9 * COMMAND, slowest=3.0, own_error=np.array([1.0]), own_correlation=30.0)
+    linearised, members = prepared(problem)
+    assert ROWS * problem.weight < 0.01
+    found = fitted(linearised, members, "gain")
+    assert found.candidate is not None
+    gain = found.candidate.members[0].values(found.solution.x)["gain"]
+    information = float(problem.weight * np.sum((0.1 * linearised.nominal) ** 2))  # of the gain, in usual deviations of 0.1
+    normal = 0.9 * information / (1.0 + information)
+    assert 0.9 - gain < 0.25 * (0.9 - normal)
+
+
+@pytest.mark.parametrize(("place", "energy"), [("sensor", 1.5**2), ("drive", 1.0)])
+def test_effects_of_the_sensor_pass_on_the_error_of_the_model(place, energy):
+    problem = problem_of(1.5 * COMMAND, slowest=3.0)
+    linearised, members = prepared(problem)
+    assert passed_error(linearised, fitted(linearised, members, "gain", place)) == pytest.approx(energy, rel=0.01)
+    assert passed_error(linearised, Scored(None, fit(linearised), 0.0)) == 1.0

@@ -1,0 +1,56 @@
+"""Simulations that go on from what is known equal those from the beginning."""
+
+import pickle
+
+import numpy as np
+
+from hyst_control.chain import Chain, Sampling
+from hyst_control.chain.chain import Parallel
+from hyst_control.chain.linear import Delay, TransferFunction
+from hyst_control.chain.memoryless import Gain, Offset
+from hyst_control.diagnose.known_links import KnownLinks
+
+COMMAND = 3.0 * np.cumsum(np.random.default_rng(1).standard_normal((400, 1)), axis=0)
+SLOW, FAST = TransferFunction((2.0,), (0.01, 1.0)), TransferFunction((1.0,), (1e-7, 1e-4, 1.0))
+CHAINS = [
+    (Gain(2.0), SLOW),
+    (Gain(2.0), SLOW, Offset(1.0)),
+    (Gain(2.0), SLOW, Offset(2.0)),
+    (Gain(3.0), SLOW, Offset(2.0)),
+    (Delay(1.3e-4), Gain(2.0), SLOW, FAST, Offset(2.0)),
+    (Parallel(((Gain(1.0), FAST), (SLOW,))), Offset(2.0)),
+    (Gain(2.0), SLOW),
+]
+
+
+def from_the_beginning(stages, sampling):
+    running = Chain(stages).filter(sampling)
+    return running.settle(COMMAND[0]), running.process(COMMAND)
+
+
+def test_equal_to_a_simulation_from_the_beginning() -> None:
+    for most in (64_000_000, 2 * COMMAND.nbytes):  # all is kept, or next to nothing
+        links = KnownLinks(COMMAND, most)
+        for stages in CHAINS:
+            for sampling in (Sampling(1e-4, 1, "zoh"), Sampling(1e-4, 1, "foh"), Sampling(2e-4, 1, "zoh")):
+                for found, due in zip(links.run(stages, sampling), from_the_beginning(stages, sampling), strict=True):
+                    np.testing.assert_array_equal(found, due)
+        assert len(links.known) <= most // COMMAND.nbytes
+
+
+def test_only_what_is_new_is_run(monkeypatch) -> None:
+    from hyst_control.chain.linear_filter import LinearFilter
+
+    runs = []
+    process = LinearFilter.process
+    monkeypatch.setattr(LinearFilter, "process", lambda self, block: runs.append(1) or process(self, block))
+    links, sampling = KnownLinks(COMMAND), Sampling(1e-4, 1, "zoh")
+    for stages in CHAINS[:3]:
+        links.run(stages, sampling)
+    assert len(runs) == 1
+
+
+def test_nothing_is_kept_in_a_pickle() -> None:
+    links = KnownLinks(COMMAND)
+    links.run(CHAINS[0], Sampling(1e-4, 1, "zoh"))
+    assert not pickle.loads(pickle.dumps(links)).known
