@@ -293,7 +293,7 @@ def scaled_branches(
     """`madelung_branches` of an `axis` in units: one call in place of an array operation for each scale, which a single row pays for.
 
     block, output (N, A); offset V; to_inside, to_outside: factors from the input's unit and to the output's; curves: the arguments
-    rising_breaks to end_slope.
+    rising_breaks to end_slope there; inverse, stack, stack_depth, last and start as there.
     """
     count = block.shape[0]
     rising_breaks, rising, falling_breaks, falling, full, end_slope = curves

@@ -20,7 +20,8 @@ from hyst_control.diagnose.evidence import (
     RecordEvidence,
     ResidualEvidence,
 )
-from hyst_control.diagnose.policy import Decision, Reason, Verdict, contenders, decide, detected, join, practical_floor, strained
+from hyst_control.diagnose.policy import contenders, decide, detected, join, practical_floor, strained
+from hyst_control.diagnose.verdict import Decision, Reason, Verdict
 from hyst_control.effects.effect import RecordCheck
 
 LIMITS = replace(
