@@ -21,9 +21,11 @@ unexport PYTHONPATH
 demo: env
 	$(VENV)/bin/hyst demo $(ARGS)
 
+# Processes that run tests, one a core.
+WORKERS ?= 2
 # Without files of byte code each of the many processes of a run would compile all of the sources for itself.
 test: env
-	env -u PYTHONDONTWRITEBYTECODE $(VENV)/bin/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
+	env -u PYTHONDONTWRITEBYTECODE $(VENV)/bin/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 # What failed in the last run, alone: tells what a busy machine did from what the code does. Nothing to run is a failure too.
 test-again: env

@@ -26,6 +26,8 @@ from hyst_control.model_file import save_model, simulate
 from hyst_control.records.importing import write_bag
 from hyst_control.records.session_zero import without_zero
 
+pytestmark = pytest.mark.long_file
+
 NOISE = 5e-4
 DRAWN = {"pea_published": {"name": "dac_hold", "samples": 4.0}, "fsm_published": {"name": "cross_coupling", "coupling": 0.03}}
 

@@ -17,6 +17,8 @@ from hyst_control.fleet.study import run_study
 from hyst_control.model_file import load_model, save_model
 from hyst_control.parallel import Workers
 
+pytestmark = pytest.mark.long_file
+
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):

@@ -20,6 +20,8 @@ from hyst_control.identify.stable_dynamics import Structure
 from hyst_control.model_file import Model, load_model, save_model, simulate
 from hyst_control.records import excitation
 
+pytestmark = pytest.mark.long_file
+
 TS = 5e-5
 SIGMA = 0.0008
 """Noise of the published sensor's order: 0.04 % of the range."""
