@@ -231,22 +231,17 @@ class RunningPI:
 
         reference, measurement: measurement unit; feedforward, command, feedback: V.
         """
-        shape = feedforward.shape
+        if feedforward.ndim == 1:
+            one = [row.reshape(1, -1) for row in (reference, measurement, feedforward)]
+            command, feedback = self.step(*one)
+            return command[0], feedback[0]
         if self._previous is not None:
-            self._take_over((reference - measurement).reshape(-1, self.axes)[0])
-        command, feedback = np.empty((2, shape[0] if len(shape) == 2 else 1, self.axes))
-        saturated, overflowed = _run(
-            reference.reshape(-1, self.axes),
-            measurement.reshape(-1, self.axes),
-            feedforward.reshape(-1, self.axes),
-            self._constants,
-            self._state,
-            command,
-            feedback,
-        )
+            self._take_over((reference - measurement)[0])
+        command, feedback = np.empty(feedforward.shape), np.empty(feedforward.shape)
+        saturated, overflowed = _run(reference, measurement, feedforward, self._constants, self._state, command, feedback)
         self.saturated += saturated
         self.overflowed = self._overflowed() if overflowed else ()
-        return command.reshape(shape), feedback.reshape(shape)
+        return command, feedback
 
     def pass_through(self, feedforward: Array) -> tuple[Array, Array]:
         """The open loop: feedforward (N, A) in V within the limits, and a feedback of zeros."""
