@@ -50,7 +50,8 @@ def joint_pairs(linearised: Linearised, members: Sequence[Member], count: int, s
         Pairs, the best first, and where a step in all of their parameters leads.
     """
     fitted = [member for member in members if member.size]
-    tangents = [one for found in map_forked(lambda i: _tangents(linearised, fitted[i], starts), len(fitted)) for one in found]
+    found = map_forked(lambda i: _tangents(linearised, fitted[i], starts), len(fitted))  # arrays only: members cannot be sent back
+    tangents = [Tangent(member, *one) for member, each in zip(fitted, found, strict=True) for one in each]
     if len(tangents) < 2:
         return []
     blocks = np.hstack([np.column_stack([one.added, one.columns]) for one in tangents])
@@ -74,8 +75,8 @@ def joint_pairs(linearised: Linearised, members: Sequence[Member], count: int, s
     return [_pair(tangents[a], tangents[b], step) for _, a, b, step in chosen]
 
 
-def _tangents(linearised: Linearised, member: Member, most: int) -> list[Tangent]:
-    """Tangents of an effect at some of its starts, those left out that cannot be simulated."""
+def _tangents(linearised: Linearised, member: Member, most: int) -> list[tuple[Array, Array, Array]]:
+    """Tangents of an effect at some of its starts, those left out that cannot be simulated: all of them but the effect."""
     unknowns, nominal, found = Candidate((member,)).unknowns(), np.zeros(linearised.count), []
     begins = member.starts()
     for start in begins[:: -(-len(begins) // most)]:
@@ -83,9 +84,7 @@ def _tangents(linearised: Linearised, member: Member, most: int) -> list[Tangent
         try:
             there = linearised.simulate(nominal, unknowns, x)
             if is_bounded(there):
-                found.append(
-                    Tangent(member, x, there - linearised.nominal, effect_columns(linearised, unknowns, nominal, x, there))
-                )
+                found.append((x, there - linearised.nominal, effect_columns(linearised, unknowns, nominal, x, there)))
         except InputError:
             continue
     return found

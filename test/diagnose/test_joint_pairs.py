@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hyst_control import parallel
 from hyst_control.chain import Chain
 from hyst_control.chain.linear import TransferFunction
 from hyst_control.diagnose.hypothesis import Candidate, Member, catalogue
@@ -82,3 +83,14 @@ def test_effects_of_the_sensor_pass_on_the_error_of_the_model(place, energy):
     linearised, members = prepared(problem)
     assert passed_error(linearised, fitted(linearised, members, "gain", place)) == pytest.approx(energy, rel=0.01)
     assert passed_error(linearised, Scored(None, fit(linearised), 0.0)) == 1.0
+
+
+def test_pairs_are_the_same_on_any_number_of_cores(monkeypatch):
+    """Effects hold functions that no process can send back to another one."""
+    linearised, members = prepared(problem_of(1.02 * COMMAND + 0.3))
+    found = []
+    for count in (1, 2):
+        monkeypatch.setattr(parallel, "_serial", False)
+        monkeypatch.setattr(parallel, "cores", lambda count=count: count)
+        found.append([(candidate.names, start.tolist()) for candidate, start in joint_pairs(linearised, members, 3, 2)])
+    assert found[0] == found[1] and len(found[0]) == 3
