@@ -13,7 +13,7 @@ from hyst_control.chain.coordinates import chain_coordinates, with_coordinates
 from hyst_control.chain.stage import Array
 from hyst_control.config_files import config_path
 from hyst_control.diagnose.diagnosis import diagnose
-from hyst_control.diagnose.policy import Verdict
+from hyst_control.diagnose.verdict import Verdict
 from hyst_control.fleet.population_model import population_model
 from hyst_control.model_file import Model, load_model, simulate
 from hyst_control.records.record import Record, Signal

@@ -5,40 +5,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.baseline import Baseline, as_clean_command, no_model, with_baseline, with_discrepancy
-from hyst_control.diagnose.clean_lines import beyond_clean
 from hyst_control.diagnose.command_roughness import as_recorded, roughness_evidence, with_commands
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.distortion import distortions
-from hyst_control.diagnose.evidence import Evidence, Finding, RecordEvidence, RoughnessEvidence
+from hyst_control.diagnose.evidence import Evidence, RoughnessEvidence
 from hyst_control.diagnose.evidence_collection import (
     collect,
     companions,
-    known_error,
     residual_evidence,
-    stated_energy,
-    stated_noise,
-    white_noise,
 )
 from hyst_control.diagnose.gap_reduction import holds
-from hyst_control.diagnose.hypothesis import Member, catalogue
-from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, fit
+from hyst_control.diagnose.hypothesis_fit import Linearised
 from hyst_control.diagnose.hypothesis_search import Found, Scored, search
 from hyst_control.diagnose.null_distribution import threshold
-from hyst_control.diagnose.parameter_uncertainty import pinned, scatter_of, within_own_error
 from hyst_control.diagnose.passed_error import passed_error
-from hyst_control.diagnose.policy import Decision, contenders, decide, detected, not_received, practical_floor
+from hyst_control.diagnose.policy import contenders, decide, not_received
+from hyst_control.diagnose.prepared_axis import is_used, nominal_residuals, prepare, with_noise
 from hyst_control.diagnose.problem import Piece, Problem, check_command, check_units, split
-from hyst_control.diagnose.record_checks import effect_found_by, lattice_of, lines, record_evidence
-from hyst_control.effects import EFFECTS
-from hyst_control.effects.effect import PLACES, RecordCheck
+from hyst_control.diagnose.verdict import Decision
+from hyst_control.effects.effect import RecordCheck
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
@@ -236,7 +228,7 @@ def with_clean(
     problem, notes = problem_of(records, model, warm_up, configuration)
     clean = split(_clean_problem(baseline, problem, warm_up, configuration)) if baseline else None
     parts = []
-    looked_for = _is_used(RecordCheck.COMMAND_LATTICE, without) and not bare
+    looked_for = is_used(RecordCheck.COMMAND_LATTICE, without) and not bare
     if looked_for and clean is not None:
         clean = [_without_roughness(part, configuration) for part in clean]
     for index, part in enumerate(split(problem)):
@@ -337,26 +329,7 @@ def problem_of(
         outside = float(np.mean((commands < valid[0] - 1e-9) | (commands > valid[1] + 1e-9)))
         if outside > 0:
             notes.append(f"{outside:.1%} of the command lies outside the {valid[0]:g} … {valid[1]:g} V that the model is valid for")
-    return _with_noise(problem, _residuals(problem), configuration), notes
-
-
-def _residuals(problem: Problem) -> Array:
-    """Measured minus simulated (M, A) of the nominal model, measurement unit."""
-    return problem.rows(problem.measured() - problem.simulate(problem.model.chain.stages))
-
-
-def _with_noise(problem: Problem, residuals: Array, configuration: Configuration) -> Problem:
-    """The same problem with the noise (A,) estimated from the upper end of the residuals' spectrum."""
-    measured = np.concatenate([piece.measurement for piece in problem.pieces])
-    stated, sigma = stated_noise(problem.model), []
-    for axis in range(residuals.shape[1]):
-        lattice = lattice_of(measured[:, axis], configuration.checks)
-        # On a quantized measurement, stretches at rest hide the noise.
-        noise = white_noise(problem, residuals, axis, configuration.noise, rests=not lattice)
-        # The rounding error counts as noise too, but it follows the signal: the upper spectrum shows little of it.
-        rounded = float(np.hypot(lattice / np.sqrt(12.0), stated[axis])) if lattice else 0.0
-        sigma.append(max(noise, configuration.noise.least * float(np.ptp(measured[:, axis])), rounded, 1e-12))
-    return replace(problem, sigma=np.array(sigma))
+    return with_noise(problem, nominal_residuals(problem), configuration), notes
 
 
 def _beside(problem: Problem, clean: Problem | None, configuration: Configuration) -> Baseline | None:
@@ -427,169 +400,6 @@ def _axis(
     return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decision, baseline)
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """Problem of an axis before any effect is tried.
-
-    Parameters
-    ----------
-    problem : Problem
-        With its noise, and without rows that hold no measurement of their own.
-    linearised : Linearised
-        The problem with the columns of its coefficients.
-    without : tuple of str
-        Effects that are not tried.
-    checks : frozenset of RecordCheck
-        Checks whose effect is in the catalogue.
-    record : tuple of RecordEvidence
-        By axis.
-    findings : tuple of Finding
-        Repeated samples and lattices.
-    suggested : callable
-        Finds the lines in the spectrum: by the effect that they suggest their frequencies, Hz. Only a search needs them.
-    stated : ndarray, shape (A,)
-        Noise that the model states, rms, measurement unit.
-    floor : float
-        Rms that an effect must take off to be worth naming, in units of the noise.
-    leaves : float
-        Energy that the model itself says it leaves, in noise energies.
-
-    """
-
-    problem: Problem
-    linearised: Linearised
-    without: tuple[str, ...]
-    checks: frozenset[RecordCheck]
-    record: tuple[RecordEvidence, ...]
-    findings: tuple[Finding, ...]
-    suggested: Callable[[], Mapping[str, Sequence[float]]]
-    stated: Array
-    floor: float
-    leaves: float
-
-    def members(self, sensor_side: bool) -> list[Member]:
-        """List the effects to try.
-
-        Parameters
-        ----------
-        sensor_side : bool
-            True for those behind the mechanics only.
-
-        Returns
-        -------
-        list of Member
-
-        """
-        members = catalogue(self.problem, self.suggested(), self.without)
-        return [one for one in members if not sensor_side or PLACES.index(one.place) > PLACES.index("mechanics")]
-
-
-def prepare(
-    problem: Problem,
-    baseline: Baseline | None,
-    without: Sequence[str],
-    configuration: Configuration,
-    progress: Callable[[str], None] = lambda _: None,
-) -> Prepared:
-    """Fit the coefficients alone, check the record, and estimate its noise: all that comes before effects are tried.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of an axis, or of all axes of a model that mixes them.
-    baseline : Baseline or None
-        Clean records or stated discrepancy.
-    without : sequence of str
-        Names of effects that are not tried.
-    configuration : Configuration
-        Settings of the diagnosis.
-    progress : callable
-        Called with the name of each step.
-
-    Returns
-    -------
-    Prepared
-
-    Raises
-    ------
-    InputError
-        If the model cannot be simulated on the record.
-
-    """
-    thresholds = configuration.policy
-    if baseline is not None:
-        problem = _with_noise(baseline.problem, _residuals(baseline.problem), configuration)
-        without = [*without, *(name for name, effect in EFFECTS.items() if effect.companion is not None)]
-    stated = stated_noise(problem.model)
-    own = known_error(problem, stated)
-    checks = frozenset(check for check in RecordCheck if _is_used(check, without))
-    progress("coefficients of the model")
-    scatter = within_own_error(scatter_of(problem.model), problem)
-    if baseline is not None and baseline.clean is not None and problem.own_spectrum is not None:
-        scatter = pinned(scatter, replace(baseline.clean, own_spectrum=problem.own_spectrum, sigma=problem.own_spectrum.noise))
-    linearised = Linearised(problem, scatter)
-    none = fit(linearised)
-    record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
-    if baseline is not None and baseline.clean is not None:
-        record = _beside_usual(record, baseline.clean, configuration)
-    findings = detected(record, checks, thresholds)
-    suggested = partial(_suggested, problem, linearised, none, baseline, configuration)
-    # The first noise estimate still contained spectral leakage from the gap.
-    problem = _with_noise(problem, problem.rows(none.residual), configuration)
-    repeated = [finding.axis for finding in findings if finding.check is RecordCheck.REPEATED_VALUES]
-    problem = _without_repeats(problem, repeated)
-    linearised = Linearised(problem, scatter)
-    problem = _without_truncation(linearised, findings, configuration)
-    linearised = linearised if problem is linearised.problem else Linearised(problem, scatter)
-    if repeated:
-        problem = _with_noise(problem, problem.rows(fit(linearised).residual), configuration)
-        linearised = Linearised(problem, scatter)
-    floor = _floor(problem, own, configuration)
-    if baseline is not None:
-        least = float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2)))
-        floor = max(floor, least if problem.own_spectrum is None else configuration.baseline.same_floor)
-    leaves = max(stated_energy(own, problem.sigma), 1.0 + problem.own_energy)
-    return Prepared(problem, linearised, tuple(without), checks, tuple(record), tuple(findings), suggested, stated, floor, leaves)
-
-
-def _suggested(
-    problem: Problem, linearised: Linearised, none: Solution, baseline: Baseline | None, configuration: Configuration
-) -> dict[str, list[float]]:
-    """Lines in the spectrum of what the coefficients leave, beyond those of the clean records."""
-    found = lines(problem, linearised.unexplained(none.residual), configuration.checks)
-    if baseline is None or baseline.clean is None:
-        return found
-    clean_rows = np.split(_residuals(baseline.clean), np.cumsum(_counts(baseline.clean))[:-1])
-    return beyond_clean(found, problem.rows(none.residual), clean_rows, problem.sample_time, configuration.checks)
-
-
-def _counts(problem: Problem) -> list[int]:
-    """Rows that count, by record."""
-    return [len(piece.counted(piece.command)) for piece in problem.pieces]
-
-
-def _beside_usual(record: Sequence[RecordEvidence], clean: Problem, configuration: Configuration) -> tuple[RecordEvidence, ...]:
-    """The evidence on a record with what the clean records show of the same, which is normal."""
-    usual = record_evidence(clean, _residuals(clean), configuration.checks, configuration.noise)
-    return tuple(
-        replace(
-            new,
-            # Repeats that are few enough for chance are normal as well.
-            usual_repeated=old.repeated
-            if old.step
-            else max(_repeats(piece.counted(piece.measurement)[:, axis]) for piece in clean.pieces),
-            usual_step=old.step,
-            usual_roughness=0.0 if old.roughness is None else old.roughness.rms,
-        )
-        for axis, (new, old) in enumerate(zip(record, usual, strict=True))
-    )
-
-
-def _repeats(values: Array) -> float:
-    """Share of samples (N,) that repeat the one before."""
-    return float(np.mean(np.diff(values) == 0.0))
-
-
 def _without_roughness(problem: Problem, configuration: Configuration) -> Problem:
     """The same problem with smooth commands where the plant did not receive the roughness of the recorded ones."""
     found: list[RoughnessEvidence | None] = []
@@ -602,12 +412,7 @@ def _without_roughness(problem: Problem, configuration: Configuration) -> Proble
     if not any(found):
         return problem
     problem = replace(problem, roughness=tuple(found))
-    return _with_noise(problem, _residuals(problem), configuration)
-
-
-def _is_used(check: RecordCheck, without: Sequence[str]) -> bool:
-    effect = effect_found_by(check)
-    return effect is not None and effect.name not in without
+    return with_noise(problem, nominal_residuals(problem), configuration)
 
 
 def _outlier_notes(part: AxisDiagnosis) -> list[str]:
@@ -617,43 +422,3 @@ def _outlier_notes(part: AxisDiagnosis) -> list[str]:
         f"{one.rms:.3g} {model.units['measurement']} rms"
         for one in part.decision.outliers
     ]
-
-
-def _floor(problem: Problem, stated: Array, configuration: Configuration) -> float:
-    """Least rms that matters in practice, in units of the noise."""
-    measured = np.concatenate([piece.measurement for piece in problem.pieces])
-    steps = np.array([lattice_of(column, configuration.checks) for column in measured.T])
-    return practical_floor(np.ptp(measured, axis=0), steps, stated, problem.sigma, configuration.policy)
-
-
-def _without_truncation(linearised: Linearised, findings: Sequence[Finding], configuration: Configuration) -> Problem:
-    """The same problem, where a converter rounded down or up with the half step added that it took off or put on.
-
-    Only where the constant that fits best beside the coefficients is that half step: any other one is an offset.
-    """
-    problem = linearised.problem
-    shift = np.zeros(len(problem.model.axes))
-    gap = linearised.unexplained(linearised.measured - linearised.nominal)
-    for finding in findings:
-        if finding.check is RecordCheck.VALUE_LATTICE:
-            constant = np.zeros((len(gap) // len(shift), len(shift)))
-            constant[:, finding.axis] = 1.0 / problem.sigma[finding.axis]
-            column = problem.whitened(constant.reshape(-1))
-            steps = float(column @ gap / (column @ linearised.unexplained(column))) / finding.value
-            if abs(abs(steps) - 0.5) < configuration.checks.truncation:
-                shift[finding.axis] = -0.5 * np.sign(steps) * finding.value
-    if not shift.any():
-        return problem
-    return replace(problem, pieces=tuple(replace(piece, measurement=piece.measurement + shift) for piece in problem.pieces))
-
-
-def _without_repeats(problem: Problem, axes: Sequence[int]) -> Problem:
-    """The same problem without the rows that repeat the row before on one of these axes: they hold no new measurement."""
-    if not axes:
-        return problem
-    pieces = []
-    for piece in problem.pieces:
-        same = np.zeros(len(piece.command), bool)
-        same[1:] = (np.diff(piece.measurement[:, axes], axis=0) == 0.0).any(axis=1)
-        pieces.append(replace(piece, keep=~same if piece.keep is None else piece.keep & ~same))
-    return replace(problem, pieces=tuple(pieces))

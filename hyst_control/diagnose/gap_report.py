@@ -14,7 +14,8 @@ from hyst_control.diagnose.block_replay import Block
 from hyst_control.diagnose.diagnosis import Diagnosis
 from hyst_control.diagnose.gap_budget import budget, stages
 from hyst_control.diagnose.next_experiment import next_experiment
-from hyst_control.diagnose.policy import Reason, Verdict, join
+from hyst_control.diagnose.policy import join
+from hyst_control.diagnose.verdict import Reason, Verdict
 from hyst_control.effects import EFFECTS
 from hyst_control.reporting.quantities import quantity
 

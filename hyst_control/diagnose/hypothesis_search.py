@@ -21,9 +21,10 @@ from scipy.linalg import cho_factor
 from scipy.optimize import minimize_scalar
 
 from hyst_control.chain.stage import Array
-from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, SearchSettings, Thresholds
+from hyst_control.diagnose.candidate_fits import fit_candidate, merged_start, misfit_of, promising_pairs
+from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, Thresholds
 from hyst_control.diagnose.hypothesis import Candidate, Member
-from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, Unknowns, effect_columns, fit, is_bounded, refined
+from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, fit, refined
 from hyst_control.diagnose.joint_pairs import joint_pairs
 from hyst_control.diagnose.policy import strained as are_strained
 from hyst_control.diagnose.problem import Problem
@@ -168,7 +169,7 @@ def search(
     alternatives = np.log(max(len(realizations), 1))
     members = _screened(linearised, members, settings.realizations)
     alone = [Candidate((member,)) for member in members]
-    solutions = map_forked(lambda i: _fitted(linearised, alone[i], alone[i].starts(), settings), len(alone))
+    solutions = map_forked(lambda i: fit_candidate(linearised, alone[i], alone[i].starts(), settings), len(alone))
     for candidate, found in zip(alone, solutions, strict=True):
         progress(candidate.names[0])
         if found is not None:
@@ -249,7 +250,7 @@ def _screened(linearised: Linearised, members: Sequence[Member], most: int) -> l
             simulated = linearised.simulate(nominal, Candidate((ready[i],)).unknowns(), np.zeros(0))
         except InputError:
             return np.inf
-        return _misfit(linearised, linearised.measured - simulated)
+        return misfit_of(linearised, linearised.measured - simulated)
 
     order = np.argsort(list(map_forked(left, len(ready))))
     kept = {id(ready[i]) for i in order[:most]}
@@ -302,15 +303,15 @@ def _grown(
 ) -> list[tuple[Candidate, Solution]]:
     """The parents with one effect more each, and the candidates (with their starts) of `joint`, best first."""
     settings = configuration.search
-    promising = map_forked(lambda i: _promising(linearised, *parents[i], members, least, settings), len(parents))
+    promising = map_forked(lambda i: promising_pairs(linearised, *parents[i], members, least, settings), len(parents))
     wanted: list[tuple[Candidate, Array]] = []
     for (candidate, solution), found in zip(parents, promising, strict=True):
         for index, start in found:
             pair = candidate.with_member(members[index])
             if not any(_same(pair, other) for other, _ in wanted):
-                wanted.append((pair, _merged(pair, candidate, solution.x, members[index], start)))
+                wanted.append((pair, merged_start(pair, candidate, solution.x, members[index], start)))
     wanted += [(pair, start) for pair, start in joint if not any(_same(pair, other) for other, _ in wanted)]
-    fitted = map_forked(lambda i: _fitted(linearised, wanted[i][0], [wanted[i][1]], settings), len(wanted))
+    fitted = map_forked(lambda i: fit_candidate(linearised, wanted[i][0], [wanted[i][1]], settings), len(wanted))
     grown = []
     for (pair, _), end in zip(wanted, fitted, strict=True):
         progress("+".join(pair.names))
@@ -435,44 +436,6 @@ def _held(linearised: Linearised) -> Linearised:
     return held
 
 
-def _fitted(linearised: Linearised, candidate: Candidate, starts: Sequence[Array], settings: SearchSettings) -> Solution | None:
-    """The best fit over the starts of a single effect; only those that a first linear step makes most of are followed."""
-    unknowns = candidate.unknowns()
-    starts = (
-        _nearby(linearised, unknowns, candidate.members[0], starts, settings.scanned) if len(candidate.members) == 1 else starts
-    )
-    if len(starts) > settings.followed:
-        ranked: list[tuple[float, int, Array]] = []
-        for start in starts:
-            try:
-                left, there = _after_step(linearised, unknowns, candidate, candidate.members[0], start, settings)
-                ranked.append((left, len(ranked), there))
-            except InputError:
-                continue
-        nearest = _nearest(linearised, unknowns, starts) if len(starts[0]) == 1 else []
-        starts = [start for *_, start in sorted(ranked, key=lambda item: item[:2])[: settings.followed]] + nearest
-    tried = []
-    for start in starts:
-        try:
-            tried.append(fit(linearised, unknowns, start))
-        except InputError:
-            continue
-    return min(tried, key=lambda solution: solution.misfit, default=None)
-
-
-def _nearest(linearised: Linearised, unknowns: Unknowns, starts: Sequence[Array]) -> list[Array]:
-    """The start that comes closest to the record as it is: of one parameter, a linear step may promise too much from afar."""
-    nominal = np.zeros(linearised.count)
-
-    def left(start: Array) -> float:
-        try:
-            return _misfit(linearised, linearised.measured - linearised.simulate(nominal, unknowns, start))
-        except InputError:
-            return np.inf
-
-    return [min(starts, key=left)]
-
-
 def _freed(
     linearised: Linearised, fits: list[tuple[Candidate, Solution]], without: float, configuration: Configuration
 ) -> list[tuple[Candidate, Solution]]:
@@ -490,7 +453,7 @@ def _freed(
 
     def begun_again(i: int) -> Solution | None:
         candidate = fits[stuck[i]][0]
-        return _fitted(linearised, candidate, [_best_alone(linearised, candidate, settings.scanned)], settings)
+        return fit_candidate(linearised, candidate, [_best_alone(linearised, candidate, settings.scanned)], settings)
 
     again = map_forked(begun_again, len(stuck))
     freed = dict(zip(stuck, again, strict=True))
@@ -498,43 +461,6 @@ def _freed(
         (candidate, min((solution, freed.get(i) or solution), key=lambda one: one.misfit))
         for i, (candidate, solution) in enumerate(fits)
     ]
-
-
-def _nearby(linearised: Linearised, unknowns: Unknowns, member: Member, starts: Sequence[Array], count: int) -> Sequence[Array]:
-    """Starts of a member, of a suggested parameter replaced by the value near them that comes closest to the record.
-
-    The misfit of such a parameter has a narrow minimum without a slope around it: a scan over the width that a spectrum leaves, and two
-    more around its best value.
-    """
-    index = next((i for i, parameter in enumerate(member.parameters) if parameter.suggested), None)
-    if index is None:
-        return starts
-    lower, upper = unknowns.lower[index], unknowns.upper[index]
-    nominal = np.zeros(linearised.count)
-    span = np.ptp(np.concatenate([piece.command for piece in member.problem.pieces])) / member.parameters[index].scale
-
-    def left(start: Array, value: float) -> float:
-        x = start.copy()
-        x[index] = np.clip(value, lower, upper)
-        try:
-            return _misfit(linearised, linearised.measured - linearised.simulate(nominal, unknowns, x))
-        except InputError:
-            return np.inf
-
-    scanned = [
-        (left(start, value), value, start)
-        for start in starts
-        for value in start[index] + 0.75 * start[index] ** 2 / span * np.linspace(-1.0, 1.0, 2 * count + 1)
-    ]
-    _, best, start = min(scanned, key=lambda item: item[0])
-    width = 0.75 * start[index] ** 2 / span / count
-    for _ in range(2):
-        values = best + width * np.linspace(-1.0, 1.0, count + 1)
-        best = float(values[int(np.argmin([left(start, value) for value in values]))])
-        width *= 2.0 / count
-    nearest = start.copy()
-    nearest[index] = np.clip(best, lower, upper)
-    return [nearest]
 
 
 def _best_alone(linearised: Linearised, candidate: Candidate, count: int) -> Array:
@@ -553,78 +479,6 @@ def _best_alone(linearised: Linearised, candidate: Candidate, count: int) -> Arr
     best = int(np.argmin([misfit(value) for value in values]))
     bounds = values[max(best - 1, 0)], values[min(best + 1, count - 1)]
     return np.array([minimize_scalar(misfit, bounds=bounds, method="bounded", options={"maxiter": count}).x])
-
-
-def _promising(
-    linearised: Linearised,
-    candidate: Candidate,
-    solution: Solution,
-    members: Sequence[Member],
-    least: float,
-    settings: SearchSettings,
-) -> list[tuple[int, Array]]:
-    """The effects (by index) that a linear step on top of a candidate makes most of, at least so much, and from which start."""
-    found: dict[tuple[object, ...], tuple[float, int, Array]] = {}
-    nominal = np.zeros(linearised.count)
-    before = _misfit(linearised, linearised.measured - linearised.simulate(nominal, candidate.unknowns(), solution.x))
-    for index, member in enumerate(members):
-        if any(member.excludes(other) for other in candidate.members):
-            continue
-        best = None
-        pair = candidate.with_member(member)
-        unknowns = pair.unknowns()
-        starts = member.starts()
-        for start in starts[:: max(len(starts) // settings.screened, 1)]:
-            x = _merged(pair, candidate, solution.x, member, start)
-            try:
-                left, there = _after_step(linearised, unknowns, pair, member, x, settings)
-                gain = before - left
-            except InputError:
-                continue
-            if best is None or gain > best[0]:
-                best = gain, there[next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)]
-        if best is not None and best[0] > max(least, found.get(member.variant, (-np.inf,))[0]):
-            found[member.variant] = best[0], index, best[1]
-    return [(index, start) for _, index, start in sorted(found.values(), key=lambda item: -item[0])[: settings.promising]]
-
-
-def _after_step(
-    linearised: Linearised, unknowns: Unknowns, pair: Candidate, member: Member, x: Array, settings: SearchSettings
-) -> tuple[float, Array]:
-    """A linear step in the new effect's parameters from x, coefficients marginalized about the nominal ones: the misfit after it
-    and where it leads."""
-    nominal = np.zeros(linearised.count)
-    simulated = linearised.simulate(nominal, unknowns, x)
-    residual = linearised.measured - simulated
-    place = next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)
-    chosen = list(range(place.start, place.stop))
-    if len(member.parameters) == len(chosen) and len(member.starts()) > settings.screened:
-        # Many starts over frequencies say enough of those; the amplitudes are what a step can find.
-        chosen = [i for i, p in zip(chosen, member.parameters, strict=True) if not p.logarithmic]
-    if not is_bounded(residual):
-        raise InputError("the chain grows without limit at these values")
-    design = effect_columns(linearised, unknowns, nominal, x, simulated, chosen=chosen)
-    known, weight = linearised.unexplained(design), linearised.problem.weight
-    right = known.T @ residual
-    there = x.copy()
-    if not len(right):
-        return _misfit(linearised, residual), there
-    step = np.linalg.solve(design.T @ known + np.eye(len(right)) / weight, right)
-    there[chosen] = np.clip(x[chosen] + step, unknowns.lower[chosen], unknowns.upper[chosen])
-    return _misfit(linearised, residual) - 0.5 * weight * float(right @ step), there
-
-
-def _misfit(linearised: Linearised, residual: Array) -> float:
-    """½ of a residual's squared size, coefficients marginalized; infinite where a chain ran away."""
-    if not is_bounded(residual):
-        return np.inf
-    return 0.5 * linearised.problem.weight * float(residual @ linearised.unexplained(residual))
-
-
-def _merged(pair: Candidate, candidate: Candidate, x: Array, member: Member, start: Array) -> Array:
-    """Scaled parameters of a pair from those of the candidate and the start of the new effect."""
-    parts = iter(zip(candidate.members, candidate.slices(), strict=True))
-    return np.concatenate([start if one is member else x[next(parts)[1]] for one in pair.members])
 
 
 def _same(one: Candidate, other: Candidate) -> bool:

@@ -13,8 +13,8 @@ from hyst_control.diagnose.configuration import CONFIGURATION, ExperimentSetting
 from hyst_control.diagnose.diagnosis import AxisDiagnosis, Diagnosis
 from hyst_control.diagnose.hypothesis_fit import Linearised
 from hyst_control.diagnose.hypothesis_search import Scored
-from hyst_control.diagnose.policy import Verdict
 from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects import EFFECTS
 from hyst_control.errors import InputError
 from hyst_control.records.excitation import build

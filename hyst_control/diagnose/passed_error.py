@@ -1,4 +1,4 @@
-"""What an explanation makes of the model's own error: effects of the sensor act on the machine's output, the model's error included.
+"""The own error of the model as an explanation passes it on: effects of the sensor act on the output of the machine, error included.
 
 A sensor whose gain is half as much again shows the model's error half as large again, and a bend enlarges it where the curve is steep.
 What the right effect of the right size leaves is therefore the model's error as the effect passes it on, and a share of the gap at

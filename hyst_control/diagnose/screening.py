@@ -18,12 +18,14 @@ import numpy as np
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.baseline import Baseline
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
-from hyst_control.diagnose.diagnosis import Prepared, prepare, with_clean
+from hyst_control.diagnose.diagnosis import with_clean
 from hyst_control.diagnose.evidence_collection import collect, companions, residual_evidence
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.hypothesis_search import Found, Scored, inflated, settled
 from hyst_control.diagnose.null_distribution import threshold
-from hyst_control.diagnose.policy import Verdict, decide
+from hyst_control.diagnose.policy import decide
+from hyst_control.diagnose.prepared_axis import Prepared, prepare
+from hyst_control.diagnose.verdict import Verdict
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 

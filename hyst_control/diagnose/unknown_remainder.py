@@ -11,9 +11,9 @@ import numpy as np
 from hyst_control.chain.command_features import FEATURES
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.diagnosis import AxisDiagnosis, Diagnosis
-from hyst_control.diagnose.policy import Verdict
 from hyst_control.diagnose.predictability import Predictability, learn_residual, predictability
 from hyst_control.diagnose.problem import axis_model
+from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects import insert
 from hyst_control.effects.learned_residual import LearnedResidual
 from hyst_control.model_file import Model

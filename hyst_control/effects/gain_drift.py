@@ -171,7 +171,7 @@ def drift_variants(around: Surroundings) -> tuple[Values, ...]:
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """What comes of the change over the record; beside the model's own error from a fifth of the gain to five times as much.
+    """Change over the record; beside the model's own error from a fifth of the gain to five times as much.
 
     Parameters
     ----------

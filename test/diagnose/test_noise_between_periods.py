@@ -66,7 +66,8 @@ def test_copies_and_commands_that_do_not_repeat_say_nothing():
 
 def test_beside_a_carried_record_the_noise_of_both_counts():
     from hyst_control.diagnose.configuration import CONFIGURATION
-    from hyst_control.diagnose.diagnosis import _beside, _residuals, _with_noise
+    from hyst_control.diagnose.diagnosis import _beside
+    from hyst_control.diagnose.prepared_axis import nominal_residuals, with_noise
 
     command = periodic(4)
     random = np.random.default_rng(7)
@@ -75,5 +76,5 @@ def test_beside_a_carried_record_the_noise_of_both_counts():
     )
     beside = _beside(new, clean, CONFIGURATION)
     assert beside is not None and beside.carried
-    found = _with_noise(beside.problem, _residuals(beside.problem), CONFIGURATION)
+    found = with_noise(beside.problem, nominal_residuals(beside.problem), CONFIGURATION)
     assert found.sigma[0] == pytest.approx(np.sqrt(2.0) * NOISE, rel=0.1)

@@ -12,9 +12,10 @@ from hyst_control.diagnose.evidence import (
     Evidence,
     ResidualEvidence,
 )
-from hyst_control.diagnose.policy import Verdict, contenders, decide, join
+from hyst_control.diagnose.policy import contenders, decide, join
+from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects.effect import RecordCheck
-from test.diagnose.test_policy import ALL, LIMITS, PLAIN, SAMPLES, coefficients, effect, evidence, flicker, none
+from test.diagnose.made_evidence import ALL, LIMITS, PLAIN, SAMPLES, coefficients, effect, evidence, flicker, none
 
 ENERGY = st.floats(1.0, 120.0)
 SCORE = st.floats(-20.0, 2000.0)

@@ -8,10 +8,11 @@ import pytest
 from hyst_control.blind_test.nominal_models import nominal
 from hyst_control.blind_test.plant_setups import SETUPS, scatter
 from hyst_control.diagnose.configuration import CONFIGURATION
-from hyst_control.diagnose.diagnosis import _without_truncation, problem_of
+from hyst_control.diagnose.diagnosis import problem_of
 from hyst_control.diagnose.hypothesis_fit import Linearised
 from hyst_control.diagnose.parameter_uncertainty import scatter_of
 from hyst_control.diagnose.policy import detected
+from hyst_control.diagnose.prepared_axis import without_truncation
 from hyst_control.diagnose.record_checks import lattice_of, record_evidence
 from hyst_control.effects.effect import RecordCheck
 from hyst_control.records.excitation import build
@@ -50,7 +51,7 @@ def test_a_half_step_is_told_beside_scattered_coefficients(seed, noises, down):
     seen = record_evidence(problem, problem.rows(problem.measured() - problem.simulate(problem.model.chain.stages)))
     findings = detected(seen, frozenset(RecordCheck), CONFIGURATION.policy)
     assert [finding.check for finding in findings] == [RecordCheck.VALUE_LATTICE]
-    shifted = _without_truncation(Linearised(problem, scatter_of(problem.model)), findings, CONFIGURATION)
+    shifted = without_truncation(Linearised(problem, scatter_of(problem.model)), findings, CONFIGURATION)
     shift = shifted.pieces[0].measurement - problem.pieces[0].measurement
     np.testing.assert_allclose(shift, 0.5 * step if down else 0.0, rtol=1e-6, atol=1e-12)
 

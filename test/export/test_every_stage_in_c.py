@@ -8,7 +8,7 @@ from test_every_stage import CASES, SAMPLE_TIME, command, started
 
 from hyst_control.chain import STAGES, Chain, Sampling
 from hyst_control.chain.c_code import CCode
-from hyst_control.chain.madelung import CAPACITY
+from hyst_control.chain.madelung_c import CAPACITY
 from hyst_control.chain.stage import Filter
 from hyst_control.errors import InputError
 from hyst_control.export.c_source import Program, Slot
