@@ -223,12 +223,20 @@ def _beside_usual(record: Sequence[RecordEvidence], clean: Problem, configuratio
     return tuple(
         replace(
             new,
-            usual_repeated=old.repeated,
+            # Repeats that are few enough for chance are normal as well.
+            usual_repeated=old.repeated
+            if old.step
+            else max(_repeats(piece.counted(piece.measurement)[:, axis]) for piece in clean.pieces),
             usual_step=old.step,
             usual_roughness=0.0 if old.roughness is None else old.roughness.rms,
         )
-        for new, old in zip(record, usual, strict=True)
+        for axis, (new, old) in enumerate(zip(record, usual, strict=True))
     )
+
+
+def _repeats(values: Array) -> float:
+    """Share of samples (N,) that repeat the one before."""
+    return float(np.mean(np.diff(values) == 0.0))
 
 
 def is_used(check: RecordCheck, without: Sequence[str]) -> bool:

@@ -22,7 +22,7 @@ from hyst_control.chain.linear_lanes import LinearLanes
 from hyst_control.chain.stage import Array
 
 SOURCE = -1
-"""Number of the signal that enters all chains."""
+"""Number of the signal that enters all chains, which stands behind those of all nodes."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ class Bundle:
 
 
 def alike(nodes: Sequence[Node]) -> list[list[int]]:
-    """Numbers of nodes in an order in which they can be run, together those that linear systems of one order run side by side.
+    """Order nodes so that they can be run; linear systems of one depth and order are one step.
 
     Parameters
     ----------

@@ -208,8 +208,7 @@ def fit_axis(
     def stages(vector: Array) -> list[Stage]:
         return [curves.stage(vector, ends, travel)]
 
-    lhs = curves.constraints()
-    problem = Parametrization(stages, lhs, np.zeros(len(lhs)))
+    problem = Parametrization(stages, *curves.constraints())
     start = curves.start(-0.15 if inverse else 0.15)
     solution = minimize_simulation_error(turned, problem, start, nuisance=nuisance, passes=passes, tolerance=1e-6, everything=True)
     return AxisFit(curves, solution, ends, travel, sign, sign * mean_offset(solution, windows, nuisance))

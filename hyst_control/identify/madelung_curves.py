@@ -14,7 +14,10 @@ from hyst_control.identify.dataset import ParameterRow
 LEAST_SLOPE = 5e-3
 """Smallest slope of a curve relative to its mean slope: a curve that rises this much everywhere has an inverse."""
 
-GRID = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 65))
+LEAST_TRAVEL = 0.02
+"""Smallest travel of a curve, of what the measurement travels: without one a search on records that no curve explains ends at no curve."""
+
+GRID = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 257))
 """Points at which the smallest slope of a polynomial is enforced: closest together at the ends, as its turns are."""
 
 
@@ -181,7 +184,13 @@ class Curves:
         up[-2:], down[-2:] = (bulge, 1.0 - bulge), (-bulge, 1.0 + bulge)
         return np.concatenate([up, down[:-1]])
 
-    def constraints(self) -> Array:
+    def constraints(self) -> tuple[Array, Array]:
+        """Constraints lhs (C, size) · vector >= rhs (C,) under which both curves rise, and go up by `LEAST_TRAVEL`."""
+        rising = self._rising()
+        travel = np.array([self.full(unit) for unit in np.eye(self.size)])
+        return np.vstack([rising, travel]), np.append(np.zeros(len(rising)), LEAST_TRAVEL)
+
+    def _rising(self) -> Array:
         """Matrix (C, size) whose product with a vector is not negative where both curves rise."""
         rows: list[Array] = []
         if self.knots is not None:

@@ -157,9 +157,10 @@ class Axis:
 
     def parametrization(self) -> Parametrization:
         """Chains, constraints and bounds of the search."""
-        lhs = np.zeros((len(self.curves.constraints()), self.size))
-        lhs[:, : self.curves.size] = self.curves.constraints()
-        return Parametrization(self.stages, lhs, np.zeros(len(lhs)), self.limit)
+        curves, rhs = self.curves.constraints()
+        lhs = np.zeros((len(curves), self.size))
+        lhs[:, : self.curves.size] = curves
+        return Parametrization(self.stages, lhs, rhs, self.limit)
 
 
 # A neighboring vector differs in one parameter: most stages of its chain have been constructed and checked before.

@@ -12,6 +12,7 @@ from hyst_control.chain.linear import TransferFunction
 from hyst_control.diagnose.command_roughness import as_recorded, roughness_evidence, with_commands
 from hyst_control.diagnose.command_smoothing import smoothed
 from hyst_control.diagnose.configuration import CONFIGURATION
+from hyst_control.diagnose.diagnosis import _beside_usual
 from hyst_control.diagnose.evidence import RecordEvidence
 from hyst_control.diagnose.policy import detected, not_received
 from hyst_control.diagnose.problem import Piece, Problem
@@ -131,3 +132,16 @@ def test_held_samples_are_named_where_they_clearly_exceed_those_of_clean_records
 def test_a_lattice_is_named_where_it_is_coarser_than_that_of_clean_records(new, usual, found):
     evidence = replace(PLAIN, step=new, usual_step=usual)
     assert bool(detected((evidence,), {RecordCheck.VALUE_LATTICE}, POLICY)) is found
+
+
+def test_few_repeats_of_clean_records_are_the_usual_ones():
+    """So few that chance explains them in numbers of three digits: they are usual all the same."""
+    random = np.random.default_rng(8)
+    measured = np.round(plant(SINE), 3)
+    rows = np.arange(ROWS)
+    rows[1:][random.random(ROWS - 1) < 0.03] = 0
+    repeating = measured[np.maximum.accumulate(rows)]
+    clean = Problem(MODEL, (Piece(SINE[:, None], repeating[:, None]),), STEP, "zoh", np.array([0.02]))
+    (beside,) = _beside_usual((replace(PLAIN, repeated=0.035),), clean, CONFIGURATION)
+    assert beside.usual_repeated == pytest.approx(0.03, abs=0.015)
+    assert not detected((beside,), {RecordCheck.REPEATED_VALUES}, POLICY)

@@ -54,3 +54,23 @@ def test_nothing_is_kept_in_a_pickle() -> None:
     links = KnownLinks(COMMAND)
     links.run(CHAINS[0], Sampling(1e-4, 1, "zoh"))
     assert not pickle.loads(pickle.dumps(links)).known
+
+
+def test_stages_that_are_not_compared_by_their_values_are_run_anew() -> None:
+    """A stage of another kind than the usual dataclass is equal to all of its class, whatever it holds."""
+
+    class Twice(Gain):
+        def __init__(self, series: list[float]) -> None:
+            super().__init__(series[0])
+
+        def __eq__(self, other: object) -> bool:
+            return super().__eq__(other)
+
+        __hash__ = Gain.__hash__
+
+    class Unequalled(Twice):
+        pass
+
+    links, sampling = KnownLinks(COMMAND), Sampling(1e-4, 1, "zoh")
+    links.run((SLOW, Unequalled([2.0]), FAST), sampling)
+    assert len(links.known) == 1

@@ -140,3 +140,13 @@ def test_what_cannot_be_fitted_is_refused(change, options, word):
     bad = Dataset("loops", change(data.command), data.measurement, 5e-3, ("x",), "mrad", "foh")
     with pytest.raises(InputError, match=word):
         identify([bad], "madelung", **options)
+
+
+@pytest.mark.parametrize("seed", [1, 6, 8])
+def test_records_that_no_curve_explains_end_in_a_small_curve(seed):
+    """Noise for a measurement: the search ended in "the curve falls between 0.1736 and 0.1742 … correct the coefficients"."""
+    rng = np.random.default_rng(seed)
+    command = 50.0 + 10.0 * rng.normal(size=(3000, 1))
+    fit = identify([Dataset("noise", command, rng.normal(size=(3000, 1)), 1e-3, ("x",), "um")], "madelung")
+    x = np.linspace(0, 1, 201)
+    assert all(np.all(np.diff(curve(x)) > 0) for curve in fit.model.chain.stages[0].curves(1)[0])
