@@ -268,9 +268,10 @@ def quads_of(a: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
         Index of the first entry of four rows of a system; the last: past its last one.
     """
     systems, n, _ = a.shape
-    filled = np.zeros((systems, -(-n // QUAD) * QUAD, n))
+    fours = -(-n // QUAD)
+    filled = np.zeros((systems, fours * QUAD, n))
     filled[:, :n] = a
-    by_four = filled.reshape(systems, -1, QUAD, n).transpose(0, 1, 3, 2)
+    by_four = filled.reshape(systems, fours, QUAD, n).transpose(0, 1, 3, 2)
     there = np.any(by_four != 0.0, axis=3)
     counts = there.sum(axis=2)
     edges = np.concatenate([[0], np.cumsum(counts)])

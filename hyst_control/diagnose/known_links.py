@@ -64,7 +64,7 @@ class KnownLinks:
                 except TypeError:  # a stage of arrays, which are not compared
                     keeps = False
             if found is None:
-                value = running.settle(value)
+                value = running.settle(value).copy()  # its own: processing may go on with it
                 output = running.process(output)
                 if keeps:
                     self.known[key] = value, output

@@ -18,7 +18,7 @@ def coupled(states: int, axes: int) -> StateSpace:
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
-@pytest.mark.parametrize("states, axes", [(3, 2), (13, 3), (48, 3)])
+@pytest.mark.parametrize("states, axes", [(0, 2), (3, 2), (13, 3), (48, 3)])
 def test_a_block_gives_what_its_rows_give(states: int, axes: int, hold: str) -> None:
     chain = Chain((Delay((0.00013,) * axes), coupled(states, axes)))
     command = np.random.default_rng(6).standard_normal((517, axes))

@@ -12,7 +12,7 @@ from hyst_control.chain.linear import TransferFunction
 from hyst_control.diagnose.command_roughness import as_recorded, roughness_evidence, with_commands
 from hyst_control.diagnose.command_smoothing import smoothed
 from hyst_control.diagnose.configuration import CONFIGURATION
-from hyst_control.diagnose.diagnosis import _beside_usual
+from hyst_control.diagnose.prepared_axis import _beside_usual
 from hyst_control.diagnose.evidence import RecordEvidence
 from hyst_control.diagnose.policy import detected, not_received
 from hyst_control.diagnose.problem import Piece, Problem
