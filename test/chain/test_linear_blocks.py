@@ -5,6 +5,7 @@ import pytest
 
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear import Delay, StateSpace
+from hyst_control.chain.linear_kernels import quads_of
 from hyst_control.chain.stage import frozen
 
 
@@ -18,7 +19,7 @@ def coupled(states: int, axes: int) -> StateSpace:
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
-@pytest.mark.parametrize("states, axes", [(0, 2), (3, 2), (13, 3), (48, 3)])
+@pytest.mark.parametrize("states, axes", [(3, 2), (13, 3), (48, 3)])
 def test_a_block_gives_what_its_rows_give(states: int, axes: int, hold: str) -> None:
     chain = Chain((Delay((0.00013,) * axes), coupled(states, axes)))
     command = np.random.default_rng(6).standard_normal((517, axes))
@@ -29,3 +30,8 @@ def test_a_block_gives_what_its_rows_give(states: int, axes: int, hold: str) -> 
     # Two long blocks with a short one in between: the state and the past inputs are handed on.
     found = np.concatenate([together.process(part) for part in np.split(command, [200, 230])])
     np.testing.assert_array_equal(found, np.concatenate([apart.process(row[None]) for row in command]))
+
+
+def test_a_system_without_states_has_no_rows_to_sum() -> None:
+    quads, acting, ends = quads_of(np.zeros((2, 0, 0)))
+    assert quads.shape == (0, 4) and not len(acting) and ends.tolist() == [[0], [0]]
