@@ -24,6 +24,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NullSettings
 from hyst_control.diagnose.hypothesis import Candidate, Member
 from hyst_control.diagnose.hypothesis_fit import Linearised, effect_columns, fit, is_bounded
+from hyst_control.diagnose.problem import Problem
 from hyst_control.effects.effect import Surroundings
 from hyst_control.errors import InputError
 from hyst_control.model_file import model_to_document
@@ -123,8 +124,9 @@ def null_scores(
         random = np.random.default_rng([seed, index])
         z = random.standard_normal(linearised.count)
         try:
-            noise = random.standard_normal(len(linearised.measured)) / np.sqrt(weight)
-            record = linearised.simulate(z) + noise
+            simulated = linearised.simulate(z)
+            noise = _noise(linearised.problem, simulated, random)
+            record = simulated + noise
             solution = fit(linearised, measured=record, rounds=settings.rounds)
         except InputError:
             return None
@@ -151,6 +153,23 @@ def null_scores(
         progress(min(TOGETHER * (block + 1), settings.records))
         scores += found
     return np.array(scores)
+
+
+def _noise(problem: Problem, simulated: Array, random: np.random.Generator) -> Array:
+    """Noise (M,) of a simulated record, in units of the noise; where the measurement lies on a lattice, what rounding makes of it.
+
+    The error of rounding in coarse steps follows the signal, so that effects gain more by it than by white noise.
+    """
+    noise: Array = np.asarray(random.standard_normal(len(simulated)) / np.sqrt(problem.weight), dtype=np.float64)
+    if not any(problem.steps) or problem.weight < 1.0 or problem.own_spectrum is not None:
+        return noise
+    step = np.array(problem.steps) / problem.sigma
+    rest = np.sqrt(np.maximum(1.0 - step**2 / 12.0, 0.0))
+    exact, rows = simulated.reshape(-1, len(step)), noise.reshape(-1, len(step))
+    for axis in np.flatnonzero(step):
+        met = exact[:, axis] + rest[axis] * rows[:, axis]
+        rows[:, axis] = step[axis] * np.rint(met / step[axis]) - exact[:, axis]
+    return np.asarray(rows.reshape(-1), dtype=np.float64)
 
 
 def tangents(linearised: Linearised, members: Sequence[Member], count: int) -> list[Array]:
@@ -228,6 +247,7 @@ def cache_key(linearised: Linearised, members: Sequence[Member], seed: int, conf
         "hold": problem.hold,
         # A noise that is a little different has the same threshold.
         "noise": [float(f"{value:.1g}") for value in problem.sigma],
+        "steps": [float(f"{value:.2g}") for value in problem.steps],
         "seed": seed,
         "members": [_member(member, around) for member in members if not member.is_suggested],
     }

@@ -184,7 +184,7 @@ def prepare(
     findings = detected(record, checks, thresholds)
     suggested = partial(_suggested, problem, linearised, none, baseline, configuration)
     # The first noise estimate still contained spectral leakage from the gap.
-    problem = with_noise(problem, problem.rows(none.residual), configuration)
+    problem = replace(with_noise(problem, problem.rows(none.residual), configuration), steps=_steps(problem, findings))
     repeated = [finding.axis for finding in findings if finding.check is RecordCheck.REPEATED_VALUES]
     problem = _without_repeats(problem, repeated)
     linearised = Linearised(problem, scatter)
@@ -199,6 +199,12 @@ def prepare(
         floor = max(floor, least if problem.own_spectrum is None else configuration.baseline.same_floor)
     leaves = max(stated_energy(own, problem.sigma), 1.0 + problem.own_energy)
     return Prepared(problem, linearised, tuple(without), checks, tuple(record), tuple(findings), suggested, stated, floor, leaves)
+
+
+def _steps(problem: Problem, findings: Sequence[Finding]) -> tuple[float, ...]:
+    """Steps of the lattices that were found, by axis, measurement unit; 0 where there is none."""
+    found = {one.axis: one.value for one in findings if one.check is RecordCheck.VALUE_LATTICE}
+    return tuple(found.get(axis, 0.0) for axis in range(len(problem.model.axes)))
 
 
 def _suggested(

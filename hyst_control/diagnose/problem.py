@@ -79,6 +79,8 @@ class Problem:
     """Spectrum of that error, by which flat vectors are whitened; None: its size and its correlation alone are known."""
     roughness: tuple[RoughnessEvidence | None, ...] = ()
     """By axis, the roughness of a recorded command that the plant did not receive and `Piece.command` is without."""
+    steps: tuple[float, ...] = ()
+    """By axis, the step of the measurement's lattice, measurement unit; 0: none. Empty: not looked for."""
 
     @property
     def weight(self) -> float:

@@ -138,3 +138,16 @@ def test_scores_of_many_records_at_once_are_those_of_each(monkeypatch):
     monkeypatch.setattr(null_distribution, "TOGETHER", 1)
     np.testing.assert_allclose(together, null_distribution.null_scores(here, members(here), 0, some), rtol=1e-9)
     assert len(together) == 7 and np.ptp(together) > 0.0
+
+
+def test_records_without_a_gap_are_rounded_where_the_measurement_is():
+    """Coarse steps of a converter let effects gain more than white noise of the same size: the threshold has to know of it."""
+    white = linearised(sigma=0.3)
+    coarse = Linearised(replace(white.problem, steps=(1.0,)), white.scatter)
+    drawn = null_distribution._noise(coarse.problem, coarse.nominal, np.random.default_rng(3))
+    steps = (coarse.nominal + drawn) * 0.3
+    np.testing.assert_allclose(steps, np.rint(steps), atol=1e-9)
+    assert np.std(drawn) == pytest.approx(1.0, rel=0.15)
+    scores = [np.median(null_distribution.null_scores(one, members(one), 0, FEW.null_distribution)) for one in (white, coarse)]
+    assert scores[1] > scores[0]
+    assert key(coarse) != key(white)
