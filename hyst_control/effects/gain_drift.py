@@ -183,7 +183,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
         if around.slowest is None
         else Parameter("change", "", 0.0, (0.01,), -0.8, 4.0, 0.1)
     )
-    span = Parameter("span", "s", around.duration, (around.duration,), around.duration, around.duration, 1.0, told=False)
+    span = Parameter("span", "s", around.duration, (around.duration,), 0.0, STRAIGHT * around.duration, 1.0, told=False)
     return change, *drift_parameters(around), span
 
 
