@@ -498,7 +498,7 @@ class SignalNode(EndingNode):
             "handed over": ", ".join(sender.topic for sender in self.senders if sender.within) or "none",
             **{f"age of {signal.topic} [s]": f"{signal.age:.4f}" for signal in self.inputs},
         }
-        stamp = self.get_clock().now().to_msg()
+        stamp = self.get_clock().now()
         yield
         values |= self.tick_timer.intervals.entries("period")
         yield

@@ -9,9 +9,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
+from rclpy.time import Time
 
 from hyst_control.records.signal_rows import Wait
 
@@ -139,7 +139,7 @@ class DiagnosticsPublisher:
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])
-        message.header.stamp = stamp
+        message.header.stamp = stamp.to_msg()
         return message
 
     def publish(self, message: DiagnosticArray) -> None:
