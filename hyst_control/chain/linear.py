@@ -48,7 +48,7 @@ LONGEST_DELAY = 1e6
 """Longest delay in samples: what is held in memory."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LinearStage(Stage):
     """A stage that is a linear continuous-time system; `systems` gives one per axis, or a single one that couples the axes."""
 

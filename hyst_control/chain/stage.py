@@ -109,7 +109,7 @@ class Filter:
         raise InputError(f"{type(self).__name__}: the stage brings no C (Filter.c_code): leave it out, or give it its C")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # a stage that declares no fields equals itself alone
 class Stage:
     """Description of a stage: its fields are the model file's parameters, declared by `chain.parameter`.
 
@@ -424,7 +424,7 @@ class ThroughFilter(Filter):
         return each_axis("u", "through", {})
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Modifier(Stage):
     """A stage that changes the stages before it instead of the signal; a chain lets it do so when it starts.
 

@@ -120,7 +120,7 @@ def null_scores(
     edges = np.cumsum([0, *(left.shape[1] for left in known)])
 
     def residual_of(index: int) -> Array | None:
-        """What a fit of the coefficients leaves of a simulated record; None where the coefficients that were drawn make no model."""
+        """Simulate a record and fit its coefficients: the residual (M,), or None if the drawn coefficients make no valid model."""
         random = np.random.default_rng([seed, index])
         z = random.standard_normal(linearised.count)
         try:

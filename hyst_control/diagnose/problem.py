@@ -142,7 +142,7 @@ class Problem:
 
     @cached_property
     def _links(self) -> list[KnownLinks]:
-        """What is known of the chains that were run on every piece's command."""
+        """By piece, the outputs of the filters that were run on its command already."""
         return [KnownLinks(piece.command, MOST_BYTES // len(self.pieces)) for piece in self.pieces]
 
     @cached_property

@@ -97,9 +97,6 @@ class CarriedError(Stage):
     def commutes_with_delay(self) -> bool:
         return False
 
-    __eq__ = object.__eq__
-    __hash__ = object.__hash__
-
     def parameters(self) -> dict[str, Any]:
         """Return a digest of the series, by which caches tell them apart."""
         digest = sha256()

@@ -111,7 +111,7 @@ class Bundle:
         return [signals[number] for number in self.outputs]
 
     def _run(self, numbers: Sequence[int]) -> LinearLanes | Filter | None:
-        """What runs nodes: of linear ones, their systems side by side."""
+        """Filter of a step's nodes: linear nodes run side by side, any other node by itself."""
         filters = [self.nodes[number].running for number in numbers]
         linear = [each for each in filters if single(each)]
         if not linear:

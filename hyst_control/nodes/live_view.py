@@ -107,7 +107,7 @@ class LiveView(SignalNode):
         return matched
 
     def _look(self, ticks: NDArray[np.int64], references: Array, commands: Array, measured: Array) -> None:
-        """Process successive rows (N, A) of the three signals, and publish what is due."""
+        """Publish the extremes of new rows (N, A) of the three signals, and now and then the newest stretch for the loop."""
         self._seen += len(ticks)
         self._polls += 1
         kept, rows = self._extremes.add(ticks, np.hstack([references, commands, measured, references - measured]))

@@ -360,18 +360,16 @@ def mapped_operators(cycle: Dataset, record: Dataset, count: int) -> Prediction:
     """
     highest = float(cycle.command.max())
 
-    def model(coefficients: Array) -> Model:
+    def fitted(coefficients: Array) -> tuple[Model, float]:
         mapped = replace(cycle, command=odd_map(cycle.command, highest, coefficients))
-        return identify([mapped], "pi", operators=OPERATORS, nuisance="offset").model
+        model = identify([mapped], "pi", operators=OPERATORS, nuisance="offset").model
+        return model, fitted_error(model, mapped)
 
-    def cost(coefficients: Array) -> float:
-        mapped = replace(cycle, command=odd_map(cycle.command, highest, coefficients))
-        return fitted_error(model(coefficients), mapped)
-
-    found = minimize(cost, np.zeros(count), method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-4, "maxfev": 60 * count}).x
-    predicted = predict(model(found), replace(record, command=odd_map(record.command, highest, found)))
-    degree = 2 * count + 1
-    return Prediction(f"play operators behind an odd polynomial of degree {degree}", cost(found), predicted)
+    options = {"xatol": 1e-3, "fatol": 1e-4, "maxfev": 60 * count}
+    found = minimize(lambda numbers: fitted(numbers)[1], np.zeros(count), method="Nelder-Mead", options=options).x
+    model, error = fitted(found)
+    predicted = predict(model, replace(record, command=odd_map(record.command, highest, found)))
+    return Prediction(f"play operators behind an odd polynomial of degree {2 * count + 1}", error, predicted)
 
 
 def predictions(cycle: Dataset, record: Dataset) -> list[Prediction]:
@@ -422,8 +420,7 @@ def generalized_operators(cycle: Dataset, record: Dataset, each_way: bool) -> Pr
     Prediction
         Prediction of the record.
     """
-    thresholds = np.linspace(0.0, 0.5, OPERATORS, endpoint=False)
-    measured = cycle.measurement[:, 0]
+    measured, thresholds = cycle.measurement[:, 0], np.linspace(0.0, 0.5, OPERATORS, endpoint=False)
     model = fit_generalized_play(cycle.command[:, 0], measured, thresholds, each_way=each_way)
     name = f"{OPERATORS} generalized play operators, {GENERALIZED[each_way]}"
     return Prediction(name, 100.0 * model.fitted / float(np.ptp(measured)), model.predict(record.command[:, 0]))

@@ -59,7 +59,7 @@ def test_the_variable_is_found_with_which_a_gain_changes(variable, sensor):
 
 
 def test_a_distortion_that_leaves_noise_alone_is_as_sure_as_noise_allows():
-    """What the effect leaves is the distortion itself, slow and large: that is no reason to count its samples for few."""
+    """The residual is the distortion itself, slow and large: its samples must not be weighted down as a correlated error."""
 
     def of_time(level, time, direction):
         return 1.0 + 0.1 * time

@@ -113,7 +113,7 @@ def test_coefficients_are_pinned_by_clean_records():
 
 @pytest.mark.parametrize("slowest", [0.02, 1.0, 10.0])
 def test_every_frequency_has_a_power_of_its_own(monkeypatch, slowest):
-    """What the memory held before is none: the same records have the same spectrum."""
+    """The same records have the same spectrum, whatever unused memory holds: every bin is written."""
     wanted = ErrorSpectrum.of([slow_error(1)], STEP, ROWS, slowest).power
     monkeypatch.setattr(np, "empty_like", lambda rows: np.full_like(rows, np.nan))
     np.testing.assert_array_equal(ErrorSpectrum.of([slow_error(1)], STEP, ROWS, slowest).power, wanted)

@@ -9,6 +9,7 @@ from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear import Delay, TransferFunction
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.diagnose.known_links import KnownLinks
+from hyst_control.diagnose.session import ErrorBasis, LearnedError
 
 COMMAND = 3.0 * np.cumsum(np.random.default_rng(1).standard_normal((400, 1)), axis=0)
 SLOW, FAST = TransferFunction((2.0,), (0.01, 1.0)), TransferFunction((1.0,), (1e-7, 1e-4, 1.0))
@@ -56,21 +57,14 @@ def test_nothing_is_kept_in_a_pickle() -> None:
     assert not pickle.loads(pickle.dumps(links)).known
 
 
-def test_stages_that_are_not_compared_by_their_values_are_run_anew() -> None:
-    """A stage of another kind than the usual dataclass is equal to all of its class, whatever it holds."""
+def test_stages_of_whole_series_are_told_apart() -> None:
+    """A predicted error holds its series beside its declared fields: two of them are equal only if they are one."""
 
-    class Twice(Gain):
-        def __init__(self, series: list[float]) -> None:
-            super().__init__(series[0])
+    def predicted(sign: float) -> LearnedError:
+        return LearnedError(np.ones(1), ErrorBasis((sign * COMMAND,)))
 
-        def __eq__(self, other: object) -> bool:
-            return super().__eq__(other)
-
-        __hash__ = Gain.__hash__
-
-    class Unequalled(Twice):
-        pass
-
+    assert predicted(1.0) != predicted(1.0)
     links, sampling = KnownLinks(COMMAND), Sampling(1e-4, 1, "zoh")
-    links.run((SLOW, Unequalled([2.0]), FAST), sampling)
-    assert len(links.known) == 1
+    for sign in (1.0, -1.0):
+        stages = (SLOW, predicted(sign).for_record(0))
+        np.testing.assert_array_equal(links.run(stages, sampling)[1], from_the_beginning(stages, sampling)[1])

@@ -1,0 +1,44 @@
+"""A page leaves the loop's cores to the loop: after a drawing it rests for some times as long as the drawing took."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("bokeh", reason="the extra dashboard, which make env installs")
+
+from bokeh.document import Document
+
+from hyst_control.dashboard import page
+from hyst_control.dashboard.live_state import LiveState
+
+
+class Actions:
+    recording = ""
+
+    def ask(self, what):
+        raise AssertionError(what)
+
+    def record(self):
+        raise AssertionError
+
+
+def test_a_slow_drawing_is_followed_by_a_longer_rest(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(page.time, "monotonic", lambda: now[0])
+    document = Document()
+    window = page._Window(document, LiveState(), Actions())
+    window._ready(None)
+
+    def updates() -> bool:
+        before = window._sent
+        window.update()
+        return window._sent > before
+
+    assert updates()
+    now[0] += 0.2
+    assert not updates()  # the browser still draws
+    window._confirmed("tags", None, [window._sent])
+    now[0] += 0.99 * page.REST * 0.2
+    assert not updates()
+    now[0] += 0.02 * page.REST * 0.2
+    assert updates()
