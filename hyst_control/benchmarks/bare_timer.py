@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import subprocess
 import sys
 import time
 from dataclasses import dataclass
+
+from hyst_control.processes.realtime_scheduling import ANY_CORE, set_scheduler
 
 PHASE = 0.05
 """Share of a tick after its beginning at which the loop wakes, as the first node of a loop does."""
@@ -52,7 +53,7 @@ def wait_for_ticks(rate: float, seconds: float, priority: int) -> Wakes:
     -------
     Wakes
     """
-    refused, period = _take_priority(priority), 1.0 / rate
+    refused, period = set_scheduler(priority, ANY_CORE), 1.0 / rate
     ticks = missed = 0
     latest = 0.0
     last = first = math.floor(time.monotonic() / period)
@@ -64,16 +65,6 @@ def wait_for_ticks(rate: float, seconds: float, priority: int) -> Wakes:
         ticks, missed, latest = ticks + 1, missed + number - last - 1, max(latest, now - due)
         last = number
     return Wakes(ticks, missed, latest, refused)
-
-
-def _take_priority(priority: int) -> str:
-    """Ask for a priority under SCHED_FIFO; why the system refuses it, "" where it does not."""
-    try:
-        if priority:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except OSError as error:
-        return error.strerror or str(error)
-    return ""
 
 
 def measure(rate: float, seconds: float, priority: int) -> Wakes:

@@ -23,10 +23,10 @@ from hyst_control.nodes.ending_node import EndingNode
 from hyst_control.nodes.message_io import LOOK_INTERVAL, CallbackSubscription, PolledSubscription, Sender
 from hyst_control.nodes.node_diagnostics import DIAGNOSTICS_INTERVAL, DiagnosticsPublisher, NodeHealth, StateLog, ThrottledWarnings
 from hyst_control.nodes.parameters import Setting, declare
-from hyst_control.nodes.realtime_scheduling import set_scheduler
 from hyst_control.nodes.signal_ports import Input, Output
 from hyst_control.nodes.source_clocks import CLOCK_REMEDY, SourceClocks, describe
 from hyst_control.nodes.tick_timer import TickTimer
+from hyst_control.processes.realtime_scheduling import set_scheduler
 from hyst_control.records.signal_message import label_for
 from hyst_control.records.signal_rows import Missing, SignalRows, Wait, waits
 
