@@ -74,9 +74,11 @@ def run(
         cases += stack_cases()
     if plants is None or PLANTS[1] in plants:
         cases += mirror_cases(MODES[modes], note, levels or mirror.LEVELS)
-    count = len(cases)
+    missing: list[Withheld] = []
     if so_far:
-        cases = [case for case in cases if kept_report(case, folder) is not None]
+        done = [kept_report(case, folder) is not None for case in cases]
+        missing = [case for case, there in zip(cases, done, strict=True) if not there]
+        cases = [case for case, there in zip(cases, done, strict=True) if there]
         if not cases:
             raise InputError(f"{folder}: no case has been diagnosed yet: call without --so-far")
     for case, report in zip(cases, map_forked(lambda i: report_on(cases[i], folder), len(cases)), strict=True):
@@ -85,7 +87,7 @@ def run(
         note(f"{case.plant}, without {case.element}: {sentence(report)}")
     add_summary(table, rows)
     if page is not None:
-        write_page(Path(page), rows, modes, plants or PLANTS, levels or mirror.LEVELS, count)
+        write_page(Path(page), rows, modes, plants or PLANTS, levels or mirror.LEVELS, missing)
     return table
 
 
