@@ -30,6 +30,7 @@ def run(
     note: Callable[[str], None] = print,
     plants: Sequence[str] | None = None,
     levels: Sequence[int] | None = None,
+    so_far: bool = False,
 ) -> Table:
     """Diagnose every case.
 
@@ -47,6 +48,8 @@ def run(
         Of `PLANTS`; all unless given.
     levels
         Levels (mV) whose models of the mirror are diagnosed; all unless given.
+    so_far
+        Score the cases that have their report already, without diagnosing more.
 
     Returns
     -------
@@ -56,7 +59,7 @@ def run(
     Raises
     ------
     InputError
-        The measurements are absent, or there is no such plant or level.
+        The measurements are absent, there is no such plant or level, or no case has its report yet.
     """
     for given, known, what in ((plants, PLANTS, "--plants"), (levels, mirror.LEVELS, "--levels")):
         for value in given or ():
@@ -71,13 +74,20 @@ def run(
         cases += stack_cases()
     if plants is None or PLANTS[1] in plants:
         cases += mirror_cases(MODES[modes], note, levels or mirror.LEVELS)
+    missing: list[Withheld] = []
+    if so_far:
+        done = [kept_report(case, folder) is not None for case in cases]
+        missing = [case for case, there in zip(cases, done, strict=True) if not there]
+        cases = [case for case, there in zip(cases, done, strict=True) if there]
+        if not cases:
+            raise InputError(f"{folder}: no case has been diagnosed yet: call without --so-far")
     for case, report in zip(cases, map_forked(lambda i: report_on(cases[i], folder), len(cases)), strict=True):
         rows.append((case, report))
         add(table, case, report)
         note(f"{case.plant}, without {case.element}: {sentence(report)}")
     add_summary(table, rows)
     if page is not None:
-        write_page(Path(page), rows, modes, plants or PLANTS, levels or mirror.LEVELS)
+        write_page(Path(page), rows, modes, plants or PLANTS, levels or mirror.LEVELS, missing)
     return table
 
 
@@ -96,13 +106,48 @@ def report_on(case: Withheld, folder: Path) -> dict[str, Any]:
     dict[str, Any]
         The report.
     """
-    path = folder / (re.sub(r"[^a-z0-9]+", "_", f"{case.plant} {case.element}".lower()).strip("_") + ".json")
-    digest = case.digest()
-    if path.exists():
-        kept = read_json(path)
-        if kept.get("case") == digest:
-            return kept
+    kept = kept_report(case, folder)
+    if kept is not None:
+        return kept
     begin = time.monotonic()
-    report = {**diagnosed([case.record], case.model, warm_up=case.warm_up)[0], "case": digest}
-    write_json(path, {**report, "seconds": time.monotonic() - begin})
+    report = {**diagnosed([case.record], case.model, warm_up=case.warm_up)[0], "case": case.digest()}
+    write_json(path_of(case, folder), {**report, "seconds": time.monotonic() - begin})
     return report
+
+
+def kept_report(case: Withheld, folder: Path) -> dict[str, Any] | None:
+    """Return the report on a case from the folder; None where there is none, or one of another model or record.
+
+    Parameters
+    ----------
+    case
+        The case.
+    folder
+        Folder of the reports.
+
+    Returns
+    -------
+    dict[str, Any] or None
+        The report.
+    """
+    path = path_of(case, folder)
+    kept = read_json(path) if path.exists() else {}
+    return kept if kept.get("case") == case.digest() else None
+
+
+def path_of(case: Withheld, folder: Path) -> Path:
+    """Return the file of the report on a case.
+
+    Parameters
+    ----------
+    case
+        The case.
+    folder
+        Folder of the reports.
+
+    Returns
+    -------
+    Path
+        The file.
+    """
+    return folder / (re.sub(r"[^a-z0-9]+", "_", f"{case.plant} {case.element}".lower()).strip("_") + ".json")

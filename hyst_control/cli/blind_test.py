@@ -86,7 +86,12 @@ def run(arguments: argparse.Namespace) -> Table:
         from hyst_control.blind_test import measured
 
         return measured.run(
-            arguments.output, arguments.page, modes=arguments.modes, plants=arguments.plants, levels=arguments.levels
+            arguments.output,
+            arguments.page,
+            modes=arguments.modes,
+            plants=arguments.plants,
+            levels=arguments.levels,
+            so_far=arguments.so_far,
         )
     if arguments.injected:
         from hyst_control.blind_test import injected

@@ -106,6 +106,42 @@ def test_what_was_not_measured_is_refused(tmp_path, given, said):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_page_of_a_part_says_of_how_many_cases_it_is(tmp_path, monkeypatch):
+    """What has no report yet is not diagnosed with `so_far`; a report on another record does not count."""
+    monkeypatch.setattr(measured, "map_forked", lambda work, count: map(work, range(count)))
+    time = 1e-3 * np.arange(4)
+    signal = Signal(time, np.ones((4, 3)), ("x", "y", "z"), "V")
+    model = Model("whole", ("x", "y", "z"), {"command": "V", "measurement": "um"}, 1e-3, Chain((modal(np.random.default_rng(3)),)))
+    record = Record({"command": signal, "measurement": signal}, "here")
+    cases = [Withheld("stack", element, (), model, record, 0.5, 0.1) for element in ("nothing", "hysteresis", "all but 3")]
+    monkeypatch.setattr(measured, "stack_cases", lambda: cases)
+    report = {
+        "verdict": "no_gap",
+        "effects": [],
+        "unexplained_share": None,
+        "gap": {"rms": 0.1, "unit": "um", "nrmse": 0.5, "floor_rms": 0.1},
+    }
+    monkeypatch.setattr(measured, "diagnosed", lambda records, model, warm_up: (report,))
+    monkeypatch.setattr(measured, "sentence", lambda report: "No gap.")
+    monkeypatch.setattr("hyst_control.blind_test.withheld_page.sentence", lambda report: "No gap.")
+    out, page = str(tmp_path / "out"), str(tmp_path / "page.md")
+    with pytest.raises(InputError, match="no case has been diagnosed yet"):
+        measured.run(out, page, plants=["stack"], so_far=True)
+    report_on(cases[0], tmp_path / "out" / "measured")
+    report_on(replace(cases[1], warm_up=0.4), tmp_path / "out" / "measured")
+    measured.run(out, page, plants=["stack"], so_far=True)
+    part = (tmp_path / "page.md").read_text()
+    assert (
+        "--so-far" in part
+        and "Only 1 of its 3 cases were diagnosed" in part
+        and "not counted are stack: hysteresis, all but 3." in part
+    )
+    assert "| stack | hysteresis |" not in part
+    measured.run(out, page, plants=["stack"])
+    whole = (tmp_path / "page.md").read_text()
+    assert "--so-far" not in whole and "Only" not in whole and "| stack | hysteresis |" in whole
+
+
 def test_the_measured_stack_without_its_elements():
     """The whole model has no gap on loops that it was not fitted to; without hysteresis, or with few operators, that is named first."""
     try:
