@@ -27,12 +27,12 @@ from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.configuration import BaselineSettings
 from hyst_control.diagnose.error_spectrum import ErrorSpectrum
-from hyst_control.diagnose.initial_memory import initial_memory, is_new_ground, wiped_out
+from hyst_control.diagnose.initial_memory import has_whole_loop, initial_memory, is_new_ground, wiped_out
 from hyst_control.diagnose.noise_floor import noise_between_periods
 from hyst_control.diagnose.problem import Piece, Problem, check_units
 from hyst_control.diagnose.session import CarriedError, ErrorBasis, LearnedError, SessionZero
 from hyst_control.errors import InputError
-from hyst_control.identify.learned_discrepancy import LearnedDiscrepancy, discrepancy_of
+from hyst_control.identify.learned_discrepancy import LearnedDiscrepancy, discrepancy_of, session_zeros
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.correlation import correlation_length
 from hyst_control.records.record import Record
@@ -83,6 +83,9 @@ class Baseline:
         What predicts this error on other commands; None where that is not known, or of axes that the model mixes.
     mean_zero : ndarray, shape (A, 3)
         Zero, drift and curvature of the clean sessions, their mean, measurement unit: a sensor's zero is arbitrary.
+    known : Problem or None
+        The rows of the clean records on which the error was measured: those that say nothing of the time before the record, where the
+        new records have no others. None where the error is carried over, or a model file states it.
     """
 
     problem: Problem
@@ -94,6 +97,7 @@ class Baseline:
     error: Array
     learned: LearnedDiscrepancy | None = None
     mean_zero: Array = field(default_factory=lambda: np.zeros((1, len(SHAPES))))
+    known: Problem | None = None
 
     def error_energy(self, command: Array, sample_time: float) -> float:
         """Predict the energy of the model's own error on a command.
@@ -199,9 +203,12 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
     if all(matches):
         return _carried(problem, clean, matches, spans, settings)
     # A record that begins anywhere fills the memory first: what the model leaves there is no error of it.
+    known = _from_wiped_memory(clean, problem)
     errors = [(piece.measurement - _simulated(clean, i, piece))[_first_counted(piece) :] for i, piece in enumerate(clean.pieces)]
-    stated = discrepancy_of([piece.command for piece in clean.pieces], errors, clean.sample_time)
-    return _beside_own_error(problem, stated, clean, settings, errors)
+    left = [rows[_first_counted(later) - _first_counted(piece) :] for rows, later, piece in zip(errors, known.pieces, clean.pieces, strict=True)]
+    stated = discrepancy_of([piece.command for piece in clean.pieces], left, clean.sample_time)
+    stated |= session_zeros(errors)
+    return replace(_beside_own_error(problem, stated, clean, settings, left, errors), known=known)
 
 
 def with_discrepancy(problem: Problem, settings: BaselineSettings) -> Baseline:
@@ -227,10 +234,12 @@ def _beside_own_error(
     clean: Problem | None,
     settings: BaselineSettings,
     errors: Sequence[Array] = (),
+    everything: Sequence[Array] = (),
 ) -> Baseline:
     """Make the baseline of a model whose own error is known from other commands, in the form that a model file has it.
 
-    errors: those of the clean records, each (N, A), from which its spectrum is read; a model file states none.
+    errors: those of the clean records, each (N, A), from which its spectrum is read; a model file states none. everything: the same
+    with the rows before, in which the time before the record shows.
     """
     error = np.asarray(stated["rms"], dtype=float)
     zeros = stated.get("zero")
@@ -260,8 +269,11 @@ def _beside_own_error(
                 rows - without_zero(_learned_mean(known, piece, len(rows), clean.sample_time))[0]
                 for rows, piece in zip(left, clean.pieces, strict=True)
             ]
-        rows = max(len(piece.counted(piece.command)) for piece in problem.pieces)
-        spectrum = ErrorSpectrum.of(left, problem.sample_time, rows, _slowest(clean))
+        rows, slowest = max(len(piece.counted(piece.command)) for piece in problem.pieces), _slowest(clean)
+        spectrum = ErrorSpectrum.of(left, problem.sample_time, rows, slowest)
+        if any(len(one) < len(whole) for one, whole in zip(errors, everything, strict=True)):
+            whole = ErrorSpectrum.of([without_zero(one)[0] for one in everything], problem.sample_time, rows, slowest)
+            spectrum = whole.with_slow_part(spectrum)
         floor = np.zeros_like(excess)
     beside = replace(problem, model=model, slowest=_slowest(problem), own_error=rest, own_correlation=length, own_spectrum=spectrum)
     return Baseline(beside, False, error, usual, floor, clean, excess, known, mean)
@@ -496,6 +508,24 @@ def _beside_periods(command: Array, error: Array, settings: BaselineSettings) ->
 def _first_counted(piece: Piece) -> int:
     """First row of a record that counts."""
     return 0 if piece.keep is None else int(np.argmax(piece.keep))
+
+
+def _from_wiped_memory(clean: Problem, problem: Problem) -> Problem:
+    """The clean records from the row on at which their command has wiped out the time before, where new records count from there too.
+
+    Until then a record shows the unknown memory of the time before it, which may be many times the model's own error. A new record
+    that fills its memory while it counts has that error too, and a clean one without a whole loop behind that row is kept as it is.
+    """
+    if any(wiped_out(piece.command) > _first_counted(piece) for piece in problem.pieces):
+        return clean
+    pieces = []
+    for piece in clean.pieces:
+        known = wiped_out(piece.command)
+        if known > _first_counted(piece) and has_whole_loop(piece.command, known):
+            later = np.arange(len(piece.command)) >= known
+            piece = replace(piece, keep=later if piece.keep is None else later & piece.keep)
+        pieces.append(piece)
+    return replace(clean, pieces=tuple(pieces))
 
 
 def _simulated(problem: Problem, index: int, piece: Piece) -> Array:

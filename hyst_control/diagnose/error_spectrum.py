@@ -83,6 +83,22 @@ class ErrorSpectrum:
             power += factor / len(errors) * np.stack([np.interp(frequencies, at, column) for column in own.T], axis=1)
         return cls(frequencies, power, np.sqrt(noise))
 
+    def with_slow_part(self, known: ErrorSpectrum) -> ErrorSpectrum:
+        """Replace the slow part by that of other rows, up to where this spectrum first falls below the white noise.
+
+        Parameters
+        ----------
+        known : ErrorSpectrum
+            At the same frequencies: of fewer rows of the records, in which nothing slow is left of the time before them.
+
+        Returns
+        -------
+        ErrorSpectrum
+            Lines far above the command, which more rows show better, are those of this one.
+        """
+        slow = np.cumsum(self.power < self.noise**2, axis=0) == 0
+        return ErrorSpectrum(self.frequencies, np.where(slow, known.power, self.power), self.noise)
+
     def gain(self, rows: int, sigma: Array, sample_time: float) -> Array:
         """Factors of the cosine coefficients that make own error and noise white.
 
