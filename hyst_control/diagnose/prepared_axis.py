@@ -269,7 +269,9 @@ def _floor(problem: Problem, stated: Array, configuration: Configuration) -> flo
     """Least rms that matters in practice, in units of the noise."""
     measured = np.concatenate([piece.measurement for piece in problem.pieces])
     steps = np.array([lattice_of(column, configuration.checks) for column in measured.T])
-    return practical_floor(np.ptp(measured, axis=0), steps, stated, problem.sigma, configuration.policy)
+    # What takes the noise off a record makes own error and noise together, by which whitened vectors are measured, no smaller.
+    unit = problem.sigma if problem.own_spectrum is None else np.maximum(problem.sigma, problem.own_spectrum.noise)
+    return practical_floor(np.ptp(measured, axis=0), steps, stated, unit, configuration.policy)
 
 
 def without_truncation(linearised: Linearised, findings: Sequence[Finding], configuration: Configuration) -> Problem:
