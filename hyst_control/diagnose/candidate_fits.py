@@ -12,6 +12,9 @@ from hyst_control.diagnose.hypothesis import Candidate, Member
 from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, Unknowns, effect_columns, fit, is_bounded
 from hyst_control.errors import InputError
 
+FEW = 2
+"""Parameters up to which fits begin at the starts themselves too, and do not end where they are stuck."""
+
 
 def fit_candidate(
     linearised: Linearised, candidate: Candidate, starts: Sequence[Array], settings: SearchSettings
@@ -47,8 +50,14 @@ def fit_candidate(
                 ranked.append((left, len(ranked), there))
             except InputError:
                 continue
-        nearest = _nearest(linearised, unknowns, starts) if len(starts[0]) == 1 else []
-        starts = [start for *_, start in sorted(ranked, key=lambda item: item[:2])[: settings.followed]] + nearest
+        leading = [start for *_, start in sorted(ranked, key=lambda item: item[:2])[: settings.followed]]
+        if len(starts[0]) == 1:
+            starts = leading + _nearest(linearised, unknowns, starts)
+        elif len(starts[0]) <= FEW:
+            # Beside a great gap the first step, in all coefficients too, may lead to the end of a range: begin where the starts are too.
+            starts = [*leading, *starts]
+        else:
+            starts = leading
     tried = []
     for start in starts:
         try:

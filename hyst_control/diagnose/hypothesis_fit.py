@@ -65,6 +65,8 @@ class Solution:
     covariance: Array
     information: Array
     """(P, P): of x, z marginalized."""
+    promised: float = 0.0
+    """Misfit that a step would take off by the columns at hand, where no length of it did: columns of the fit's end may."""
 
 
 class Linearised:
@@ -218,6 +220,7 @@ def fit(
     residual = residual_of(z, x)
     misfit = misfit_of(residual, z, x)
     normal = np.eye(count + size)
+    promised = 0.0
     for _ in range(rounds):
         if fitted is None:
             design, away = np.zeros((len(y), 0)), x
@@ -230,7 +233,8 @@ def fit(
         step = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
         if fitted is not None:
             step = _within(normal, right, step, x, fitted, count)
-        if right @ step - 0.5 * step @ normal @ step < LEAST_GAIN + 1e-5 * misfit:
+        promise = float(right @ step - 0.5 * step @ normal @ step)
+        if promise < LEAST_GAIN + 1e-5 * misfit:
             break  # a linear step would gain next to nothing
         better = False
         for shorter in (1.0, 0.5, 0.25, 0.1, 0.03):
@@ -246,6 +250,7 @@ def fit(
                 better = True
                 break
         if not better:
+            promised = promise
             break
         gained = misfit - new
         z, x, residual, misfit = new_z, new_x, new_residual, new
@@ -257,7 +262,7 @@ def fit(
         # Of the parameters' evidence the prior's part is that of its middle: 1.
         beyond = 1.0 - _prior_weight(x - fitted.centre)
         information = np.asarray(np.linalg.inv(covariance[count:, count:]), dtype=np.float64) + np.diag(beyond)
-    return Solution(misfit, z, x, residual, covariance, information)
+    return Solution(misfit, z, x, residual, covariance, information, promised)
 
 
 def effect_columns(

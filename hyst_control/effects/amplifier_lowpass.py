@@ -18,10 +18,10 @@ from hyst_control.effects.lowpass import AtSamples, Lowpass, Rebuilt, lowpass_pa
 class AmplifierLowpass(Lowpass, Averaged):
     """A low-pass (see `Lowpass`) of a held command.
 
-    A hysteresis behind it is followed at the samples, exactly; in between its output is taken to bend as the voltage does, like
-    one first-order lag of `order` times the time constant (of order 2 times the damping), until the next linear stage
-    (`chain.arrange`). No half sample
-    is lost, and an infinite cutoff is the held command itself. A stage with dynamics of its own gets the mean over each interval.
+    A hysteresis behind it is followed at the samples, exactly; in between its output is taken to bend as the voltage does, from
+    order 3 on like one first-order lag of `order` times the time constant, until the next linear stage (`chain.arrange`). No half
+    sample is lost, and an infinite cutoff is the held command itself. A stage with dynamics of its own gets the mean over each
+    interval.
     """
 
     name: ClassVar[str] = "amplifier_lowpass"
@@ -38,8 +38,11 @@ class AmplifierLowpass(Lowpass, Averaged):
 
     def between_samples(self) -> tuple[Stage, ...]:
         """Stages that bend a signal known at the samples as this low-pass bends the voltage."""
-        cutoff = np.array(self.cutoff, dtype=float) / (np.array(self.order) * np.array(self.damping))
-        return Rebuilt(frozen(cutoff)), AmplifierLowpass(frozen(cutoff))
+        order = np.array(self.order)
+        many = order > 2
+        cutoff = np.array(self.cutoff, dtype=float) / np.where(many, order, 1)
+        shape = frozen(cutoff), frozen(np.where(many, 1, order)), frozen(np.where(many, 1.0, np.array(self.damping)))
+        return Rebuilt(*shape), AmplifierLowpass(*shape)
 
 
 EFFECT = Effect(

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+from numba import njit
 
 from hyst_control.chain.c_code import CCode, reals
-from hyst_control.chain.linear import LinearStage, LinearSystem, linear_filter
+from hyst_control.chain.linear import LinearStage, LinearSystem, discretise, linear_filter
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
-from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalar, per_axis_scalars
+from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalars
 from hyst_control.effects.effect import Parameter, Surroundings, Values
 from hyst_control.errors import InputError
 
@@ -54,34 +55,37 @@ class AtSamples(Stage):
 
 @dataclass(frozen=True)
 class Rebuilt(Stage):
-    """The held signal that a first-order low-pass turns into one with the given values at the samples; started chains only.
+    """The held signal that a low-pass of first or second order turns into one with the given values at the samples.
 
-    z_k = (u_k - e u_{k-1}) / (1 - e) with e = exp(-2π cutoff · sample time), per axis.
+    Part of a started chain only. Backwards through the low-pass of a held signal z, whose output is, per axis,
+    u_k = b1 z_k + b2 z_{k-1} - a1 u_{k-1} - a2 u_{k-2}.
     """
 
     cutoff: ScalarPerAxis
+    order: ScalarPerAxis
+    damping: ScalarPerAxis
 
     def filter(self, sampling: Sampling) -> Filter:
-        cutoff = per_axis_scalar(self.cutoff, sampling.axes, "cutoff")
-        return RebuiltFilter(np.exp(-2 * np.pi * cutoff * sampling.sample_time), sampling.hold)
+        values = per_axis_scalars(self, sampling.axes, "cutoff", "order", "damping")
+        shares = [_shares(lowpass_system(f, int(n), d), sampling) for f, n, d in zip(*values, strict=True)]
+        return RebuiltFilter(np.array(shares), sampling.hold)
 
 
 class RebuiltFilter(Filter):
-    """Streaming `Rebuilt`; keep: e (A,)."""
+    """Streaming `Rebuilt`; shares: -a1 / b1, -a2 / b1, -b2 / b1 of every axis (A, 3)."""
 
-    def __init__(self, keep: Array, hold: str) -> None:
+    def __init__(self, shares: Array, hold: str) -> None:
         self.hold = hold
-        self.keep, self.last = keep, np.zeros(len(keep))
+        self.shares = shares
+        self.last, self.before, self.held = np.zeros((3, len(shares)))
 
     def settle(self, value: Array) -> Array:
-        self.last = np.array(value, dtype=float)
-        return self.last.copy()
+        self.last, self.before, self.held = (np.array(value, dtype=float) for _ in range(3))
+        return self.held.copy()
 
     def process(self, block: Array) -> Array:
-        before = np.concatenate([self.last[None], block])[: len(block)]
-        self.last = block[-1].copy() if len(block) else self.last
-        # In this order a signal at rest stays what it is to the last bit.
-        rebuilt: Array = block + self.keep / (1.0 - self.keep) * (block - before)
+        rebuilt = np.empty_like(block)
+        _rebuild(block, self.shares, self.last, self.before, self.held, rebuilt)
         return rebuilt
 
     def c_code(self) -> CCode:
@@ -89,14 +93,57 @@ class RebuiltFilter(Filter):
             "rebuilt",
             """
 for (int i = 0; i < AXES; i++) {
-    out[i] = in[i] + (p->lead[i] * (in[i] - s->last[i]));
-    s->last[i] = in[i];
+    const real value = in[i];
+    real held = value + (p->last_change[i] * (value - s->last[i]));
+    held += (p->both_changes[i] * (value - s->before[i])) + (p->held_before[i] * (s->held[i] - value));
+    s->before[i] = s->last[i];
+    s->last[i] = value;
+    s->held[i] = held;
+    out[i] = held;
 }
 """,
-            "for (int i = 0; i < AXES; i++) {\n    s->last[i] = in[i];\n    out[i] = in[i];\n}",
-            constants={"lead": reals(self.keep / (1.0 - self.keep), "share of a change that is added")},
-            state={"last": reals(self.last, "signal unit, input before")},
+            """
+for (int i = 0; i < AXES; i++) {
+    s->before[i] = in[i];
+    s->last[i] = in[i];
+    s->held[i] = in[i];
+    out[i] = in[i];
+}
+""",
+            constants={
+                "last_change": reals(self.shares[:, 0], "share of the change since the value before"),
+                "both_changes": reals(self.shares[:, 1], "share of the change since two values before"),
+                "held_before": reals(self.shares[:, 2], "share of the distance of what was held before"),
+            },
+            state={
+                "last": reals(self.last, "signal unit, input before"),
+                "before": reals(self.before, "signal unit, input before that"),
+                "held": reals(self.held, "signal unit, output before"),
+            },
         )
+
+
+@njit(cache=True, error_model="numpy")
+def _rebuild(block: Array, shares: Array, last: Array, before: Array, held: Array, rebuilt: Array) -> None:
+    for k in range(block.shape[0]):
+        for i in range(block.shape[1]):
+            # In this order a signal at rest stays what it is to the last bit.
+            value = block[k, i]
+            new = value + (shares[i, 0] * (value - last[i]))
+            new += (shares[i, 1] * (value - before[i])) + (shares[i, 2] * (held[i] - value))
+            before[i], last[i], held[i], rebuilt[k, i] = last[i], value, new, new
+
+
+def _shares(system: LinearSystem, sampling: Sampling) -> tuple[float, float, float]:
+    """-a1 / b1, -a2 / b1 and -b2 / b1 of a low-pass of first or second order of a held signal; 0 without one."""
+    if not len(system.A):
+        return 0.0, 0.0, 0.0
+    held = discretise(system, np.zeros(1), replace(sampling, hold="zoh"))
+    one = float(held.C[0] @ held.B[0, :, 0])
+    if len(held.A) == 1:
+        return float(held.A[0, 0]) / one, 0.0, 0.0
+    two = float(held.C[0] @ held.A @ held.B[0, :, 0]) - float(np.trace(held.A)) * one
+    return float(np.trace(held.A)) / one, -float(np.linalg.det(held.A)) / one, -two / one
 
 
 def lowpass_system(cutoff: float, order: int, damping: float = 1.0) -> LinearSystem:

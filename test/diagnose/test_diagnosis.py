@@ -25,6 +25,7 @@ BACKLASH = (("name", "backlash"), ("half_width", 0.03))
 SINGLES = [
     (PEA, DELAY),
     (PEA, (("name", "sensor_lowpass"), ("cutoff", 900.0))),
+    (PEA, (("name", "amplifier_lowpass"), ("cutoff", 900.0), ("order", 2))),
     (PEA, (("name", "resonance"), ("frequency", 700.0), ("damping", 0.03), ("gain", 0.03))),
     (PEA, BACKLASH),
     (PEA, (("name", "held_samples"), ("fraction", 0.1))),

@@ -1,0 +1,40 @@
+"""Fits of single effects end at their minimum: records of truth plants, which share no code with the models."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from hyst_control.blind_test.plant_setups import scatter
+from hyst_control.diagnose.configuration import CONFIGURATION
+from hyst_control.diagnose.diagnosis import with_clean
+from hyst_control.diagnose.hypothesis_search import search
+from hyst_control.diagnose.prepared_axis import prepare
+from test.diagnose.conftest import nominal, record_of
+
+
+@pytest.mark.parametrize(("plant", "cutoff"), [("pea_published", 1071.0), ("fsm_published", 597.0)])
+def test_a_second_order_low_pass_beside_a_large_gap(plant, cutoff):
+    """A step in all coefficients leads astray: fits that begin there alone end at 3 to 70 times the noise."""
+    record = record_of(plant, [{"name": "amplifier_lowpass", "cutoff": cutoff, "order": 2}])
+    parts = with_clean([record], nominal(plant), 0.0, CONFIGURATION, ())[3]
+    prepared = prepare(*parts[0][:2], (), CONFIGURATION)
+    lowpasses = [member for member in prepared.members(False) if member.name == "amplifier_lowpass"]
+    best = search(prepared.linearised, lowpasses, 10.0, prepared.floor, prepared.leaves).singles[0]
+    values = best.candidate.members[0].values(best.solution.x)
+    assert values["order"] == 2.0 and values["cutoff"] == pytest.approx(cutoff, rel=0.01)
+    assert best.solution.residual @ best.solution.residual < 1.3 * len(best.solution.residual)
+
+
+def test_a_second_order_low_pass_and_a_gain():
+    """Beside the gain no fit of the low-pass alone comes near: it must not stop at the end of the range of its damping."""
+    effects = [{"name": "gain", "gain": 0.16}, {"name": "amplifier_lowpass", "cutoff": 1071.0, "order": 2}]
+    record = record_of("pea_published", effects, seed=0, duration=1.0, **scatter("pea_published", 0, 0.01))
+    model = nominal("pea_published")
+    model = replace(model, tolerance=dict.fromkeys(model.tolerance, 0.01))
+    prepared = prepare(*with_clean([record], model, 0.0, CONFIGURATION, ())[3][0][:2], (), CONFIGURATION)
+    members = [member for member in prepared.members(False) if member.name in ("amplifier_lowpass", "gain")]
+    found = search(prepared.linearised, members, 10.0, prepared.floor, prepared.leaves)
+    best = max((*found.singles, *found.combinations), key=lambda one: one.score)
+    assert best.names == ("amplifier_lowpass", "gain")
