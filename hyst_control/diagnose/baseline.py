@@ -43,6 +43,8 @@ LEAST_DIRECTION = 0.1
 """Least rms of a direction of the learned error, in the rms of what it leaves, that is free in a diagnosis."""
 NOISE_REACH = 20
 """Bins of the spectrum to either side over which the power of a carried error is averaged to tell its noise."""
+UNEXCITED = 1e-6
+"""Power of a command, as a share of its largest, below which it excites nothing."""
 LOW_SHARE = 0.02
 """Share of a command's power that lies below what counts as its lowest frequency."""
 
@@ -270,10 +272,18 @@ def _beside_own_error(
                 for rows, piece in zip(left, clean.pieces, strict=True)
             ]
         rows, slowest = max(len(piece.counted(piece.command)) for piece in problem.pieces), _slowest(clean)
-        spectrum = ErrorSpectrum.of(left, problem.sample_time, rows, slowest)
+
+        def spectrum_of(series: Sequence[Array]) -> ErrorSpectrum:
+            return ErrorSpectrum.of([without_zero(one)[0] for one in series], problem.sample_time, rows, slowest)
+
+        spectrum = spectrum_of(left)
         if any(len(one) < len(whole) for one, whole in zip(errors, everything, strict=True)):
-            whole = ErrorSpectrum.of([without_zero(one)[0] for one in everything], problem.sample_time, rows, slowest)
-            spectrum = whole.with_slow_part(spectrum)
+            driven, all_driven = (
+                spectrum_of([piece.command[-len(one) :] for one, piece in zip(series, clean.pieces, strict=True)]).power
+                for series in (errors, everything)
+            )
+            least = UNEXCITED * all_driven.max(axis=0)
+            spectrum = spectrum_of(everything).with_slow_part(spectrum, (all_driven + least) / (driven + least))
         floor = np.zeros_like(excess)
     beside = replace(problem, model=model, slowest=_slowest(problem), own_error=rest, own_correlation=length, own_spectrum=spectrum)
     return Baseline(beside, False, error, usual, floor, clean, excess, known, mean)

@@ -83,21 +83,27 @@ class ErrorSpectrum:
             power += factor / len(errors) * np.stack([np.interp(frequencies, at, column) for column in own.T], axis=1)
         return cls(frequencies, power, np.sqrt(noise))
 
-    def with_slow_part(self, known: ErrorSpectrum) -> ErrorSpectrum:
-        """Replace the slow part by that of other rows, up to where this spectrum first falls below the white noise.
+    def with_slow_part(self, known: ErrorSpectrum, excited: Array) -> ErrorSpectrum:
+        """Replace the slow part by that of fewer rows, up to where this spectrum first falls below the white noise.
+
+        Lines far above the command are those of this spectrum, since more rows show them better. And what the fewer rows do not excite
+        tells no error of the model.
 
         Parameters
         ----------
         known : ErrorSpectrum
-            At the same frequencies: of fewer rows of the records, in which nothing slow is left of the time before them.
+            At the same frequencies, of rows in which nothing slow is left of the time before the records.
+        excited : ndarray, shape (F, A)
+            Power of the command in all rows, as a factor of that in the fewer ones.
 
         Returns
         -------
         ErrorSpectrum
-            Lines far above the command, which more rows show better, are those of this one.
+            Nowhere above this one.
         """
         slow = np.cumsum(self.power < self.noise**2, axis=0) == 0
-        return ErrorSpectrum(self.frequencies, np.where(slow, known.power, self.power), self.noise)
+        lower = np.minimum(self.power, known.power * np.maximum(excited, 1.0))
+        return ErrorSpectrum(self.frequencies, np.where(slow, lower, self.power), self.noise)
 
     def gain(self, rows: int, sigma: Array, sample_time: float) -> Array:
         """Factors of the cosine coefficients that make own error and noise white.
