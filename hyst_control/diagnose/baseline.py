@@ -85,8 +85,8 @@ class Baseline:
         What predicts this error on other commands; None where that is not known, or of axes that the model mixes.
     mean_zero : ndarray, shape (A, 3)
         Zero, drift and curvature of the clean sessions, their mean, measurement unit: a sensor's zero is arbitrary.
-    known : Problem or None
-        The rows of the clean records on which the error was measured: those that say nothing of the time before the record, where the
+    error_rows : Problem or None
+        The clean records with the rows on which the error was measured: those that say nothing of the time before the record, where the
         new records have no others. None where the error is carried over, or a model file states it.
     """
 
@@ -99,7 +99,7 @@ class Baseline:
     error: Array
     learned: LearnedDiscrepancy | None = None
     mean_zero: Array = field(default_factory=lambda: np.zeros((1, len(SHAPES))))
-    known: Problem | None = None
+    error_rows: Problem | None = None
 
     def error_energy(self, command: Array, sample_time: float) -> float:
         """Predict the energy of the model's own error on a command.
@@ -207,10 +207,13 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
     # A record that begins anywhere fills the memory first: what the model leaves there is no error of it.
     known = _from_wiped_memory(clean, problem)
     errors = [(piece.measurement - _simulated(clean, i, piece))[_first_counted(piece) :] for i, piece in enumerate(clean.pieces)]
-    left = [rows[_first_counted(later) - _first_counted(piece) :] for rows, later, piece in zip(errors, known.pieces, clean.pieces, strict=True)]
+    left = [
+        rows[_first_counted(later) - _first_counted(piece) :]
+        for rows, later, piece in zip(errors, known.pieces, clean.pieces, strict=True)
+    ]
     stated = discrepancy_of([piece.command for piece in clean.pieces], left, clean.sample_time)
     stated |= session_zeros(errors)
-    return replace(_beside_own_error(problem, stated, clean, settings, left, errors), known=known)
+    return replace(_beside_own_error(problem, stated, clean, settings, left, errors), error_rows=known)
 
 
 def with_discrepancy(problem: Problem, settings: BaselineSettings) -> Baseline:
@@ -253,7 +256,7 @@ def _beside_own_error(
     predicted = _memory(problem, settings)
     rest = settings.unseen * error
     if len(learned) == len(error) == 1:  # axes that the model mixes have no features of their own
-        predicted = (*predicted, _predicted(problem, learned[0]))
+        predicted = (*predicted, *_predicted(problem, learned[0]))
         rest, seconds = settings.unseen * np.array([learned[0].rest]), learned[0].correlation
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     noise = np.broadcast_to(np.atleast_1d(np.asarray(problem.model.noise.get("sigma", 0.0), dtype=float)), error.shape)
@@ -271,22 +274,31 @@ def _beside_own_error(
                 rows - without_zero(_learned_mean(known, piece, len(rows), clean.sample_time))[0]
                 for rows, piece in zip(left, clean.pieces, strict=True)
             ]
-        rows, slowest = max(len(piece.counted(piece.command)) for piece in problem.pieces), _slowest(clean)
-
-        def spectrum_of(series: Sequence[Array]) -> ErrorSpectrum:
-            return ErrorSpectrum.of([without_zero(one)[0] for one in series], problem.sample_time, rows, slowest)
-
-        spectrum = spectrum_of(left)
-        if any(len(one) < len(whole) for one, whole in zip(errors, everything, strict=True)):
-            driven, all_driven = (
-                spectrum_of([piece.command[-len(one) :] for one, piece in zip(series, clean.pieces, strict=True)]).power
-                for series in (errors, everything)
-            )
-            least = UNEXCITED * all_driven.max(axis=0)
-            spectrum = spectrum_of(everything).with_slow_part(spectrum, (all_driven + least) / (driven + least))
+        spectrum = _spectrum(left, everything, clean, max(len(piece.counted(piece.command)) for piece in problem.pieces))
         floor = np.zeros_like(excess)
     beside = replace(problem, model=model, slowest=_slowest(problem), own_error=rest, own_correlation=length, own_spectrum=spectrum)
     return Baseline(beside, False, error, usual, floor, clean, excess, known, mean)
+
+
+def _spectrum(errors: Sequence[Array], everything: Sequence[Array], clean: Problem, count: int) -> ErrorSpectrum:
+    """Estimate the spectrum of the model's own error for a record of `count` rows.
+
+    errors: on the clean records, each (N, A), from the row on at which the time before them no longer shows; everything: on all rows
+    that count.
+    """
+    slowest = _slowest(clean)
+
+    def spectrum_of(series: Sequence[Array]) -> ErrorSpectrum:
+        return ErrorSpectrum.of([without_zero(rows)[0] for rows in series], clean.sample_time, count, slowest)
+
+    def driven_by(series: Sequence[Array]) -> Array:
+        return spectrum_of([piece.command[-len(rows) :] for rows, piece in zip(series, clean.pieces, strict=True)]).power
+
+    if all(len(some) == len(rows) for some, rows in zip(errors, everything, strict=True)):
+        return spectrum_of(errors)
+    driven, all_driven = driven_by(errors), driven_by(everything)
+    least = UNEXCITED * np.max(all_driven, axis=0)
+    return spectrum_of(everything).with_slow_part(spectrum_of(errors), (all_driven + least) / (driven + least))
 
 
 def _learned_mean(learned: LearnedDiscrepancy, piece: Piece, rows: int, sample_time: float) -> Array:
@@ -295,8 +307,8 @@ def _learned_mean(learned: LearnedDiscrepancy, piece: Piece, rows: int, sample_t
     return np.asarray((features @ learned.mean)[-rows:, None], dtype=np.float64)
 
 
-def _predicted(problem: Problem, learned: LearnedDiscrepancy) -> LearnedError:
-    """Predict a learned error on the records of a problem of one axis, in the fewest directions that matter.
+def _predicted(problem: Problem, learned: LearnedDiscrepancy) -> tuple[LearnedError, ...]:
+    """Predict a learned error on the records of a problem of one axis, in the fewest directions that matter; empty where none does.
 
     The mean is one direction more, free between absent and twice itself: on other commands it is a guess, and the nominal model stays
     the model as given.
@@ -309,7 +321,9 @@ def _predicted(problem: Problem, learned: LearnedDiscrepancy) -> LearnedError:
     spread = np.concatenate(rows) @ factor
     _, sizes, directions = np.linalg.svd(spread, full_matrices=False)
     kept = directions[sizes > LEAST_DIRECTION * learned.rest * np.sqrt(len(spread))].T
-    return LearnedError(np.zeros(kept.shape[1]), ErrorBasis(tuple(design @ factor @ kept for design in rows)))
+    if not kept.shape[1]:
+        return ()
+    return (LearnedError(np.zeros(kept.shape[1]), ErrorBasis(tuple(design @ factor @ kept for design in rows))),)
 
 
 def _carried(

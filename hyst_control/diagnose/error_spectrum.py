@@ -102,7 +102,9 @@ class ErrorSpectrum:
             Nowhere above this one.
         """
         slow = np.cumsum(self.power < self.noise**2, axis=0) == 0
-        lower = np.minimum(self.power, known.power * np.maximum(excited, 1.0))
+        # What lies below the noise in the fewer rows may be as large as that.
+        most = (known.power + self.noise**2) * np.maximum(excited, 1.0) - self.noise**2
+        lower = np.minimum(self.power, most)
         return ErrorSpectrum(self.frequencies, np.where(slow, lower, self.power), self.noise)
 
     def gain(self, rows: int, sigma: Array, sample_time: float) -> Array:

@@ -174,8 +174,8 @@ def prepare(
     checks = frozenset(check for check in RecordCheck if is_used(check, without))
     progress("coefficients of the model")
     scatter = within_own_error(scatter_of(problem.model), problem)
-    if baseline is not None and baseline.known is not None and problem.own_spectrum is not None:
-        scatter = pinned(scatter, replace(baseline.known, own_spectrum=problem.own_spectrum, sigma=problem.own_spectrum.noise))
+    if baseline is not None and baseline.error_rows is not None and problem.own_spectrum is not None:
+        scatter = pinned(scatter, replace(baseline.error_rows, own_spectrum=problem.own_spectrum, sigma=problem.own_spectrum.noise))
     linearised = Linearised(problem, scatter)
     none = fit(linearised)
     record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
