@@ -27,12 +27,12 @@ from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.configuration import BaselineSettings
 from hyst_control.diagnose.error_spectrum import ErrorSpectrum
-from hyst_control.diagnose.initial_memory import initial_memory, is_new_ground, wiped_out
+from hyst_control.diagnose.initial_memory import has_whole_loop, initial_memory, is_new_ground, wiped_out
 from hyst_control.diagnose.noise_floor import noise_between_periods
 from hyst_control.diagnose.problem import Piece, Problem, check_units
 from hyst_control.diagnose.session import CarriedError, ErrorBasis, LearnedError, SessionZero
 from hyst_control.errors import InputError
-from hyst_control.identify.learned_discrepancy import LearnedDiscrepancy, discrepancy_of
+from hyst_control.identify.learned_discrepancy import LearnedDiscrepancy, discrepancy_of, session_zeros
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.correlation import correlation_length
 from hyst_control.records.record import Record
@@ -43,6 +43,8 @@ LEAST_DIRECTION = 0.1
 """Least rms of a direction of the learned error, in the rms of what it leaves, that is free in a diagnosis."""
 NOISE_REACH = 20
 """Bins of the spectrum to either side over which the power of a carried error is averaged to tell its noise."""
+UNEXCITED = 1e-6
+"""Power of a command, as a share of its largest, below which it excites nothing."""
 LOW_SHARE = 0.02
 """Share of a command's power that lies below what counts as its lowest frequency."""
 
@@ -83,6 +85,9 @@ class Baseline:
         What predicts this error on other commands; None where that is not known, or of axes that the model mixes.
     mean_zero : ndarray, shape (A, 3)
         Zero, drift and curvature of the clean sessions, their mean, measurement unit: a sensor's zero is arbitrary.
+    error_rows : Problem or None
+        The clean records with the rows on which the error was measured: those that say nothing of the time before the record, where the
+        new records have no others. None where the error is carried over, or a model file states it.
     """
 
     problem: Problem
@@ -94,6 +99,7 @@ class Baseline:
     error: Array
     learned: LearnedDiscrepancy | None = None
     mean_zero: Array = field(default_factory=lambda: np.zeros((1, len(SHAPES))))
+    error_rows: Problem | None = None
 
     def error_energy(self, command: Array, sample_time: float) -> float:
         """Predict the energy of the model's own error on a command.
@@ -199,9 +205,15 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
     if all(matches):
         return _carried(problem, clean, matches, spans, settings)
     # A record that begins anywhere fills the memory first: what the model leaves there is no error of it.
+    known = _from_wiped_memory(clean, problem)
     errors = [(piece.measurement - _simulated(clean, i, piece))[_first_counted(piece) :] for i, piece in enumerate(clean.pieces)]
-    stated = discrepancy_of([piece.command for piece in clean.pieces], errors, clean.sample_time)
-    return _beside_own_error(problem, stated, clean, settings, errors)
+    left = [
+        rows[_first_counted(later) - _first_counted(piece) :]
+        for rows, later, piece in zip(errors, known.pieces, clean.pieces, strict=True)
+    ]
+    stated = discrepancy_of([piece.command for piece in clean.pieces], left, clean.sample_time)
+    stated |= session_zeros(errors)
+    return replace(_beside_own_error(problem, stated, clean, settings, left, errors), error_rows=known)
 
 
 def with_discrepancy(problem: Problem, settings: BaselineSettings) -> Baseline:
@@ -227,10 +239,12 @@ def _beside_own_error(
     clean: Problem | None,
     settings: BaselineSettings,
     errors: Sequence[Array] = (),
+    everything: Sequence[Array] = (),
 ) -> Baseline:
     """Make the baseline of a model whose own error is known from other commands, in the form that a model file has it.
 
-    errors: those of the clean records, each (N, A), from which its spectrum is read; a model file states none.
+    errors: those of the clean records, each (N, A), from which its spectrum is read; a model file states none. everything: the same
+    with the rows before, in which the time before the record shows.
     """
     error = np.asarray(stated["rms"], dtype=float)
     zeros = stated.get("zero")
@@ -242,7 +256,7 @@ def _beside_own_error(
     predicted = _memory(problem, settings)
     rest = settings.unseen * error
     if len(learned) == len(error) == 1:  # axes that the model mixes have no features of their own
-        predicted = (*predicted, _predicted(problem, learned[0]))
+        predicted = (*predicted, *_predicted(problem, learned[0]))
         rest, seconds = settings.unseen * np.array([learned[0].rest]), learned[0].correlation
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     noise = np.broadcast_to(np.atleast_1d(np.asarray(problem.model.noise.get("sigma", 0.0), dtype=float)), error.shape)
@@ -260,11 +274,31 @@ def _beside_own_error(
                 rows - without_zero(_learned_mean(known, piece, len(rows), clean.sample_time))[0]
                 for rows, piece in zip(left, clean.pieces, strict=True)
             ]
-        rows = max(len(piece.counted(piece.command)) for piece in problem.pieces)
-        spectrum = ErrorSpectrum.of(left, problem.sample_time, rows, _slowest(clean))
+        spectrum = _spectrum(left, everything, clean, max(len(piece.counted(piece.command)) for piece in problem.pieces))
         floor = np.zeros_like(excess)
     beside = replace(problem, model=model, slowest=_slowest(problem), own_error=rest, own_correlation=length, own_spectrum=spectrum)
     return Baseline(beside, False, error, usual, floor, clean, excess, known, mean)
+
+
+def _spectrum(errors: Sequence[Array], everything: Sequence[Array], clean: Problem, count: int) -> ErrorSpectrum:
+    """Estimate the spectrum of the model's own error for a record of `count` rows.
+
+    errors: on the clean records, each (N, A), from the row on at which the time before them no longer shows; everything: on all rows
+    that count.
+    """
+    slowest = _slowest(clean)
+
+    def spectrum_of(series: Sequence[Array]) -> ErrorSpectrum:
+        return ErrorSpectrum.of([without_zero(rows)[0] for rows in series], clean.sample_time, count, slowest)
+
+    def driven_by(series: Sequence[Array]) -> Array:
+        return spectrum_of([piece.command[-len(rows) :] for rows, piece in zip(series, clean.pieces, strict=True)]).power
+
+    if all(len(some) == len(rows) for some, rows in zip(errors, everything, strict=True)):
+        return spectrum_of(errors)
+    driven, all_driven = driven_by(errors), driven_by(everything)
+    least = UNEXCITED * np.max(all_driven, axis=0)
+    return spectrum_of(everything).with_slow_part(spectrum_of(errors), (all_driven + least) / (driven + least))
 
 
 def _learned_mean(learned: LearnedDiscrepancy, piece: Piece, rows: int, sample_time: float) -> Array:
@@ -273,8 +307,8 @@ def _learned_mean(learned: LearnedDiscrepancy, piece: Piece, rows: int, sample_t
     return np.asarray((features @ learned.mean)[-rows:, None], dtype=np.float64)
 
 
-def _predicted(problem: Problem, learned: LearnedDiscrepancy) -> LearnedError:
-    """Predict a learned error on the records of a problem of one axis, in the fewest directions that matter.
+def _predicted(problem: Problem, learned: LearnedDiscrepancy) -> tuple[LearnedError, ...]:
+    """Predict a learned error on the records of a problem of one axis, in the fewest directions that matter; empty where none does.
 
     The mean is one direction more, free between absent and twice itself: on other commands it is a guess, and the nominal model stays
     the model as given.
@@ -287,7 +321,9 @@ def _predicted(problem: Problem, learned: LearnedDiscrepancy) -> LearnedError:
     spread = np.concatenate(rows) @ factor
     _, sizes, directions = np.linalg.svd(spread, full_matrices=False)
     kept = directions[sizes > LEAST_DIRECTION * learned.rest * np.sqrt(len(spread))].T
-    return LearnedError(np.zeros(kept.shape[1]), ErrorBasis(tuple(design @ factor @ kept for design in rows)))
+    if not kept.shape[1]:
+        return ()
+    return (LearnedError(np.zeros(kept.shape[1]), ErrorBasis(tuple(design @ factor @ kept for design in rows))),)
 
 
 def _carried(
@@ -496,6 +532,24 @@ def _beside_periods(command: Array, error: Array, settings: BaselineSettings) ->
 def _first_counted(piece: Piece) -> int:
     """First row of a record that counts."""
     return 0 if piece.keep is None else int(np.argmax(piece.keep))
+
+
+def _from_wiped_memory(clean: Problem, problem: Problem) -> Problem:
+    """The clean records from the row on at which their command has wiped out the time before, where new records count from there too.
+
+    Until then a record shows the unknown memory of the time before it, which may be many times the model's own error. A new record
+    that fills its memory while it counts has that error too, and a clean one without a whole loop behind that row is kept as it is.
+    """
+    if any(wiped_out(piece.command) > _first_counted(piece) for piece in problem.pieces):
+        return clean
+    pieces = []
+    for piece in clean.pieces:
+        known = wiped_out(piece.command)
+        if known > _first_counted(piece) and has_whole_loop(piece.command, known):
+            later = np.arange(len(piece.command)) >= known
+            piece = replace(piece, keep=later if piece.keep is None else later & piece.keep)
+        pieces.append(piece)
+    return replace(clean, pieces=tuple(pieces))
 
 
 def _simulated(problem: Problem, index: int, piece: Piece) -> Array:

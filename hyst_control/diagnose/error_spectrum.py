@@ -83,6 +83,30 @@ class ErrorSpectrum:
             power += factor / len(errors) * np.stack([np.interp(frequencies, at, column) for column in own.T], axis=1)
         return cls(frequencies, power, np.sqrt(noise))
 
+    def with_slow_part(self, known: ErrorSpectrum, excited: Array) -> ErrorSpectrum:
+        """Replace the slow part by that of fewer rows, up to where this spectrum first falls below the white noise.
+
+        Lines far above the command are those of this spectrum, since more rows show them better. And what the fewer rows do not excite
+        tells no error of the model.
+
+        Parameters
+        ----------
+        known : ErrorSpectrum
+            At the same frequencies, of rows in which nothing slow is left of the time before the records.
+        excited : ndarray, shape (F, A)
+            Power of the command in all rows, as a factor of that in the fewer ones.
+
+        Returns
+        -------
+        ErrorSpectrum
+            Nowhere above this one.
+        """
+        slow = np.cumsum(self.power < self.noise**2, axis=0) == 0
+        # What lies below the noise in the fewer rows may be as large as that.
+        most = (known.power + self.noise**2) * np.maximum(excited, 1.0) - self.noise**2
+        lower = np.minimum(self.power, most)
+        return ErrorSpectrum(self.frequencies, np.where(slow, lower, self.power), self.noise)
+
     def gain(self, rows: int, sigma: Array, sample_time: float) -> Array:
         """Factors of the cosine coefficients that make own error and noise white.
 

@@ -353,6 +353,9 @@ def _occam(solution: Solution, temper: float, most: float = np.inf) -> float:
 def temper_of(problem: Problem, residual: Array) -> float:
     """Weight of a residual's samples: 1 for white noise of the stated size, less for what is larger and correlated.
 
+    Where the spectrum of the model's own error is known, its size and correlation together count, which are its density at low
+    frequencies: a record of less noise than the clean ones leaves slow residuals, which are small.
+
     Beside clean records what is left is no model's error but the machine's own variation from run to run. It is slow, so that
     its samples count as few as are independent. The problem's own weight, which the fits have already, is not applied again.
 
@@ -370,7 +373,8 @@ def temper_of(problem: Problem, residual: Array) -> float:
     """
     size = float(np.mean(residual**2))
     length = 1.0 if problem.slowest is None else correlation_length(residual.reshape(-1, len(problem.model.axes)))
-    return min(1.0 / max(size, 1.0) / length / problem.weight, 1.0)
+    density = size * length if problem.own_spectrum is not None else max(size, 1.0) * length
+    return min(1.0 / max(density, 1.0) / problem.weight, 1.0)
 
 
 def settled(linearised: Linearised, z: Array | None = None) -> Solution:

@@ -78,6 +78,26 @@ def wiped_out(command: Array) -> int:
     return int(np.max(met))
 
 
+def has_whole_loop(command: Array, first: int) -> bool:
+    """Tell whether a command goes from one of its extremes to the other and back behind a row.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N, A)
+        V.
+    first : int
+        Row at which an extreme was nearly met, of `wiped_out`.
+
+    Returns
+    -------
+    bool
+    """
+    whole = (1.0 - 2.0 * NEARLY) * np.ptp(command, axis=0)
+    rest = command[first:]
+    back = rest[wiped_out(rest) :]
+    return bool(np.all(np.ptp(rest, axis=0) >= whole) and np.all(np.ptp(back, axis=0) >= whole))
+
+
 def is_new_ground(command: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     """Find the rows in which a command goes beyond all that it has met since its beginning, and those shortly behind.
 

@@ -174,8 +174,8 @@ def prepare(
     checks = frozenset(check for check in RecordCheck if is_used(check, without))
     progress("coefficients of the model")
     scatter = within_own_error(scatter_of(problem.model), problem)
-    if baseline is not None and baseline.clean is not None and problem.own_spectrum is not None:
-        scatter = pinned(scatter, replace(baseline.clean, own_spectrum=problem.own_spectrum, sigma=problem.own_spectrum.noise))
+    if baseline is not None and baseline.error_rows is not None and problem.own_spectrum is not None:
+        scatter = pinned(scatter, replace(baseline.error_rows, own_spectrum=problem.own_spectrum, sigma=problem.own_spectrum.noise))
     linearised = Linearised(problem, scatter)
     none = fit(linearised)
     record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
@@ -269,7 +269,9 @@ def _floor(problem: Problem, stated: Array, configuration: Configuration) -> flo
     """Least rms that matters in practice, in units of the noise."""
     measured = np.concatenate([piece.measurement for piece in problem.pieces])
     steps = np.array([lattice_of(column, configuration.checks) for column in measured.T])
-    return practical_floor(np.ptp(measured, axis=0), steps, stated, problem.sigma, configuration.policy)
+    # What takes the noise off a record makes own error and noise together, by which whitened vectors are measured, no smaller.
+    unit = problem.sigma if problem.own_spectrum is None else np.maximum(problem.sigma, problem.own_spectrum.noise)
+    return practical_floor(np.ptp(measured, axis=0), steps, stated, unit, configuration.policy)
 
 
 def without_truncation(linearised: Linearised, findings: Sequence[Finding], configuration: Configuration) -> Problem:

@@ -191,8 +191,7 @@ def discrepancy_of(commands: Sequence[Array], errors: Sequence[Array], sample_ti
     dict
         See `Model`.
     """
-    left = [without_zero(error) for error in errors]
-    rest = [rows for rows, _ in left]
+    rest = [without_zero(error)[0] for error in errors]
     learned = [
         learn([command[:, axis] for command in commands], [error[:, axis] for error in errors], sample_time)
         for axis in range(errors[0].shape[1])
@@ -202,12 +201,28 @@ def discrepancy_of(commands: Sequence[Array], errors: Sequence[Array], sample_ti
         "rms": np.max([[np.sqrt(mean_square(each)) for each in rows.T] for rows in rest], axis=0).tolist(),
         "correlation": sample_time * max(correlation_length(rows) for rows in rest),
     }
-    found["zero_mean"] = np.mean([zero for _, zero in left], axis=0).tolist()
-    if len(left) > 1:
-        found["zero"] = usual_zero(np.array([zero for _, zero in left])).tolist()
+    found |= session_zeros(errors)
     if any(learned):
         found["learned"] = [None if one is None else one.document() for one in learned]
     return found
+
+
+def session_zeros(errors: Sequence[Array]) -> dict[str, Any]:
+    """Describe the zeros of clean sessions, in the form of a model file.
+
+    Parameters
+    ----------
+    errors : sequence of ndarray, shape (M, A)
+        Measured minus simulated, by record, measurement unit.
+
+    Returns
+    -------
+    dict
+        `zero_mean`, and `zero` where there are several records; see `Model`.
+    """
+    zeros = np.array([without_zero(error)[1] for error in errors])
+    found: dict[str, Any] = {"zero_mean": np.mean(zeros, axis=0).tolist()}
+    return found | ({"zero": usual_zero(zeros).tolist()} if len(zeros) > 1 else {})
 
 
 def _regression(features: CommandFeatures, command: Array, error: Array, sample_time: float, most: int) -> tuple[Array, Array]:

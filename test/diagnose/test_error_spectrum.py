@@ -10,9 +10,12 @@ from scipy.signal import lfilter
 
 from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
+from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.error_spectrum import ErrorSpectrum, filtered
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
+from hyst_control.diagnose.hypothesis_search import temper_of
 from hyst_control.diagnose.parameter_uncertainty import pinned, scatter_of
+from hyst_control.diagnose.prepared_axis import _floor
 from hyst_control.diagnose.problem import Piece, Problem
 from hyst_control.model_file import Model
 
@@ -118,3 +121,40 @@ def test_every_frequency_has_a_power_of_its_own(monkeypatch, slowest):
     monkeypatch.setattr(np, "empty_like", lambda rows: np.full_like(rows, np.nan))
     np.testing.assert_array_equal(ErrorSpectrum.of([slow_error(1)], STEP, ROWS, slowest).power, wanted)
     assert np.isfinite(wanted).all()
+
+
+def test_a_low_frequency_error_is_that_of_fewer_rows_where_they_excite_it():
+    """All rows have a jump, a line far above it, and an error at 4 Hz where the command excites that in the first half alone."""
+    time = STEP * np.arange(ROWS)
+    late = time >= 0.5 * STEP * ROWS
+    white = NOISE * np.random.default_rng(5).standard_normal(ROWS)
+    error = white + 2.0 * late + 0.3 * np.sin(2 * np.pi * 90.0 * time) + 0.3 * ~late * np.sin(2 * np.pi * 4.0 * time)
+    whole, known = (ErrorSpectrum.of([rows[:, None]], STEP, ROWS, 1.0) for rows in (error, error[late] - 2.0))
+    frequencies = whole.frequencies
+    excited = np.where(np.abs(frequencies - 4.0) < 0.5, 1e6, 1.0)[:, None]
+    joined = whole.with_slow_part(known, excited)
+
+    def power(spectrum: ErrorSpectrum, frequency: float) -> float:
+        return float(np.interp(frequency, frequencies, spectrum.power[:, 0]))
+
+    assert power(joined, 0.5) < 0.05 * power(whole, 0.5)
+    assert power(joined, 4.0) == power(whole, 4.0) > 0.1
+    assert power(joined, 90.0) == power(whole, 90.0) > 1.0
+    assert (joined.power <= whole.power).all()
+
+
+def test_a_small_slow_residual_beside_an_own_error_keeps_its_weight():
+    """What a low-pass leaves of a record has a tenth of the noise, and is slow: its density is below that of own error and noise."""
+    command = np.sin(2 * np.pi * STEP * np.arange(ROWS))[:, None]
+    given = problem(2.0 * command, command, own_error=np.array([0.2]), own_spectrum=spectrum_of(1), slowest=1.0)
+    slow = (slow_error(9)[:, 0] - slow_error(9).mean()) / 0.2
+    assert temper_of(given, 0.05 * slow) == 1.0
+    assert temper_of(given, slow) < 0.1  # as large as own error and noise: few of its samples are independent
+
+
+def test_practical_size_is_in_units_of_own_error_and_noise():
+    """A record that a low-pass took the noise off is whitened by the noise of the clean records: its effects are no smaller for it."""
+    command = np.sin(2 * np.pi * STEP * np.arange(ROWS))[:, None]
+    given = problem(2000.0 * command, command, own_error=np.array([0.2]), own_spectrum=spectrum_of(1, 2))
+    usual, quiet = (_floor(replace(given, sigma=np.array([size])), np.zeros(1), CONFIGURATION) for size in (NOISE, 0.01 * NOISE))
+    assert quiet == pytest.approx(usual, rel=0.1)

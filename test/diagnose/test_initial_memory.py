@@ -5,10 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hyst_control.chain import Chain
+from hyst_control.chain.prandtl_ishlinskii import PrandtlIshlinskii
+from hyst_control.diagnose.baseline import with_baseline
+from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.diagnosis import diagnose
 from hyst_control.diagnose.gap_reduction import held_out
-from hyst_control.diagnose.initial_memory import is_new_ground, left_of_memory
+from hyst_control.diagnose.initial_memory import has_whole_loop, is_new_ground, left_of_memory
+from hyst_control.diagnose.problem import Piece, Problem
 from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal
 
 RATE, SPAN = 2000.0, 100.0
@@ -90,3 +96,45 @@ def test_an_effect_of_no_size_takes_nothing_off():
     )
     left = held_out(part.linearised, absent, part.found.none)
     assert left.after.mean() == pytest.approx(left.before.mean(), rel=1e-6)
+
+
+PLAYS, SLOPES = np.array([5.0, 15.0, 30.0]), np.array([0.02, 0.02, 0.03])
+
+
+def plays(command: np.ndarray, side: float) -> np.ndarray:
+    """Plays that begin at one end of their play (side -1, 1) or in its middle; noise. Of this test alone."""
+    state, output = command[0] + side * PLAYS, np.empty(len(command))
+    for row, u in enumerate(command):
+        state = np.clip(state, u - PLAYS, u + PLAYS)
+        output[row] = SLOPES @ state
+    return output + 2e-3 * np.random.default_rng(int(len(command) + 10 * side)).standard_normal(len(command))
+
+
+def of_plays(*records: tuple[np.ndarray, float]) -> Problem:
+    chain = Chain((PrandtlIshlinskii(tuple(PLAYS), tuple(SLOPES), w0=0.0),))
+    model = Model("plays", ("x",), {"command": "V", "measurement": "um"}, 1.0 / RATE, chain)
+    pieces = tuple(Piece(command[:, None], plays(command, side)[:, None], TIME >= 0.2) for command, side in records)
+    return Problem(model, pieces, 1.0 / RATE, "foh", np.array([2e-3]))
+
+
+GROWING = 50.0 + (20.0 + 30.0 * (TIME > 0.5)) * np.sin(2.0 * np.pi * 5.0 * TIME)
+STEADY = 50.0 + 45.0 * np.sin(2.0 * np.pi * 7.0 * TIME)
+
+
+def test_what_the_time_before_left_in_a_clean_record_of_another_command_is_no_error_of_the_model():
+    """The model is the machine but for the memory, which is wiped out in the middle of the clean record."""
+    clean = of_plays((GROWING, 1.0))
+    [piece] = clean.pieces
+    left = piece.counted(piece.measurement) - piece.counted(plays(GROWING, 0.0)[:, None])
+    assert np.std(left) > 0.1  # fifty times the noise
+    known = with_baseline(of_plays((STEADY, 1.0)), clean, CONFIGURATION.baseline)
+    assert known.error[0] < 3e-3 and known.problem.own_spectrum is not None
+    assert np.sqrt(known.problem.own_spectrum.power.sum() / len(TIME)) < 0.02
+    # A new record that fills its memory itself is wrong by as much.
+    filling = with_baseline(of_plays((STEADY * (0.6 + 0.4 * (TIME > 0.6)), 1.0)), clean, CONFIGURATION.baseline)
+    assert filling.error[0] > 0.1
+
+
+@pytest.mark.parametrize(("row", "whole"), [(0, True), (FILLED, True), (len(COMMAND) - 300, False)])
+def test_a_whole_loop_goes_to_either_extreme_and_back(row, whole):
+    assert has_whole_loop(COMMAND[:, None], row) is whole

@@ -8,14 +8,18 @@ import numpy as np
 import pytest
 
 from hyst_control.chain import Chain
+from hyst_control.chain.command_features import CommandFeatures
 from hyst_control.chain.linear import TransferFunction
 from hyst_control.chain.memoryless import Gain
+from hyst_control.diagnose.baseline import with_discrepancy
+from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.evidence_collection import _has_holes
 from hyst_control.diagnose.hypothesis import Candidate, catalogue
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.parameter_uncertainty import scatter_of, within_own_error
 from hyst_control.diagnose.problem import Piece, Problem
 from hyst_control.diagnose.session import ErrorBasis, LearnedError
+from hyst_control.identify.learned_discrepancy import LearnedDiscrepancy
 from hyst_control.model_file import Model
 
 STEP = 1e-3
@@ -105,3 +109,15 @@ def test_a_warm_up_is_no_hole_in_a_record():
     assert not _has_holes(Piece(COMMAND, COMMAND)) and not _has_holes(Piece(COMMAND, COMMAND, rows >= 300))
     assert not _has_holes(Piece(COMMAND, COMMAND, (rows >= 300) & (rows < 1800)))
     assert _has_holes(Piece(COMMAND, COMMAND, rows % 100 != 0)) and _has_holes(Piece(COMMAND, COMMAND, abs(rows - 900) > 3))
+
+
+def test_a_learned_error_that_says_nothing_here_is_left_out():
+    """Its weights are all far below what it leaves on the records that it was learned from."""
+    features = CommandFeatures.of([COMMAND[:, 0]], STEP)
+    count = features.rows(COMMAND[:, 0], STEP).shape[1]
+    learned = LearnedDiscrepancy(features, np.full(count, 1e-9), np.full((count, 1), 1e-9), 1.0, 0.1)
+    stated = {"rms": [1.0], "correlation": 0.1, "learned": [learned.document()]}
+    seen = problem(Chain((Gain(1.0),)), COMMAND)
+    known = with_discrepancy(replace(seen, model=replace(seen.model, discrepancy=stated)), CONFIGURATION.baseline)
+    predicted = [stage for stage in known.problem.model.chain.stages if isinstance(stage, LearnedError)]
+    assert len(predicted) == 1  # the initial memory alone
