@@ -31,7 +31,7 @@ from hyst_control.diagnose.evidence import (
     ResidualEvidence,
     RoughnessEvidence,
 )
-from hyst_control.diagnose.record_checks import excess_noise, held_samples, rounded_command, rounding
+from hyst_control.diagnose.record_checks import excess_noise, held_at_one_value, held_samples, rounded_command, rounding
 from hyst_control.diagnose.verdict import Decision, JointDecision, Reason, Verdict
 from hyst_control.effects.effect import RecordCheck
 
@@ -486,18 +486,28 @@ def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
 def _distorted(evidence: Evidence, chosen: int, thresholds: Thresholds) -> tuple[DistortionEvidence, ...]:
     """Tests by which a named effect is not itself: its size would have to change a lot, and that would explain a good deal.
 
-    What is left must exceed what the model leaves on clean records, which has a shape of its own.
+    What is left must exceed what the model leaves on clean records, which has a shape of its own; where the fits know its spectrum,
+    that is in the statistic, whose own chance is then the threshold: the null of the search is that of many more effects.
     """
-    if _residual(evidence, chosen).energy <= (1.0 + thresholds.least_excess) * _due(evidence, chosen):
-        return ()
+    residual = _residual(evidence, chosen)
+    exceeds = residual.energy > (1.0 + thresholds.least_excess) * _due(evidence, chosen)
+    least = thresholds.distortion_whitened if evidence.whitened else evidence.null + thresholds.margin
     found = [
         one
-        for one in _residual(evidence, chosen).distortions
-        if one.statistic > evidence.null + thresholds.margin
+        for one in residual.distortions
+        if (exceeds or evidence.whitened)
+        and one.statistic > least
         and abs(one.change) > thresholds.distortion_change
         and one.share > thresholds.distortion_share
     ]
+    if not evidence.repeating.intersection(evidence.hypotheses[chosen].names):
+        found += [held_at_one_value(seen) for seen in evidence.record if _stuck(seen, thresholds)]
     return tuple(sorted(found, key=lambda one: -one.statistic))
+
+
+def _stuck(seen: RecordEvidence, thresholds: Thresholds) -> bool:
+    """True where the measurement comes back to one value again and again, and does not in clean records."""
+    return seen.stuck >= thresholds.stuck and seen.stuck > thresholds.beyond_clean * seen.usual_stuck
 
 
 def _share_of_outliers(evidence: Evidence, outliers: Outliers) -> float:
@@ -548,7 +558,9 @@ def _findings(
     found = [
         finding
         for finding in detected(evidence.record, evidence.checks, thresholds)
-        if not (holds and finding.check is RecordCheck.REPEATED_VALUES)
+        if not (
+            finding.check is RecordCheck.REPEATED_VALUES and (holds or _stuck(evidence.record[finding.axis], thresholds))
+        )
     ]
     outliers: list[Outliers] = []
     hidden = noise is not None and noise.top > thresholds.flicker_hides
