@@ -75,7 +75,10 @@ class Thresholds:
         "tolerances", "distance of a coefficient from which a known effect that does the same is named"
     )
     repeats: float = _setting("samples", "repeated samples from which the record has held samples")
-    stuck: int = _setting("stretches", "stretches on one and the same value from which it is the sensor that does not follow")
+    stuck: int = _setting(
+        "stretches",
+        "stretches on one value from which the sensor does not follow: by chance one in as many as there are samples comes back",
+    )
     repeated_share: float = _setting("1", "the same, as a share of the samples")
     repeated_share_on_lattice: float = _setting("1", "the same on a lattice, where neighbors coincide more often")
     lattice_noise: float = _setting("noise rms", "rounding error from which a lattice is a quantization")

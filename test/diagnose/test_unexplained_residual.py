@@ -31,7 +31,9 @@ def test_overtones_of_a_wandering_vibration_are_its_own(multiple, own, number):
     model = Model("m", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain((TransferFunction((1.0,), (1.0,)),)), "foh")
     problem = Problem(model, (Piece(COMMAND, measured),), STEP, "foh", np.array([NOISE]))
     linearised = Linearised(problem, scatter_of(model))
-    members = [one for one in catalogue(problem, {"vibration": [SHAKEN]}) if one.name == "vibration" and len(one.line.harmonics) == 1]
+    members = [
+        one for one in catalogue(problem, {"vibration": [SHAKEN]}) if one.name == "vibration" and len(one.line.harmonics) == 1
+    ]
     candidate = Candidate((members[number],))
     solution = fit(linearised, candidate.unknowns(), candidate.starts()[0])
     energy = float(np.mean(leftover(problem, Scored(candidate, solution, 0.0), np.zeros(1)) ** 2))
