@@ -108,6 +108,11 @@ def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric
     opened = [pair for pair in pairs if _label(pair)["kind"] == "open_set"]
     share("open set: called unknown", 0.90, opened, lambda pair: pair[1]["verdict"] == "unknown")
     share("single effects called unknown", 0.04, singles, lambda pair: pair[1]["verdict"] == "unknown", False)
+    calibrated = conformal([_unknown(pair) for pair in singles], 0.04)
+    if np.isfinite(calibrated):
+        found.append(
+            Metric("single effects: novelty score that 4 % exceed (unknown from 0.5)", calibrated, len(singles), None, 0.5, False)
+        )
     if opened and singles:
         area = _auroc([_unknown(pair) for pair in opened], [_unknown(pair) for pair in singles])
         found.append(Metric("open set: AUROC of the novelty score", area, len(opened) + len(singles), None, 0.95))

@@ -75,10 +75,7 @@ class Thresholds:
         "tolerances", "distance of a coefficient from which a known effect that does the same is named"
     )
     repeats: float = _setting("samples", "repeated samples from which the record has held samples")
-    stuck: int = _setting(
-        "stretches",
-        "stretches on one value from which the sensor does not follow: by chance one in as many as there are samples comes back",
-    )
+    stuck: int = _setting("stretches", "stretches on one value from which the sensor does not follow: none comes back by chance")
     repeated_share: float = _setting("1", "the same, as a share of the samples")
     repeated_share_on_lattice: float = _setting("1", "the same on a lattice, where neighbors coincide more often")
     lattice_noise: float = _setting("noise rms", "rounding error from which a lattice is a quantization")

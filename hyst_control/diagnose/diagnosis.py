@@ -417,7 +417,13 @@ def _without_roughness(problem: Problem, configuration: Configuration) -> Proble
 
 def _outlier_notes(part: AxisDiagnosis) -> list[str]:
     model, rows = part.problem.model, part.evidence.rows
+    stuck = any(one.variable == "level" and one.effect == "held_samples" for one in part.decision.distortions)
     return [
+        f"{axis}: in {seen.stuck} stretches the measurement stands on one and the same value while the command moves: a dead band of "
+        "the sensor, or the end of its range"
+        for axis, seen in zip(model.axes, part.evidence.record, strict=True)
+        if stuck and seen.stuck
+    ] + [
         f"{model.axes[one.axis]}: {one.count} single samples ({one.count / rows:.2%}) stand out of the noise: outliers, "
         f"{one.rms:.3g} {model.units['measurement']} rms"
         for one in part.decision.outliers

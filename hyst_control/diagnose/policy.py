@@ -136,7 +136,7 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
         companions,
         distorted,
         unexplained,
-        _novelty(evidence, chosen, outweighed, outliers, thresholds),
+        _novelty(evidence, chosen, outweighed, outliers, at_bound, thresholds),
     )
 
 
@@ -513,7 +513,9 @@ def _distorted(evidence: Evidence, chosen: int, thresholds: Thresholds) -> tuple
     return tuple(sorted(found, key=lambda one: -one.statistic))
 
 
-def _novelty(evidence: Evidence, chosen: int, outweighed: bool, outliers: Sequence[Outliers], thresholds: Thresholds) -> float:
+def _novelty(
+    evidence: Evidence, chosen: int, outweighed: bool, outliers: Sequence[Outliers], at_bound: bool, thresholds: Thresholds
+) -> float:
     """Novelty score m / (1 + m), m the clearest sign of an unknown effect as a multiple of its threshold.
 
     A rule of several conditions counts as its weakest one. Nothing is truncated, so that cases short of every threshold are in order.
@@ -541,11 +543,14 @@ def _novelty(evidence: Evidence, chosen: int, outweighed: bool, outliers: Sequen
     ]
     if not evidence.repeating.intersection(one.names):
         signs += [
-            min(seen.stuck / thresholds.stuck, seen.stuck / max(thresholds.beyond_clean * seen.usual_stuck, 1e-300))
+            # One stretch is none that came back; half a stretch short of the threshold is on it.
+            min((seen.stuck - 1.0) / (thresholds.stuck - 1.5), seen.stuck / max(thresholds.beyond_clean * seen.usual_stuck, 1e-300))
             for seen in evidence.record
         ]
     if _too_many(evidence, chosen, thresholds):
         signs.append(len(one.names) / thresholds.most_effects)
+    if at_bound:
+        signs.append(np.nextafter(1.0, 2.0))  # how far beyond its range the effect would be nobody knows
     clearest = max(signs)
     return float(clearest / (1.0 + clearest))
 

@@ -586,6 +586,19 @@ def test_coefficients_are_strained_beyond_what_their_chi_square_allows(count):
     assert strained(least * (1 + 1e-9), count, LIMITS) and not strained(least * (1 - 1e-9), count, LIMITS)
 
 
+@pytest.mark.parametrize("row", TABLE, ids=lambda row: row.rule)
+def test_the_novelty_score_exceeds_one_half_where_a_rule_says_unknown(row):
+    decision = decide(row.evidence, LIMITS)
+    assert (decision.novelty > 0.5) == (row.verdict is V.UNKNOWN)
+
+
+def test_cases_short_of_every_threshold_are_in_order():
+    """The remainder is 0 in both, and the one that leaves more is the newer."""
+    little, more = (decide(evidence(effect("a", left=1.0 + left)), LIMITS) for left in (0.02, 0.08))
+    assert little.remainder == more.remainder == 0.0
+    assert 0.0 < little.novelty < more.novelty < 0.5
+
+
 def test_nothing_is_decided_without_the_residual_of_a_contender():
     bare = evidence(effect("a", residual=None), coefficients(), effect("b", 500.0, residual=None))
     assert contenders(bare, LIMITS) == (0, 1, 2)
