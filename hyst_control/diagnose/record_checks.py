@@ -238,7 +238,7 @@ def held_at_one_value(seen: RecordEvidence) -> DistortionEvidence:
 
     """
     held = effect_found_by(RecordCheck.REPEATED_VALUES)
-    name = "held_samples" if held is None else held.name
+    name = RecordCheck.REPEATED_VALUES.value if held is None else held.name
     return DistortionEvidence(name, "level", 2.0, (seen.stuck - 1) * float(np.log(seen.samples)), 1.0)
 
 
