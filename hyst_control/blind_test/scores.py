@@ -108,9 +108,14 @@ def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric
     opened = [pair for pair in pairs if _label(pair)["kind"] == "open_set"]
     share("open set: called unknown", 0.90, opened, lambda pair: pair[1]["verdict"] == "unknown")
     share("single effects called unknown", 0.04, singles, lambda pair: pair[1]["verdict"] == "unknown", False)
+    calibrated = conformal([_unknown(pair) for pair in singles], 0.04)
+    if np.isfinite(calibrated):
+        found.append(
+            Metric("single effects: novelty score that 4 % exceed (unknown from 0.5)", calibrated, len(singles), None, 0.5, False)
+        )
     if opened and singles:
         area = _auroc([_unknown(pair) for pair in opened], [_unknown(pair) for pair in singles])
-        found.append(Metric("open set: AUROC of the unexplained share", area, len(opened) + len(singles), None, 0.95))
+        found.append(Metric("open set: AUROC of the novelty score", area, len(opened) + len(singles), None, 0.95))
     if left_out and singles:
         area = _auroc([_unknown(pair) for pair in left_out], [_unknown(pair) for pair in singles])
         found.append(Metric("leave-one-out: AUROC", area, len(left_out) + len(singles), None, 0.90))
@@ -281,7 +286,26 @@ def _family(name: str) -> str:
 
 
 def _unknown(pair: Pair) -> float:
-    return float(pair[1].get("unexplained_share") or 0.0)
+    return float(pair[1].get("novelty") or pair[1].get("unexplained_share") or 0.0)
+
+
+def conformal(scores: Sequence[float], share: float) -> float:
+    """Compute the threshold that a further score, exchangeable with these, exceeds in at most a given share of the cases.
+
+    Parameters
+    ----------
+    scores
+        Calibration scores.
+    share
+        Share of false alarms, 0 to 1.
+
+    Returns
+    -------
+    float
+        The smallest score that suffices (Bates et al., arXiv:2104.08279, marginal); infinite where there are too few scores.
+    """
+    rank = int(np.ceil((len(scores) + 1) * (1.0 - share)))
+    return float(np.sort(scores)[rank - 1]) if rank <= len(scores) else np.inf
 
 
 def _macro_f1(pairs: Sequence[Pair]) -> float:

@@ -53,6 +53,11 @@ class Thresholds:
     )
     distortion_change: float = _setting("1", "change of an effect's size with a variable from which it is another effect")
     distortion_share: float = _setting("share of the energy that the effect explains", "least that this change must explain")
+    distortion_whitened: float = _setting(
+        "nats",
+        "what such a change must gain where the fits know the spectrum of the model's own error: what the largest of four changes gains "
+        "by chance in 4 % of the cases, and the margin",
+    )
     least_excess: float = _setting("share of the noise's energy", "energy beyond the noise's under which nothing is called unknown")
     run_to_run: float = _setting(
         "stated energies", "energy that does not follow the command up to which it is the plant's variation from run to run"
@@ -70,6 +75,7 @@ class Thresholds:
         "tolerances", "distance of a coefficient from which a known effect that does the same is named"
     )
     repeats: float = _setting("samples", "repeated samples from which the record has held samples")
+    stuck: int = _setting("stretches", "stretches on one value from which the sensor does not follow: none comes back by chance")
     repeated_share: float = _setting("1", "the same, as a share of the samples")
     repeated_share_on_lattice: float = _setting("1", "the same on a lattice, where neighbors coincide more often")
     lattice_noise: float = _setting("noise rms", "rounding error from which a lattice is a quantization")

@@ -29,6 +29,7 @@ from hyst_control.diagnose.passed_error import passed_error
 from hyst_control.diagnose.policy import contenders, decide, not_received
 from hyst_control.diagnose.prepared_axis import is_used, nominal_residuals, prepare, with_noise
 from hyst_control.diagnose.problem import Piece, Problem, check_command, check_units, split
+from hyst_control.diagnose.record_checks import held_at_one_value
 from hyst_control.diagnose.verdict import Decision
 from hyst_control.effects.effect import RecordCheck
 from hyst_control.errors import InputError
@@ -417,7 +418,13 @@ def _without_roughness(problem: Problem, configuration: Configuration) -> Proble
 
 def _outlier_notes(part: AxisDiagnosis) -> list[str]:
     model, rows = part.problem.model, part.evidence.rows
+    tests = [held_at_one_value(seen) for seen in part.evidence.record]
     return [
+        f"{axis}: in {seen.stuck} stretches the measurement stands on one and the same value while the command moves: a dead band of "
+        "the sensor, or the end of its range"
+        for axis, seen, test in zip(model.axes, part.evidence.record, tests, strict=True)
+        if test in part.decision.distortions
+    ] + [
         f"{model.axes[one.axis]}: {one.count} single samples ({one.count / rows:.2%}) stand out of the noise: outliers, "
         f"{one.rms:.3g} {model.units['measurement']} rms"
         for one in part.decision.outliers

@@ -82,6 +82,10 @@ class RecordEvidence:
         That of a command that the plant did not receive; None of any other.
     usual_roughness : float
         Its size (rms, V) in clean records; 0 without one.
+    stuck : int
+        Stretches that stand on one and the same value while the command moves, where they are most of the repeated samples; else 0.
+    usual_stuck : int
+        The same in clean records.
 
     """
 
@@ -96,6 +100,8 @@ class RecordEvidence:
     usual_step: float = 0.0
     roughness: RoughnessEvidence | None = None
     usual_roughness: float = 0.0
+    stuck: int = 0
+    usual_stuck: int = 0
 
 
 @dataclass(frozen=True)

@@ -79,6 +79,7 @@ def gap_report(
             "next_experiment": next_experiment(diagnosis) if with_next else None,
             "augmented_model": augmented,
             "unexplained_share": _number(joint.unexplained),
+            "novelty": _number(joint.novelty),
             "replay": [{"name": block.name, "faithful": block.faithful, "rms": block.rms, "text": block.text} for block in blocks],
             "notes": list(diagnosis.notes),
             "distortions": [

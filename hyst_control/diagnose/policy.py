@@ -31,7 +31,7 @@ from hyst_control.diagnose.evidence import (
     ResidualEvidence,
     RoughnessEvidence,
 )
-from hyst_control.diagnose.record_checks import excess_noise, held_samples, rounded_command, rounding
+from hyst_control.diagnose.record_checks import excess_noise, held_at_one_value, held_samples, rounded_command, rounding
 from hyst_control.diagnose.verdict import Decision, JointDecision, Reason, Verdict
 from hyst_control.effects.effect import RecordCheck
 
@@ -60,6 +60,7 @@ def join(decisions: Sequence[Decision]) -> JointDecision:
         _ordered(reasons),
         max(decision.remainder for decision in decisions),
         max(decision.unexplained for decision in decisions),
+        max(decision.novelty for decision in decisions),
     )
 
 
@@ -135,6 +136,7 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
         companions,
         distorted,
         unexplained,
+        _novelty(evidence, chosen, outweighed, outliers, at_bound, thresholds),
     )
 
 
@@ -426,10 +428,16 @@ def _residual(evidence: Evidence, index: int) -> ResidualEvidence:
 
 def _remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
     """Share of the gap's energy that the chosen explanation leaves, 0 where that is under the floor."""
-    before, after = evidence.hypotheses[0].energy, _residual(evidence, chosen).energy
-    due = _due(evidence, chosen)
+    after, due = _residual(evidence, chosen).energy, _due(evidence, chosen)
     if not after - due > max(evidence.floor**2, thresholds.least_excess * due):
         return 0.0
+    return _share_left(evidence, chosen, thresholds)
+
+
+def _share_left(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
+    """Share of the gap's energy that the chosen explanation leaves, however little that is."""
+    before, after = evidence.hypotheses[0].energy, _residual(evidence, chosen).energy
+    due = _due(evidence, chosen)
     # What does not follow the command varies from run to run, and no effect would explain it. Where clean records show how much that
     # is, many times as much is something new all the same.
     left, follows = after - due, _residual(evidence, chosen).predictable
@@ -486,18 +494,70 @@ def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
 def _distorted(evidence: Evidence, chosen: int, thresholds: Thresholds) -> tuple[DistortionEvidence, ...]:
     """Tests by which a named effect is not itself: its size would have to change a lot, and that would explain a good deal.
 
-    What is left must exceed what the model leaves on clean records, which has a shape of its own.
+    What is left must exceed what the model leaves on clean records, which has a shape of its own; where the fits know its spectrum,
+    that is in the statistic, whose own chance is then the threshold: the null of the search is that of many more effects.
     """
-    if _residual(evidence, chosen).energy <= (1.0 + thresholds.least_excess) * _due(evidence, chosen):
-        return ()
+    residual = _residual(evidence, chosen)
+    exceeds = residual.energy > (1.0 + thresholds.least_excess) * _due(evidence, chosen)
+    least = thresholds.distortion_whitened if evidence.whitened else evidence.null + thresholds.margin
     found = [
         one
-        for one in _residual(evidence, chosen).distortions
-        if one.statistic > evidence.null + thresholds.margin
+        for one in residual.distortions
+        if (exceeds or evidence.whitened)
+        and one.statistic > least
         and abs(one.change) > thresholds.distortion_change
         and one.share > thresholds.distortion_share
     ]
+    if not evidence.repeating.intersection(evidence.hypotheses[chosen].names):
+        found += [held_at_one_value(seen) for seen in evidence.record if _stuck(seen, thresholds)]
     return tuple(sorted(found, key=lambda one: -one.statistic))
+
+
+def _novelty(
+    evidence: Evidence, chosen: int, outweighed: bool, outliers: Sequence[Outliers], at_bound: bool, thresholds: Thresholds
+) -> float:
+    """Novelty score m / (1 + m), m the clearest sign of an unknown effect as a multiple of its threshold.
+
+    A rule of several conditions counts as its weakest one. Nothing is truncated, so that cases short of every threshold are in order.
+    """
+    one, residual, due = evidence.hypotheses[chosen], _residual(evidence, chosen), _due(evidence, chosen)
+    beyond = (residual.energy - due) / max(evidence.floor**2, thresholds.least_excess * due)
+    unexplained = _unexplained(evidence, chosen, thresholds)
+    signs = [0.0, *(_share_of_outliers(evidence, found) / thresholds.unknown_share for found in outliers)]
+    if not outweighed:
+        signs.append(min(beyond, _share_left(evidence, chosen, thresholds) / thresholds.unknown_share))
+    if one.names:
+        far = one.farthest / thresholds.many_tolerances
+        signs.append(min(unexplained / thresholds.named_unexplained_share, max(beyond, far)))
+    else:
+        signs.append(unexplained)  # of coefficients alone no rule makes an unknown effect
+    least = thresholds.distortion_whitened if evidence.whitened else evidence.null + thresholds.margin
+    signs += [
+        min(
+            test.statistic / least,
+            abs(test.change) / thresholds.distortion_change,
+            test.share / thresholds.distortion_share,
+            np.inf if evidence.whitened else beyond,
+        )
+        for test in residual.distortions
+    ]
+    if not evidence.repeating.intersection(one.names):
+        signs += [
+            # One stretch is none that came back; half a stretch short of the threshold is on it.
+            min((seen.stuck - 1.0) / (thresholds.stuck - 1.5), seen.stuck / max(thresholds.beyond_clean * seen.usual_stuck, 1e-300))
+            for seen in evidence.record
+        ]
+    if _too_many(evidence, chosen, thresholds):
+        signs.append(len(one.names) / thresholds.most_effects)
+    if at_bound:
+        signs.append(np.nextafter(1.0, 2.0))  # how far beyond its range the effect would be nobody knows
+    clearest = max(signs)
+    return float(clearest / (1.0 + clearest))
+
+
+def _stuck(seen: RecordEvidence, thresholds: Thresholds) -> bool:
+    """True where the measurement comes back to one value again and again, and does not in clean records."""
+    return seen.stuck >= thresholds.stuck and seen.stuck > thresholds.beyond_clean * seen.usual_stuck
 
 
 def _share_of_outliers(evidence: Evidence, outliers: Outliers) -> float:
@@ -548,7 +608,7 @@ def _findings(
     found = [
         finding
         for finding in detected(evidence.record, evidence.checks, thresholds)
-        if not (holds and finding.check is RecordCheck.REPEATED_VALUES)
+        if not (finding.check is RecordCheck.REPEATED_VALUES and (holds or _stuck(evidence.record[finding.axis], thresholds)))
     ]
     outliers: list[Outliers] = []
     hidden = noise is not None and noise.top > thresholds.flicker_hides

@@ -235,6 +235,7 @@ def _beside_usual(record: Sequence[RecordEvidence], clean: Problem, configuratio
             else max(_repeats(piece.counted(piece.measurement)[:, axis]) for piece in clean.pieces),
             usual_step=old.step,
             usual_roughness=0.0 if old.roughness is None else old.roughness.rms,
+            usual_stuck=old.stuck,
         )
         for axis, (new, old) in enumerate(zip(record, usual, strict=True))
     )

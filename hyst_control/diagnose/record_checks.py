@@ -6,6 +6,7 @@ says which of them found something.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.signal import fftconvolve, periodogram
 
 from hyst_control.chain.stage import Array, Sampling
 from hyst_control.diagnose.configuration import CONFIGURATION, CheckSettings, NoiseSettings
-from hyst_control.diagnose.evidence import Finding, RecordEvidence
+from hyst_control.diagnose.evidence import DistortionEvidence, Finding, RecordEvidence
 from hyst_control.diagnose.noise_floor import noise_of
 from hyst_control.diagnose.problem import Problem
 from hyst_control.effects import EFFECTS
@@ -112,6 +113,43 @@ def repeated_samples(values: Array, step: float, sigma: float, settings: CheckSe
     return share, count
 
 
+def stuck_stretches(pieces: Sequence[tuple[Array, Array]], step: float, sigma: float) -> int:
+    """Count stretches that stand on one and the same value while the command moves.
+
+    Samples that are held at random stand on a value each; a sensor that does not follow about some level, or has reached its end,
+    comes back to the same value again and again. No noise does.
+
+    Parameters
+    ----------
+    pieces : sequence of (ndarray, ndarray)
+        Command (N,) and measurement (N,) of each stretch of record.
+    step : float
+        Step of the measurement's lattice, 0 without: on one all values come back.
+    sigma : float
+        Noise of the measurement (rms): values of a simulation without any come back too.
+
+    Returns
+    -------
+    int
+        Stretches of at least two samples on the value that has most of them; 0 if these are not most of all repeated samples.
+    """
+    if step > 0 or sigma < 1e-12 * max((float(np.ptp(values)) for _, values in pieces), default=0.0):
+        return 0
+    stretches: Counter[float] = Counter()
+    repeats: Counter[float] = Counter()
+    for command, values in pieces:
+        same = np.diff(values) == 0.0
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            if np.ptp(command[begin : end + 1]) > 0.0:
+                stretches[float(values[begin])] += 1
+                repeats[float(values[begin])] += int(end - begin)
+    if not repeats:
+        return 0
+    value, count = repeats.most_common(1)[0]
+    return stretches[value] if 2 * count > repeats.total() else 0
+
+
 def _chance(values: Array, window: int) -> float:
     """Share of neighbors that coincide by chance in numbers that are rounded to the smallest step that occurs."""
     steps = np.abs(np.diff(values))
@@ -156,7 +194,9 @@ def record_evidence(
         share, count = repeated_samples(values, step, noise, settings)
         rms = float(np.sqrt(share * np.mean(np.abs(np.diff(values)) ** 2)))
         rough = problem.roughness[axis] if problem.roughness else None
-        found.append(RecordEvidence(len(values), share, count, rms, step, modelled, noise, roughness=rough))
+        rows = [(piece.counted(piece.command)[:, axis], piece.counted(piece.measurement)[:, axis]) for piece in problem.pieces]
+        stuck = stuck_stretches(rows, step, noise)
+        found.append(RecordEvidence(len(values), share, count, rms, step, modelled, noise, roughness=rough, stuck=stuck))
     return tuple(found)
 
 
@@ -180,6 +220,26 @@ def held_samples(seen: RecordEvidence, axis: int) -> Finding:
     spread = NORMAL_95 * np.sqrt(share * (1 - share) / count)
     interval = (float(share - spread), float(share + spread))
     return Finding(RecordCheck.REPEATED_VALUES, axis, share, interval, seen.repeated_rms, share * count)
+
+
+def held_at_one_value(seen: RecordEvidence) -> DistortionEvidence:
+    """Distortion of held samples that occur at one value of the measurement alone.
+
+    Parameters
+    ----------
+    seen : RecordEvidence
+        Evidence of the axis, with stretches that are stuck.
+
+    Returns
+    -------
+    DistortionEvidence
+        Its change is that from none of them to twice the mean; its statistic what so many stretches on one of as many values as there
+        are samples are unlikely by.
+
+    """
+    held = effect_found_by(RecordCheck.REPEATED_VALUES)
+    name = RecordCheck.REPEATED_VALUES.value if held is None else held.name
+    return DistortionEvidence(name, "level", 2.0, (seen.stuck - 1) * float(np.log(seen.samples)), 1.0)
 
 
 def rounding(seen: RecordEvidence, axis: int) -> Finding:

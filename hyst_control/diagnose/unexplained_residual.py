@@ -1,7 +1,7 @@
 """Residual of an explanation, without what the explanation's own effects leave unmodeled.
 
 A converter's rounding error follows the signal and is not white noise. A vibration of varying frequency has sidebands that a few
-polynomials cannot remove. Neither shows an unknown effect.
+polynomials cannot remove, about its frequency and about the overtones that what shakes has as well. Neither shows an unknown effect.
 """
 
 from __future__ import annotations
@@ -35,7 +35,10 @@ def leftover(problem: Problem, scored: Scored, lattice: Array) -> Array:
         for member, where in zip(scored.candidate.members, scored.candidate.slices(), strict=True):
             if member.is_line and member.line.skirt:
                 frequency = member.values(scored.solution.x[where])["frequency"]
-                rows = _without_band(problem, rows, 0 if member.axis is None else member.axis, frequency, member.line.skirt)
+                for harmonic in (*member.line.harmonics, *member.line.overtones):
+                    rows = _without_band(
+                        problem, rows, 0 if member.axis is None else member.axis, harmonic * frequency, member.line.skirt
+                    )
     half = 0.5 * lattice / problem.sigma
     return (np.sign(rows) * np.maximum(np.abs(rows) - half, 0.0)).reshape(-1)
 

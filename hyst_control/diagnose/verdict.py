@@ -109,6 +109,8 @@ class Decision:
         Distortion tests for which an explanation is none, the clearest first.
     unexplained : float
         Share of the gap's energy that no known effect explains with coefficients that are near their tolerances, however small.
+    novelty : float
+        Novelty score, 0 … 1: m / (1 + m), m by how many times the clearest sign of an unknown effect exceeds its threshold.
 
     """
 
@@ -123,6 +125,7 @@ class Decision:
     companions: tuple[CompanionEvidence, ...] = ()
     distortions: tuple[DistortionEvidence, ...] = ()
     unexplained: float = 0.0
+    novelty: float = 0.0
 
     def of(self, name: str) -> float:
         """Probability that an effect is at work.
@@ -143,9 +146,10 @@ class Decision:
 
 @dataclass(frozen=True)
 class JointDecision:
-    """Decision over all axes: the verdict that prevails, its reasons, and the largest remainder and unexplained share."""
+    """Decision over all axes: the verdict that prevails, its reasons, and the largest remainder, unexplained share and novelty."""
 
     verdict: Verdict
     reasons: tuple[Reason, ...]
     remainder: float
     unexplained: float = 0.0
+    novelty: float = 0.0

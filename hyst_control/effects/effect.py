@@ -146,11 +146,14 @@ class Line:
         Number of Legendre polynomials over the record by which amplitude and phase may change.
     skirt
         Share of the frequency on either side that is the effect's own.
+    overtones
+        Harmonics that are not fitted, about which a skirt is the effect's own as well.
     """
 
     harmonics: tuple[int, ...] = (1,)
     swells: int = 1
     skirt: float = 0.0
+    overtones: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)

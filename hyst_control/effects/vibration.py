@@ -67,8 +67,8 @@ EFFECT = Effect(
     "A disturbance of one frequency moves the mechanics or the sensor's head.",
     parameters,
     lambda values, around: Vibration(values["amplitude"], values["frequency"], values.get("phase", 0.0)),
-    line=Line(swells=24, skirt=0.05),
-    further_lines=(Line(skirt=0.05), Line(harmonics=(1, 2, 3), swells=6, skirt=0.05)),
+    line=Line(swells=24, skirt=0.05, overtones=(2, 3)),
+    further_lines=(Line(skirt=0.05, overtones=(2, 3)), Line(harmonics=(1, 2, 3), swells=6, skirt=0.05)),
     record_check=RecordCheck.SPECTRAL_LINE,
     phrase="vibration at {frequency}",
 )

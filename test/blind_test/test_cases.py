@@ -17,7 +17,7 @@ from hyst_control.blind_test.effect_sizes import REALIZATIONS, SEVERITIES, UNTUN
 from hyst_control.blind_test.metric import wilson
 from hyst_control.blind_test.plant_setups import PLANTS, SETUPS
 from hyst_control.blind_test.published_labels import rounded
-from hyst_control.blind_test.scores import metrics
+from hyst_control.blind_test.scores import conformal, metrics
 from hyst_control.cli import main
 from hyst_plant_sim.physics import EFFECTS
 from hyst_plant_sim.physics import PLANTS as TRUTH_PLANTS
@@ -217,6 +217,30 @@ def test_scores_of_a_diagnosis_that_is_always_right_and_of_one_that_never_is():
     good, bad = ({metric.name: metric for metric in metrics(pairs)} for pairs in (right, wrong))
     for name in ("false alarm on records without a gap", "pairs: exactly both", "macro-F1", "right where it says >= 0.95"):
         assert good[name].met and not bad[name].met
+
+
+def test_a_conformal_threshold_is_exceeded_as_seldom_as_asked_for():
+    """Of a hundred scores and a new one, drawn alike, the new one exceeds it in 4 % of the draws, whatever the distribution."""
+    random = np.random.default_rng(2)
+    drawn = random.standard_cauchy((4000, 101)) ** 2
+    exceeds = np.mean([row[-1] > conformal(row[:-1], 0.04) for row in drawn])
+    assert 0.03 < exceeds <= 0.045
+    assert conformal([0.1] * 10, 0.04) == np.inf  # ten scores say nothing of one in twenty-five
+
+
+def test_the_novelty_score_ranks_the_open_set():
+    def pair(kind: str, score: dict) -> tuple[dict, dict]:
+        label = {"kind": kind, "names": ["delay"], "excitation": "sine", "plant": "third", "effects": [{"name": "delay"}]}
+        label |= {"gap_rms": 1.0, "noise_rms": 1.0, "noise": 5e-4}
+        said = {"verdict": "no_gap", "effects": [], "candidates": [], "processor_seconds": 1.0}
+        return {"label": label}, said | score
+
+    truncated = {"unexplained_share": 0.0}  # as reports had it before there was a score
+    pairs = [pair("single", truncated | {"novelty": 0.01 * k}) for k in range(30)]
+    pairs += [pair("open_set", truncated | {"novelty": 0.25 + 0.1 * k}) for k in range(3)]
+    found = {metric.name: metric for metric in metrics(pairs)}
+    assert found["open set: AUROC of the novelty score"].value == pytest.approx((25.5 + 30 + 30) / 90)
+    assert next(one for name, one in found.items() if "4 % exceed" in name).value == pytest.approx(0.29)
 
 
 def test_last_digits_of_a_processor_do_not_change_the_hash_of_labels():

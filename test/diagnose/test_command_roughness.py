@@ -63,8 +63,16 @@ def rough(command: np.ndarray, step: float, seed: int = 3) -> np.ndarray:
 
 @pytest.mark.parametrize(
     "command, step",  # at stairs the model's own error is as large at every frequency, and hides a fine step
-    [(SINE, 0.1), (SINE, 0.4), (TRIANGLE, 0.1), (TRIANGLE, 0.4), (STAIRS, 0.4), (STAIRS, 1.0)],
-    ids=["fine on a sine", "on a sine", "fine on a triangle", "on a triangle", "on stairs", "coarse on stairs"],
+    [(SINE, 0.1), (SINE, 0.4), (TRIANGLE, 0.1), (TRIANGLE, 0.4), (STAIRS, 0.4), (STAIRS, 1.0), (SINE, 4.5)],
+    ids=[
+        "fine on a sine",
+        "on a sine",
+        "fine on a triangle",
+        "on a triangle",
+        "on stairs",
+        "coarse on stairs",
+        "a quarter of a sine",
+    ],
 )
 def test_a_command_that_only_the_record_rounds_is_found_with_its_step(command, step):
     recorded = rough(command, step)
@@ -76,7 +84,7 @@ def test_a_command_that_only_the_record_rounds_is_found_with_its_step(command, s
     assert np.array_equal(as_recorded(mended).pieces[0].command, problem.pieces[0].command)
 
 
-@pytest.mark.parametrize("step", [0.1, 0.4, 1.0])
+@pytest.mark.parametrize("step", [0.1, 0.4, 1.0, 4.5])
 def test_a_rough_command_that_the_plant_receives_is_none(step):
     recorded = rough(SINE, step)
     lagging = np.concatenate([np.full(25, recorded[0]), recorded[:-25]])

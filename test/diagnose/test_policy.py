@@ -152,6 +152,20 @@ TABLE = (
     Row("a change within the model's own error", evidence(changing(0.8, left=1.05)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
     Row("an effect that changes a little", evidence(changing(0.3)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
     Row("a change that may be chance", evidence(changing(0.8, NULL + 2.0)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
+    Row(
+        "a change beyond its own chance, where the own error's spectrum is known",
+        evidence(changing(0.8, 9.0, left=0.6, variable="time"), whitened=True),
+        V.UNKNOWN,
+        (R.DISTORTION_TIME,),
+        ("a",),
+    ),
+    Row(
+        "a change within its own chance, where the own error's spectrum is known",
+        evidence(changing(0.8, 6.0, left=0.6), whitened=True),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
     Row("a change that explains little", evidence(changing(0.8, share=0.005)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
     Row("nothing was tried", evidence(base=SMALL), V.NO_GAP, (R.BELOW_NULL,), remainder=0.0),
     Row(
@@ -280,6 +294,12 @@ TABLE = (
         ("",),
     ),
     Row(
+        "a single sample that is all of the excess noise",
+        evidence(base=replace(SMALL, residual=replace(QUIET, white=(2.0,), outliers=(1,), outliers_rms=(1.7,)))),
+        V.UNKNOWN,
+        (R.ENERGY_LEFT, R.OUTLIERS),
+    ),
+    Row(
         "a score that is six nats behind, where the own error's spectrum is known",
         evidence(effect("a"), effect("b", 994.0), whitened=True),
         V.EFFECT,
@@ -292,6 +312,27 @@ TABLE = (
         V.EFFECT,
         (R.RECORD_CHECK,),
         checks=(C.REPEATED_VALUES,),
+    ),
+    Row(
+        "a measurement that comes back to one value",
+        evidence(effect("a"), record=(replace(PLAIN, repeated=0.1, stuck=5),)),
+        V.UNKNOWN,
+        (R.DISTORTION_LEVEL,),
+        ("a",),
+    ),
+    Row(
+        "a measurement that comes back to one value as in clean records",
+        evidence(effect("a"), record=(replace(PLAIN, stuck=5, usual_stuck=4),)),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
+        "stretches on one value that play explains",
+        evidence(effect("play"), record=(replace(PLAIN, repeated=0.1, stuck=5),), repeating=frozenset({"play"})),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("play",),
     ),
     Row(
         "a lattice beside coefficients that are off",
@@ -543,6 +584,19 @@ def test_coefficients_are_strained_beyond_what_their_chi_square_allows(count):
     """The chi-square has mean n and standard deviation sqrt(2 n)."""
     least = 0.5 * (count + LIMITS.strain_deviations * np.sqrt(2.0 * count))
     assert strained(least * (1 + 1e-9), count, LIMITS) and not strained(least * (1 - 1e-9), count, LIMITS)
+
+
+@pytest.mark.parametrize("row", TABLE, ids=lambda row: row.rule)
+def test_the_novelty_score_exceeds_one_half_where_a_rule_says_unknown(row):
+    decision = decide(row.evidence, LIMITS)
+    assert (decision.novelty > 0.5) == (row.verdict is V.UNKNOWN)
+
+
+def test_cases_short_of_every_threshold_are_in_order():
+    """The remainder is 0 in both, and the one that leaves more is the newer."""
+    little, more = (decide(evidence(effect("a", left=1.0 + left)), LIMITS) for left in (0.02, 0.08))
+    assert little.remainder == more.remainder == 0.0
+    assert 0.0 < little.novelty < more.novelty < 0.5
 
 
 def test_nothing_is_decided_without_the_residual_of_a_contender():

@@ -62,7 +62,8 @@ def any_evidence(draw) -> Evidence:
 @given(any_evidence())
 def test_a_decision_is_consistent(found):
     decision = decide(found, LIMITS)
-    assert decision.reasons and 0.0 <= decision.remainder <= 1.0
+    assert decision.reasons and 0.0 <= decision.remainder <= 1.0 and 0.0 <= decision.novelty <= 1.0
+    assert (decision.novelty > 0.5) == (decision.verdict is Verdict.UNKNOWN)
     assert sum(decision.probability.values()) == pytest.approx(1.0)
     assert {finding.check for finding in decision.findings} <= found.checks
     assert join([decision]).verdict is decision.verdict and join([decision]).reasons == decision.reasons

@@ -12,7 +12,7 @@ from hyst_control.chain.linear import StateSpace, TransferFunction
 from hyst_control.diagnose.flicker_estimation import flicker
 from hyst_control.diagnose.gap_report import sentence
 from hyst_control.diagnose.problem import Piece, Problem
-from hyst_control.diagnose.record_checks import lattice_of, lines, outliers, repeated_samples
+from hyst_control.diagnose.record_checks import lattice_of, lines, outliers, repeated_samples, stuck_stretches
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model, simulate
@@ -116,6 +116,27 @@ def test_outliers_are_told_from_noise_of_any_colour():
     count, rms = outliers(spiked)
     assert 55 <= count <= 60 and rms == pytest.approx(np.sqrt(np.mean((spiked - white) ** 2)), rel=0.1)
     assert outliers(np.round(white, 0))[0] == 0
+
+
+def test_a_dead_band_comes_back_to_one_value_and_held_samples_do_not():
+    random = np.random.default_rng(7)
+    command = np.sin(2 * np.pi * 8.0 * np.linspace(0.0, 1.0, 4000))
+    measured = 10.0 * command + 0.05 * random.normal(size=4000)
+
+    def stuck(values, drive=command, step=0.0):
+        return stuck_stretches([(drive, values)], step, 0.05)
+
+    assert stuck(measured) == 0
+    dead = np.sign(measured) * np.maximum(np.abs(measured) - 0.5, 0.0)
+    assert stuck(dead) >= 16  # it is crossed twice a period
+    assert stuck(np.minimum(measured, 9.0)) >= 8  # so is the end of a sensor's range
+    held = measured.copy()
+    for k in np.flatnonzero(random.random(4000) < 0.2)[1:]:
+        held[k] = held[k - 1]
+    assert stuck(held) == 0
+    assert stuck(np.round(measured, 1), step=0.1) == 0
+    assert stuck(dead, drive=np.zeros(4000)) == 0  # at rest it may stand where it likes
+    assert stuck_stretches([(command, np.minimum(command, 0.9))], 0.0, 0.0) == 0
 
 
 def test_the_sentence_says_why_nothing_known_explains_a_gap():
