@@ -350,7 +350,9 @@ def _carried(
             errors.append((match.clean.measurement - _simulated(clean, index, match.clean))[rows])
         mean = np.mean(errors, axis=0)
         repeating = [noise_between_periods([column], [piece.command]) for column in mean.T]
-        series.append(without_noise(mean, np.array(repeating)))
+        # What the new record has too is no noise of the clean one, however rough.
+        differing = white_noise((piece.measurement - _simulated(problem, len(series), piece) - mean)[kept]) / np.sqrt(2.0)
+        series.append(without_noise(mean, np.fmin(repeating, differing)))
         differences += [without_zero((error - errors[0])[kept])[0] for error in errors[1:]]
         zeros.append(usual_zero(np.array([without_zero((error - series[-1])[begin:end])[1] for error in errors])))
         run_to_run += [without_zero((error - errors[0])[kept])[0] / np.sqrt(2.0) for error in errors[1:]]
@@ -449,14 +451,37 @@ def without_noise(error: Array, most: Array | float = np.inf) -> Array:
         Measurement unit.
     """
     rest, _ = without_zero(error)
-    mirrored = np.concatenate([rest, rest[::-1]])
-    spectrum = np.fft.rfft(mirrored, axis=0)
+    spectrum, smooth, floor = _floor_of(rest)
+    floor = np.minimum(floor, 2 * len(rest) * most**2)
+    kept = np.clip(1.0 - floor / np.maximum(smooth, 1e-300), 0.0, 1.0)
+    return np.asarray(error - rest + np.fft.irfft(kept * spectrum, 2 * len(rest), axis=0)[: len(rest)], dtype=np.float64)
+
+
+def white_noise(rows: Array) -> Array:
+    """Estimate the white part of rows from the quietest bins of the upper half of their spectrum.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (N, A)
+        Of any unit.
+
+    Returns
+    -------
+    ndarray, shape (A,)
+        Its rms; infinite for fewer rows than the spectrum is averaged over.
+    """
+    if len(rows) <= 2 * NOISE_REACH:
+        return np.full(rows.shape[1], np.inf)
+    return np.asarray(np.sqrt(_floor_of(without_zero(rows)[0])[2] / (2 * len(rows))), dtype=np.float64)
+
+
+def _floor_of(rest: Array) -> tuple[Array, Array, Array]:
+    """Spectrum (F, A) of rows and their mirror image, its smoothed power, and the power (A,) of its quietest bins above the middle."""
+    spectrum = np.fft.rfft(np.concatenate([rest, rest[::-1]]), axis=0)
     power = np.abs(spectrum) ** 2
     window = np.ones(2 * NOISE_REACH + 1) / (2 * NOISE_REACH + 1)
     smooth = np.stack([np.convolve(np.pad(column, NOISE_REACH, mode="reflect"), window, "valid") for column in power.T], axis=1)
-    floor = np.minimum(np.quantile(smooth[len(smooth) // 2 :], 0.2, axis=0), len(mirrored) * most**2)
-    kept = np.clip(1.0 - floor / np.maximum(smooth, 1e-300), 0.0, 1.0)
-    return np.asarray(error - rest + np.fft.irfft(kept * spectrum, len(mirrored), axis=0)[: len(rest)], dtype=np.float64)
+    return spectrum, smooth, np.quantile(smooth[len(smooth) // 2 :], 0.2, axis=0)
 
 
 def matching(command: Array, clean: Sequence[Piece], same: float, overlap: float) -> list[Match]:

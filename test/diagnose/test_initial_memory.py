@@ -138,3 +138,12 @@ def test_what_the_time_before_left_in_a_clean_record_of_another_command_is_no_er
 @pytest.mark.parametrize(("row", "whole"), [(0, True), (FILLED, True), (len(COMMAND) - 300, False)])
 def test_a_whole_loop_goes_to_either_extreme_and_back(row, whole):
     assert has_whole_loop(COMMAND[:, None], row) is whole
+
+
+def test_what_both_records_have_is_no_noise():
+    """Relays switch in steps, which are as rough as noise: what is carried keeps them, as the new record has them too."""
+    clean, new = machine((0.0, 100.0), 1, command=LATE), machine((20.0, 60.0), 3, command=LATE)
+    [part] = diagnose([record(new, "new", LATE)], None, cache=False, baseline=[record(clean, "clean", LATE)]).parts
+    problem = part.linearised.problem
+    residual = problem.rows(part.found.none.solution.residual) * problem.sigma
+    assert np.std(residual) < 2.0 * np.sqrt(2.0) * 2e-3
