@@ -13,7 +13,7 @@ from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, Unknowns,
 from hyst_control.errors import InputError
 
 FEW = 2
-"""Parameters up to which fits begin at the starts themselves too, and do not end where they are stuck."""
+"""Parameters up to which fits begin at the starts themselves too."""
 
 
 def fit_candidate(

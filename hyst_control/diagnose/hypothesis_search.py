@@ -21,7 +21,7 @@ from scipy.linalg import cho_factor
 from scipy.optimize import minimize_scalar
 
 from hyst_control.chain.stage import Array
-from hyst_control.diagnose.candidate_fits import FEW, fit_candidate, merged_start, misfit_of, promising_pairs
+from hyst_control.diagnose.candidate_fits import fit_candidate, merged_start, misfit_of, promising_pairs
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, Thresholds
 from hyst_control.diagnose.hypothesis import Candidate, Member
 from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, fit, refined
@@ -445,22 +445,20 @@ def _held(linearised: Linearised) -> Linearised:
 def _freed(
     linearised: Linearised, fits: list[tuple[Candidate, Solution]], without: float, configuration: Configuration
 ) -> list[tuple[Candidate, Solution]]:
-    """The fits, of which some of few parameters do not end yet: of one parameter they begin again, where it alone does best.
+    """The fits, of which some of one parameter begin again, where it alone does best.
 
     Beside a great gap the columns of the coefficients promise too much: a step in all of them leads astray, and the fit ends there,
-    worse than without the effect or with strained coefficients. New columns at its end lead a fit of two parameters on.
+    worse than without the effect or with strained coefficients.
     """
     settings = configuration.search
     stuck = [
         i
         for i, (candidate, solution) in enumerate(fits)
-        if 1 <= len(candidate.unknowns().lower) <= FEW and (solution.misfit > without or _strained(solution, configuration.policy))
+        if len(candidate.unknowns().lower) == 1 and (solution.misfit > without or _strained(solution, configuration.policy))
     ]
 
     def begun_again(i: int) -> Solution | None:
-        candidate, solution = fits[stuck[i]]
-        if len(solution.x) > 1:
-            return refined(linearised, candidate.unknowns(), solution)
+        candidate = fits[stuck[i]][0]
         return fit_candidate(linearised, candidate, [_best_alone(linearised, candidate, settings.scanned)], settings)
 
     again = map_forked(begun_again, len(stuck))
