@@ -171,6 +171,7 @@ class CheckSettings:
     driven_share: float = _setting("share of the command's largest power", "power of the command from which it drives a frequency")
     driven_ratio: float = _setting("power of the spectrum around", "the same, where it is a line of the command")
     fundamental_bins: float = _setting("bins", "frequency from which a fundamental of the command is resolved")
+    first_harmonics: int = _setting("orders", "harmonics of a fundamental that is not resolved at which no line is suggested")
     harmonic_bins: float = _setting("bins", "distance from a harmonic of the command that belongs to it")
     harmonic_widths: tuple[float, ...] = _setting("fundamentals", "the same: the first that holds the command's power counts")
     harmonic_power: float = _setting(

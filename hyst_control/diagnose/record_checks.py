@@ -488,14 +488,17 @@ def _mains(effect: Effect | None, problem: Problem) -> tuple[float, ...]:
 
 def _harmonics(frequency: Array, driven: Array, settings: CheckSettings) -> NDArray[np.bool_]:
     """Frequencies (N,) that are near a harmonic of a command whose power is near those of one fundamental."""
-    fundamental = frequency[int(np.argmax(driven * frequency**2))]  # of the rate: a mean that wanders is none
-    if fundamental < settings.fundamental_bins * frequency[1]:  # not resolved: everything would be near a harmonic
-        return np.zeros(len(frequency), bool)
+    fundamental = _peak(frequency, driven, int(np.argmax(driven * frequency**2)))  # of the rate: a mean that wanders is none
     order = np.round(frequency / fundamental)
+    possible, bins = order >= 1, settings.harmonic_bins
+    if fundamental < settings.fundamental_bins * frequency[1]:
+        # Hardly resolved: everything would be near a harmonic, so that only the first ones count, which any nonlinearity has.
+        possible &= order <= settings.first_harmonics
+        bins = min(bins, 0.25 * fundamental / frequency[1])
     above = driven[frequency > 0.5 * fundamental].sum()
     for width in settings.harmonic_widths:
-        reach = max(settings.harmonic_bins * frequency[1], width * fundamental)
-        near = (order >= 1) & (np.abs(frequency - order * fundamental) < reach)
+        reach = max(bins * frequency[1], width * fundamental)
+        near = possible & (np.abs(frequency - order * fundamental) < reach)
         if driven[near].sum() > settings.harmonic_power * above:
             return np.asarray(near, dtype=bool)
     return np.zeros(len(frequency), bool)

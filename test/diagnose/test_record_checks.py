@@ -47,6 +47,17 @@ def test_a_harmonic_of_a_sine_that_swells_is_no_vibration(frequency, due):
     assert found == pytest.approx(due, abs=0.05)
 
 
+@pytest.mark.parametrize("frequency, due", [(1.98, []), (7.4, [7.4])])
+def test_a_harmonic_of_six_strokes_is_no_vibration(frequency, due):
+    """A fundamental between two bins of so short a record, and a line at its second harmonic or at none."""
+    time = TIME[TIME < 6.0]
+    command = (1.0 - np.cos(2 * np.pi * 0.99 * time))[:, None]
+    model = Model("gain", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain((TransferFunction((1.0,), (1.0,)),)))
+    problem = Problem(model, (Piece(command, command),), STEP, "zoh", np.array([1e-3]))
+    residual = 1e-3 * np.random.default_rng(2).standard_normal(len(time)) + 0.02 * np.sin(2 * np.pi * frequency * time)
+    assert lines(problem, residual / 1e-3)["vibration"] == pytest.approx(due, abs=0.05)
+
+
 def test_a_line_of_another_axis_command_is_no_vibration():
     """Axes couple: what the other one is driven at is seen on this one too."""
     random = np.random.default_rng(5)
