@@ -151,11 +151,16 @@ def stuck_stretches(pieces: Sequence[tuple[Array, Array]], step: float, sigma: f
 
 
 def _chance(values: Array, window: int) -> float:
-    """Share of neighbors that coincide by chance in numbers that are rounded to the smallest step that occurs."""
+    """Share of neighbors that coincide by chance in numbers that are rounded to the smallest step that occurs.
+
+    A stretch without a step does not tell how fast the signal moves: many of them are held samples. The stretches around do.
+    """
     steps = np.abs(np.diff(values))
     if not steps.any():
         return 1.0
     around = np.sqrt(np.convolve(steps**2, np.ones(window) / window, "same"))
+    told = np.flatnonzero(np.convolve(steps > 0.0, np.ones(window), "same") > 0.5)
+    around = np.interp(np.arange(len(steps)), told, around[told])
     return float(np.mean(np.minimum(steps[steps > 0].min() / np.maximum(around, 1e-300), 1.0)))
 
 

@@ -35,6 +35,16 @@ def test_numbers_of_few_digits_are_no_held_samples():
     assert repeated_samples(held, 0.0, 0.2)[0] == pytest.approx(0.02, abs=0.006)
 
 
+@pytest.mark.parametrize("fraction", [0.5, 0.75, 0.95])
+def test_most_samples_may_be_held(fraction):
+    """Of nineteen samples in twenty that are held, whole stretches stand still: that is no coarse printing."""
+    random = np.random.default_rng(4)
+    held = 20.0 * np.sin(2 * np.pi * TIME) + 0.02 * random.standard_normal(len(TIME))
+    for k in np.flatnonzero(random.random(len(held)) < fraction):
+        held[k] = held[max(k - 1, 0)]
+    assert repeated_samples(held, 0.0, 0.02)[0] == pytest.approx(fraction, abs=0.03)
+
+
 @pytest.mark.parametrize("frequency, due", [(3.0, []), (3.5, [3.5])])
 def test_a_harmonic_of_a_sine_that_swells_is_no_vibration(frequency, due):
     """Unipolar strokes of changing height, whose mean wanders with them; a line at their third harmonic, and one between two."""
