@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import correlate
 
 from hyst_control.chain import Chain
@@ -475,13 +476,14 @@ def white_noise(rows: Array) -> Array:
     return np.asarray(np.sqrt(_floor_of(without_zero(rows)[0])[2] / (2 * len(rows))), dtype=np.float64)
 
 
-def _floor_of(rest: Array) -> tuple[Array, Array, Array]:
+def _floor_of(rest: Array) -> tuple[NDArray[np.complex128], Array, Array]:
     """Spectrum (F, A) of rows and their mirror image, its smoothed power, and the power (A,) of its quietest bins above the middle."""
     spectrum = np.fft.rfft(np.concatenate([rest, rest[::-1]]), axis=0)
     power = np.abs(spectrum) ** 2
     window = np.ones(2 * NOISE_REACH + 1) / (2 * NOISE_REACH + 1)
     smooth = np.stack([np.convolve(np.pad(column, NOISE_REACH, mode="reflect"), window, "valid") for column in power.T], axis=1)
-    return spectrum, smooth, np.quantile(smooth[len(smooth) // 2 :], 0.2, axis=0)
+    quiet = np.asarray(np.quantile(smooth[len(smooth) // 2 :], 0.2, axis=0), dtype=np.float64)
+    return np.asarray(spectrum, dtype=np.complex128), smooth, quiet
 
 
 def matching(command: Array, clean: Sequence[Piece], same: float, overlap: float) -> list[Match]:
