@@ -16,6 +16,8 @@ from hyst_control.diagnose.problem import Problem
 from hyst_control.effects import EFFECTS
 
 THIRDS = ("lower third", "middle third", "upper third")
+SESSION = "session"
+"""Name of what differs from session to session: zero, drift, initial memory."""
 
 Rows = list[dict[str, Any]]
 
@@ -54,7 +56,8 @@ def budget(diagnosis: Diagnosis) -> dict[str, Rows]:
 
 
 def stages(diagnosis: Diagnosis, attribution: Attribution, unfaithful: Sequence[str] = ()) -> Rows:
-    """Split the gap by place in the signal chain: the plant's places, the model's own coefficients, noise, what is unexplained.
+    """Split the gap by place in the signal chain: the plant's places, what differs between sessions (zero, drift, initial memory), the
+    model's own coefficients, noise, what is unexplained.
 
     Parameters
     ----------
@@ -74,16 +77,17 @@ def stages(diagnosis: Diagnosis, attribution: Attribution, unfaithful: Sequence[
     settings = diagnosis.configuration.budget
     blocks = settings.blocks
     energies: dict[str, Array] = dict.fromkeys(unfaithful, np.zeros(blocks))
-    effects = coefficients = noise = unexplained = np.zeros(blocks)
+    session = effects = coefficients = noise = unexplained = np.zeros(blocks)
     for part in diagnosis.parts:
         problem, linearised, solution = part.problem, part.linearised, part.chosen.solution
         unknowns = part.chosen.candidate.unknowns() if part.chosen.candidate else None
-        given = _energy(problem, linearised.measured - linearised.simulate(np.zeros(linearised.count)), blocks)
+        companions = linearised.companions(solution.z)
+        whole = _energy(problem, linearised.measured - linearised.simulate(np.zeros(linearised.count)), blocks)
+        given = np.minimum(_energy(problem, linearised.measured - linearised.simulate(companions), blocks), whole)
+        session = session + whole - given
         left = np.minimum(_energy(problem, solution.residual, blocks), given)
         # What the effects leave with the coefficients as given is the coefficients' part.
-        with_effects = _energy(
-            problem, linearised.measured - linearised.simulate(np.zeros(linearised.count), unknowns, solution.x), blocks
-        )
+        with_effects = _energy(problem, linearised.measured - linearised.simulate(companions, unknowns, solution.x), blocks)
         fitted = np.clip(with_effects - left, 0.0, given - left)
         floor = np.minimum(float(np.sum(problem.sigma**2)) * len(linearised.measured) / len(problem.sigma) / blocks, left)
         effects, coefficients = effects + given - left - fitted, coefficients + fitted
@@ -92,6 +96,7 @@ def stages(diagnosis: Diagnosis, attribution: Attribution, unfaithful: Sequence[
     for effect in named:
         place = EFFECTS[effect.name].place
         energies[place] = energies.get(place, np.zeros(blocks)) + effects * effect.share
+    energies |= {SESSION: session} if any(part.linearised.scatter.companions.any() for part in diagnosis.parts) else {}
     energies |= {"coefficients": coefficients if named else coefficients + effects, "noise": noise, "unexplained": unexplained}
     return _shares_with_intervals(energies, diagnosis.seed, settings.resamples)
 
@@ -177,13 +182,14 @@ def _kinds(part: AxisDiagnosis, residual: Array, blocks: int) -> dict[str, Array
     nothing = np.zeros(blocks)
     for axis in range(residual.shape[1]):
         left = residual[:, axis]
-        whole, taken = left, part.linearised.columns @ part.chosen.solution.z
+        whole, columns, solution = left, part.linearised.columns, part.chosen.solution
         if not part.chosen.inflated and part.linearised.count:
-            left = left - part.problem.rows(taken)[:, axis]
-            energy = _blocks(whole**2, blocks)
-            found["like coefficients"] = (
-                found.get("like coefficients", nothing) + energy - np.minimum(_blocks(left**2, blocks), energy)
-            )
+            free = part.linearised.companions(solution.z)
+            for name, taken in ((SESSION, columns @ free), ("like coefficients", columns @ (solution.z - free))):
+                energy = _blocks(left**2, blocks)
+                left = left - part.problem.rows(taken)[:, axis]
+                if name != SESSION or free.any():
+                    found[name] = found.get(name, nothing) + np.maximum(energy - _blocks(left**2, blocks), 0.0)
         target = left
         fold = (np.arange(len(left)) * blocks // len(left)) % 2
         known = np.zeros((len(left), 0))

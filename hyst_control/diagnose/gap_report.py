@@ -12,7 +12,7 @@ import numpy as np
 from hyst_control.diagnose.attribution import Attribution, Named
 from hyst_control.diagnose.block_replay import Block
 from hyst_control.diagnose.diagnosis import Diagnosis
-from hyst_control.diagnose.gap_budget import budget, stages
+from hyst_control.diagnose.gap_budget import SESSION, budget, stages
 from hyst_control.diagnose.next_experiment import next_experiment
 from hyst_control.diagnose.policy import join
 from hyst_control.diagnose.verdict import Reason, Verdict
@@ -204,6 +204,9 @@ def sentence(report: dict[str, Any]) -> str:
     """
     gap, unit = report["gap"], report["gap"]["unit"]
     size = f"{gap['rms']:.3g} {unit} rms ({gap['nrmse']:.2g} % of range, noise floor {gap['floor_rms']:.3g} {unit})"
+    beside = _beside_session(report)
+    if beside is not None:
+        size += f", {beside:.3g} {unit} of it beside the session's zero, drift and initial memory"
     names = [named(effect) for effect in report["effects"]]
     verdict, reasons = report["verdict"], report.get("reasons", ())
     if verdict == Verdict.NO_GAP.value:
@@ -233,6 +236,12 @@ def sentence(report: dict[str, Any]) -> str:
     if verdict == Verdict.AMBIGUOUS.value:
         return f"The gap of {size} is caused by {' or '.join(names)}: these data cannot tell which.{far}"
     return f"The gap of {size} is caused by {' and '.join(names)}.{far}"
+
+
+def _beside_session(report: dict[str, Any]) -> float | None:
+    """Rms of a gap without what differs between sessions; None where that is less than half of the gap's energy."""
+    share = next((row["share"] for row in report.get("where", {}).get("stage", ()) if row["name"] == SESSION), 0.0)
+    return float(report["gap"]["rms"] * math.sqrt(max(1.0 - share, 0.0))) if share > 0.5 else None
 
 
 def named(effect: Mapping[str, Any]) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,6 +17,7 @@ from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.diagnose.baseline import matching, without_noise
 from hyst_control.diagnose.configuration import CONFIGURATION
+from hyst_control.diagnose.gap_report import sentence
 from hyst_control.diagnose.predictability import predictable_share
 from hyst_control.diagnose.problem import Piece
 from hyst_control.diagnose.session import CarriedError, SessionZero
@@ -180,6 +183,11 @@ def test_a_sensor_may_have_its_zero_anywhere(change, names, taken_off):
     assert report["verdict"] in (("effect", "ambiguous") if names else ("no_gap",))
     zero = next(row for row in report["companions"] if row["name"] == "offset")
     assert abs(zero["value"]) < zero["usual"] < 2.0
+    if taken_off == 0.0:  # nearly all of the difference is that zero: no coefficient's, and what is beside it is told
+        largest = max(report["where"]["stage"], key=lambda row: row["share"])
+        assert largest["name"] == "session" and largest["share"] > 0.99
+        told = re.search(r"([\d.]+) um of it beside the session's zero", sentence(report))
+        assert told and float(told[1]) < 0.05 * report["gap"]["rms"]
 
 
 @pytest.mark.parametrize("frequencies", [(50.0, 50.0), (40.0, 50.0)])
