@@ -276,6 +276,7 @@ def _beside_own_error(
                 for rows, piece in zip(left, clean.pieces, strict=True)
             ]
         spectrum = _spectrum(left, everything, clean, max(len(piece.counted(piece.command)) for piece in problem.pieces))
+        spectrum = _on_new_ground(spectrum, problem, clean, error, settings)
         floor = np.zeros_like(excess)
     beside = replace(problem, model=model, slowest=_slowest(problem), own_error=rest, own_correlation=length, own_spectrum=spectrum)
     return Baseline(beside, False, error, usual, floor, clean, excess, known, mean)
@@ -300,6 +301,25 @@ def _spectrum(errors: Sequence[Array], everything: Sequence[Array], clean: Probl
     driven, all_driven = driven_by(errors), driven_by(everything)
     least = UNEXCITED * np.max(all_driven, axis=0)
     return spectrum_of(everything).with_slow_part(spectrum_of(errors), (all_driven + least) / (driven + least))
+
+
+def _on_new_ground(
+    spectrum: ErrorSpectrum, problem: Problem, clean: Problem, error: Array, settings: BaselineSettings
+) -> ErrorSpectrum:
+    """The spectrum of the own error with what the model may leave at frequencies that the new records' commands drive more.
+
+    error: rms (A,) that the model leaves on the clean records; the one that its file states counts too, where it is larger.
+    """
+    count, slowest = len(spectrum.frequencies), _slowest(clean)
+    new = [without_zero(_simulated(problem, i, piece))[0] for i, piece in enumerate(problem.pieces)]
+    known = [without_zero(_simulated(clean, i, piece))[0] for i, piece in enumerate(clean.pieces)]
+    size, known_size = (np.sqrt(np.mean(np.concatenate(series) ** 2, axis=0)) for series in (new, known))
+    if not (size.all() and known_size.all()):
+        return spectrum  # without a model nothing is known of its output
+    stated = np.asarray(problem.model.discrepancy.get("rms", 0.0), dtype=float)
+    relative = settings.unseen * np.maximum(error / known_size, stated / size)
+    driven = [ErrorSpectrum.of(series, clean.sample_time, count, slowest) for series in (known, new)]
+    return spectrum.for_output(*driven, relative)
 
 
 def _learned_mean(learned: LearnedDiscrepancy, piece: Piece, rows: int, sample_time: float) -> Array:

@@ -68,6 +68,10 @@ class Thresholds:
     )
     own_error_share: float = _setting("1", "share of the error that a model states of itself which an effect must take off")
     own_error_energy: float = _setting("noise energies", "stated energy from which a model is taken to state an error of its own")
+    own_error_local: float = _setting(
+        "energies of own error and noise",
+        "what no effect must leave at an explanation's frequencies: fits follow the largest bins, of normal ones the mean is 3",
+    )
     strain_deviations: float = _setting(
         "standard deviations", "chi-square of the coefficients above its mean from which they are strained"
     )

@@ -27,17 +27,19 @@ from hyst_control.diagnose.hypothesis_search import Found, Scored, search
 from hyst_control.diagnose.null_distribution import threshold
 from hyst_control.diagnose.passed_error import passed_error
 from hyst_control.diagnose.policy import contenders, decide, not_received
-from hyst_control.diagnose.prepared_axis import is_used, nominal_residuals, prepare, with_noise
+from hyst_control.diagnose.prepared_axis import clean_rows, is_used, nominal_residuals, prepare, with_noise
 from hyst_control.diagnose.problem import Piece, Problem, check_command, check_units, split
 from hyst_control.diagnose.record_checks import held_at_one_value
+from hyst_control.diagnose.seen_in_clean import CleanRecords
 from hyst_control.diagnose.verdict import Decision
 from hyst_control.effects.effect import RecordCheck
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
-VETOES = 3
-"""Explanations in turn that are dropped because they leave more than no effect does on blocks that they were not fitted to."""
+VETOES = 6
+"""Explanations in turn that are dropped: clean records ask for them too, or they leave more than no effect does on blocks that they were
+not fitted to."""
 
 
 @dataclass(frozen=True)
@@ -392,11 +394,17 @@ def _axis(
 
     evidence = with_residuals(collected.evidence)
     decision = decide(evidence, thresholds)
+    rows = None if baseline is None else clean_rows(baseline, problem)
+    clean = None if rows is None else CleanRecords(rows)
     for _ in range(VETOES if evidence.whitened else 0):
         best = collected.hypotheses[decision.chosen]
-        if best.candidate is None or holds(linearised, best, found.none, configuration.reduction):
+        if best.candidate is None:
             break
-        evidence = with_residuals(evidence.without(decision.chosen))
+        known = frozenset() if clean is None else clean.show(best, null + thresholds.margin)
+        if not known and holds(linearised, best, found.none, configuration.reduction):
+            break
+        dropped = [i for i, one in enumerate(collected.hypotheses) if known.intersection(one.names)] if known else [decision.chosen]
+        evidence = with_residuals(evidence.without(dropped))
         decision = decide(evidence, thresholds)
     return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decision, baseline)
 

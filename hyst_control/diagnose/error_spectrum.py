@@ -28,6 +28,8 @@ FUNDAMENTALS = 1.0
 """The same in slowest excited frequencies, at most: a line far above the command, such as mains hum, is no error of the model."""
 SMOOTHED = 3
 """Bins that are averaged before: a line between two bins has its power in both."""
+MOST_MORE = 100.0
+"""Largest factor by which power of the output is taken to raise that of the error: where it is more, the clean records say nothing."""
 UPPER = 0.6
 """Share of the Nyquist frequency above which the median bin is the white noise's."""
 MEDIAN = 0.4549
@@ -106,6 +108,58 @@ class ErrorSpectrum:
         most = (known.power + self.noise**2) * np.maximum(excited, 1.0) - self.noise**2
         lower = np.minimum(self.power, most)
         return ErrorSpectrum(self.frequencies, np.where(slow, lower, self.power), self.noise)
+
+    def times(self, factor: float) -> ErrorSpectrum:
+        """Multiply the power, the white noise left as it is.
+
+        Parameters
+        ----------
+        factor : float
+            Of the power.
+
+        Returns
+        -------
+        ErrorSpectrum
+        """
+        return ErrorSpectrum(self.frequencies, factor * self.power, self.noise)
+
+    def for_output(self, known: ErrorSpectrum, new: ErrorSpectrum, relative: Array) -> ErrorSpectrum:
+        """Foresee the error on new records, whose commands drive some frequencies more than those of the clean ones did.
+
+        A model that leaves a share of its output at a frequency leaves that share of more output too; where the clean records' commands
+        drive next to nothing, they say nothing of the model, and its error is taken to be the usual share of its output.
+
+        Parameters
+        ----------
+        known, new : ErrorSpectrum
+            Of the model's output on the clean records and on the new ones, at the same frequencies.
+        relative : ndarray, shape (A,)
+            Rms of the error, as a share of the output's.
+
+        Returns
+        -------
+        ErrorSpectrum
+            Nowhere below this one.
+        """
+        more = np.minimum(new.power / np.maximum(known.power, 1e-300), MOST_MORE)
+        foreseen = more * self.power
+        beyond = relative**2 * np.maximum(new.power - known.power, 0.0)
+        return ErrorSpectrum(self.frequencies, np.maximum(self.power, np.maximum(foreseen, beyond)), self.noise)
+
+    def rms(self, sigma: Array) -> Array:
+        """Size of own error and noise together.
+
+        Parameters
+        ----------
+        sigma : ndarray, shape (A,)
+            White noise, rms, measurement unit.
+
+        Returns
+        -------
+        ndarray, shape (A,)
+            Rms, measurement unit.
+        """
+        return np.asarray(np.sqrt(np.mean(self.power, axis=0) + np.maximum(sigma, self.noise) ** 2), dtype=np.float64)
 
     def gain(self, rows: int, sigma: Array, sample_time: float) -> Array:
         """Factors of the cosine coefficients that make own error and noise white.

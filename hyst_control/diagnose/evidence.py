@@ -5,7 +5,7 @@ A further kind of evidence is a further number here, measured by code that decid
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -258,6 +258,9 @@ class HypothesisEvidence:
         Distance of the coefficient that is farthest from its nominal value, tolerances.
     at_bound : bool
         Whether the size of one of its effects is at the end of the range that the catalogue gives it.
+    local : float
+        Energy that "no effect" leaves at the frequencies at which this one differs from it, in units of the model's own error and the
+        noise there; infinite where the error's spectrum is unknown.
 
     """
 
@@ -270,6 +273,7 @@ class HypothesisEvidence:
     residual: ResidualEvidence | None = None
     farthest: float = 0.0
     at_bound: bool = False
+    local: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -330,21 +334,21 @@ class Evidence:
     whitened: bool = False
     repeating: frozenset[str] = frozenset()
 
-    def without(self, index: int) -> Evidence:
-        """Drop a hypothesis: it claims nothing, whatever it scored.
+    def without(self, indices: Collection[int]) -> Evidence:
+        """Drop hypotheses: they claim nothing, whatever they scored.
 
         Parameters
         ----------
-        index : int
-            Of the hypothesis; indices of the others stay.
+        indices : collection of int
+            Of the hypotheses; indices of the others stay.
 
         Returns
         -------
         Evidence
 
         """
-        dropped = replace(self.hypotheses[index], score=-np.inf)
-        return replace(self, hypotheses=(*self.hypotheses[:index], dropped, *self.hypotheses[index + 1 :]))
+        kept = tuple(replace(one, score=-np.inf) if index in indices else one for index, one in enumerate(self.hypotheses))
+        return replace(self, hypotheses=kept)
 
     def with_residuals(self, residuals: Mapping[int, ResidualEvidence]) -> Evidence:
         """Add what hypotheses leave.

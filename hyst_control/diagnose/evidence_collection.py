@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.fft import dct
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NoiseSettings
@@ -89,7 +90,7 @@ def collect(
     rows = size // len(problem.model.axes)
     lower, upper = configuration.noise.band
     evidence = Evidence(
-        tuple(_hypothesis(scored, size) for scored in hypotheses),
+        tuple(replace(_hypothesis(scored, size), local=_local_energy(problem, found.none, scored)) for scored in hypotheses),
         found.temper,
         found.linearised.count,
         null,
@@ -110,6 +111,20 @@ def collect(
         frozenset(name for name, effect in EFFECTS.items() if effect.repeats_values),
     )
     return Collected(evidence, hypotheses)
+
+
+def _local_energy(problem: Problem, none: Scored, scored: Scored) -> float:
+    """Energy that the nominal model leaves at the frequencies at which a hypothesis differs from it; infinite where that is unknown.
+
+    In units of the model's own error and the noise, frequency by frequency: many bins below them add up to a sure fit, and a model that
+    lacks a part leaves just that in the clean records too.
+    """
+    if problem.own_spectrum is None or scored is none:
+        return float("inf")
+    axes = len(problem.model.axes)
+    before, after = (dct(one.solution.residual.reshape(-1, axes), norm="ortho", axis=0) for one in (none, scored))
+    changed = (before - after) ** 2
+    return float(np.sum(changed * before**2) / max(float(np.sum(changed)), 1e-300))
 
 
 def residual_evidence(

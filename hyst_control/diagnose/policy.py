@@ -319,6 +319,8 @@ def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thres
     # A model that states an error of its own leaves all kinds of it: an effect has to take off what goes beyond, unless the weight of
     # the samples has that error in it already.
     unweighted = evidence.weight == 1.0
+    if one.local <= thresholds.own_error_local * evidence.stated:
+        return False
     least = max(evidence.floor**2, thresholds.own_error_share * (evidence.stated - 1.0) if unweighted else 0.0)
     before = evidence.hypotheses[0].energy
     # What leaves no more than the model leaves on clean records is no gap.

@@ -174,8 +174,9 @@ def prepare(
     checks = frozenset(check for check in RecordCheck if is_used(check, without))
     progress("coefficients of the model")
     scatter = within_own_error(scatter_of(problem.model), problem)
-    if baseline is not None and baseline.error_rows is not None and problem.own_spectrum is not None:
-        scatter = pinned(scatter, replace(baseline.error_rows, own_spectrum=problem.own_spectrum, sigma=problem.own_spectrum.noise))
+    clean = None if baseline is None else clean_rows(baseline, problem)
+    if clean is not None:
+        scatter = pinned(scatter, clean)
     linearised = Linearised(problem, scatter)
     none = fit(linearised)
     record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
@@ -199,6 +200,26 @@ def prepare(
         floor = max(floor, least if problem.own_spectrum is None else configuration.baseline.same_floor)
     leaves = max(stated_energy(own, problem.sigma), 1.0 + problem.own_energy)
     return Prepared(problem, linearised, tuple(without), checks, tuple(record), tuple(findings), suggested, stated, floor, leaves)
+
+
+def clean_rows(baseline: Baseline, problem: Problem) -> Problem | None:
+    """The clean records' rows on which the model's own error was measured, with its spectrum.
+
+    Parameters
+    ----------
+    baseline : Baseline
+        Of the problem.
+    problem : Problem
+        The new records, with the spectrum of the model's own error.
+
+    Returns
+    -------
+    Problem or None
+        None where the error is carried over, or stated by a model file.
+    """
+    if baseline.error_rows is None or problem.own_spectrum is None:
+        return None
+    return replace(baseline.error_rows, own_spectrum=problem.own_spectrum, sigma=problem.own_spectrum.noise)
 
 
 def _steps(problem: Problem, findings: Sequence[Finding]) -> tuple[float, ...]:
@@ -270,8 +291,8 @@ def _floor(problem: Problem, stated: Array, configuration: Configuration) -> flo
     """Least rms that matters in practice, in units of the noise."""
     measured = np.concatenate([piece.measurement for piece in problem.pieces])
     steps = np.array([lattice_of(column, configuration.checks) for column in measured.T])
-    # What takes the noise off a record makes own error and noise together, by which whitened vectors are measured, no smaller.
-    unit = problem.sigma if problem.own_spectrum is None else np.maximum(problem.sigma, problem.own_spectrum.noise)
+    # Whitened vectors are measured by own error and noise together.
+    unit = problem.sigma if problem.own_spectrum is None else problem.own_spectrum.rms(problem.sigma)
     return practical_floor(np.ptp(measured, axis=0), steps, stated, unit, configuration.policy)
 
 
