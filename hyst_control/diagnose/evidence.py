@@ -310,6 +310,8 @@ class Evidence:
         True where the fits know the spectrum of the model's own error: energies are then in units of it and the noise together.
     repeating : frozenset of str
         Names of the effects that repeat values by themselves.
+    carried : bool
+        True where the model's own error is carried over from a clean record of the same command, so that it is in no residual.
 
     """
 
@@ -329,6 +331,7 @@ class Evidence:
     clean_noise: bool = False
     whitened: bool = False
     repeating: frozenset[str] = frozenset()
+    carried: bool = False
 
     def without(self, index: int) -> Evidence:
         """Drop a hypothesis: it claims nothing, whatever it scored.
