@@ -8,6 +8,8 @@ the coefficients and the parameters of all effects could still explain. The dist
 
 w the weight of a sample, by what is left with the distortion: where that is most of what the effect leaves, its own correlation is no
 reason to believe it less; change is the difference of the effect's size between both ends of the variable, as a share of the size.
+Both sums are taken without the stretch of the record that speaks most for the distortion: a clock that slipped once, in the new record
+or in the clean one beside it, is in one stretch, and no size that changes.
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ from hyst_control.errors import InputError
 VARIABLES = ("time", "level", "rate", "branch")
 LEAST_LEFT = 0.1
 """Least share of a distortion that coefficients and parameters leave for it to be tested."""
+STRETCHES = 5
+"""Stretches of the rows, any one of which is left out: a size that changes does so without it too."""
 
 
 def distortions(linearised: Linearised, scored: Scored, temper: float) -> tuple[DistortionEvidence, ...]:
@@ -77,10 +81,25 @@ def distortions(linearised: Linearised, scored: Scored, temper: float) -> tuple[
                 continue  # this record cannot tell
             along = float(left @ solution.residual)
             certain = max(temper, temper_of(problem, solution.residual - along / size * left)) * problem.weight
+            along, size = _without_any_stretch(left * solution.residual, distorted * left)
             found.append(
                 DistortionEvidence(member.name, name, 2.0 * along / size, 0.5 * certain * along**2 / size, along**2 / size / energy)
             )
     return tuple(found)
+
+
+def _without_any_stretch(along: Array, size: Array) -> tuple[float, float]:
+    """Sums of two products (M,) over all rows but the stretch that speaks most for a change, 0 where it alone does."""
+    total, whole = float(along.sum()), float(size.sum())
+    least = min(
+        ((total - float(one.sum()), whole - float(part.sum())) for one, part in _stretches(along, size)),
+        key=lambda rest: np.sign(total) * rest[0] / np.sqrt(max(rest[1], 1e-300)),
+    )
+    return (least[0] if least[0] * total > 0.0 else 0.0), max(least[1], 1e-300)
+
+
+def _stretches(*rows: Array) -> list[tuple[Array, ...]]:
+    return list(zip(*(np.array_split(one, STRETCHES) for one in rows), strict=True))
 
 
 def _known(linearised: Linearised, scored: Scored, simulated: Array) -> Array:

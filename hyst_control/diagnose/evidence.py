@@ -314,6 +314,8 @@ class Evidence:
         True where the fits know the spectrum of the model's own error: energies are then in units of it and the noise together.
     repeating : frozenset of str
         Names of the effects that repeat values by themselves.
+    carried : bool
+        True where the model's own error is carried over from a clean record of the same command, so that it is in no residual.
 
     """
 
@@ -333,6 +335,7 @@ class Evidence:
     clean_noise: bool = False
     whitened: bool = False
     repeating: frozenset[str] = frozenset()
+    carried: bool = False
 
     def without(self, indices: Collection[int]) -> Evidence:
         """Drop hypotheses: they claim nothing, whatever they scored.

@@ -27,7 +27,7 @@ from hyst_control.diagnose.noise_floor import noise_between_periods, noise_of
 from hyst_control.diagnose.predictability import predictable_share
 from hyst_control.diagnose.problem import Piece, Problem
 from hyst_control.diagnose.record_checks import outliers
-from hyst_control.diagnose.session import CarriedError, SessionZero
+from hyst_control.diagnose.session import SessionZero
 from hyst_control.diagnose.unexplained_residual import leftover
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import RecordCheck
@@ -109,6 +109,7 @@ def collect(
         problem.slowest is not None and problem.own_error is None,
         problem.own_spectrum is not None,
         frozenset(name for name, effect in EFFECTS.items() if effect.repeats_values),
+        problem.is_carried,
     )
     return Collected(evidence, hypotheses)
 
@@ -332,7 +333,7 @@ def _between_periods(problem: Problem, left: Sequence[Array], axis: int, setting
     none of the record.
     """
     pieces = problem.pieces
-    if not any(isinstance(stage, CarriedError) for stage in problem.model.chain.stages):
+    if not problem.is_carried:
         return noise_between_periods(
             [piece.measurement[:, axis] for piece in pieces], [piece.command for piece in pieces], settings
         )

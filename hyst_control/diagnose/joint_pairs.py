@@ -59,6 +59,7 @@ def joint_pairs(linearised: Linearised, members: Sequence[Member], count: int, s
     gap = linearised.measured - linearised.nominal
     known = linearised.unexplained(blocks)
     gram, right, energy = blocks.T @ known, known.T @ gap, float(gap @ linearised.unexplained(gap))
+    each = float(np.log(len(gap))) / linearised.problem.weight
     best: dict[frozenset[object], tuple[float, int, int, Array]] = {}
     for a, one in enumerate(tangents):
         for b in range(a + 1, len(tangents)):
@@ -68,6 +69,8 @@ def joint_pairs(linearised: Linearised, members: Sequence[Member], count: int, s
             left, step = _after_step(
                 gram, right, energy, (edges[a], edges[a + 1]), (edges[b], edges[b + 1]), linearised.problem.weight
             )
+            # A pair of many parameters comes closer by chance: Schwarz's criterion (1978).
+            left += each * len(step)
             pair = frozenset((one.member.variant, other.member.variant))
             if pair not in best or left < best[pair][0]:
                 best[pair] = left, a, b, step

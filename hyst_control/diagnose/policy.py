@@ -380,7 +380,8 @@ def _idle(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thr
     relieved = strained(best.strain, evidence.coefficients, thresholds) and not strained(
         one.strain, evidence.coefficients, thresholds
     )
-    alone = evidence.weight == 1.0 and not evidence.whitened
+    # Beside a clean record of the same command the model's own error is in no residual that a second effect could take off.
+    alone = evidence.weight == 1.0 and (evidence.carried or not evidence.whitened)
     share = thresholds.added_share if alone else thresholds.added_share_with_own_error
     small = better <= share * (evidence.hypotheses[0].misfit - one.misfit)
     return evidence.temper * better <= evidence.null + thresholds.margin or (small and not relieved)

@@ -15,6 +15,7 @@ from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.error_spectrum import ErrorSpectrum, filtered
 from hyst_control.diagnose.evidence import RoughnessEvidence
 from hyst_control.diagnose.known_links import MOST_BYTES, KnownLinks
+from hyst_control.diagnose.session import CarriedError
 from hyst_control.effects.effect import Surroundings
 from hyst_control.effects.placement import mechanics_index
 from hyst_control.errors import InputError
@@ -102,6 +103,11 @@ class Problem:
         stated = np.atleast_1d(np.asarray(self.model.noise.get("sigma", 0.0), dtype=float))
         noise = np.where(stated > 0.0, np.minimum(stated, self.sigma), self.sigma)
         return float(np.mean(np.maximum(self.own_error**2 - noise**2, 0.0) / self.sigma**2))
+
+    @property
+    def is_carried(self) -> bool:
+        """True where the model's own error is carried over from a clean record of the same command."""
+        return any(isinstance(stage, CarriedError) for stage in self.model.chain.stages)
 
     def simulate(self, stages: Sequence[Stage]) -> Array:
         """Simulated measurement of all rows that count, (M,), in units of the noise. Raises `InputError` like the stages do."""

@@ -7,6 +7,7 @@ import pytest
 
 from hyst_control.chain import Chain
 from hyst_control.chain.linear import TransferFunction
+from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.distortion import distortions
 from hyst_control.diagnose.evidence import DistortionEvidence
 from hyst_control.diagnose.hypothesis import Candidate, catalogue
@@ -66,3 +67,9 @@ def test_a_distortion_that_leaves_noise_alone_is_as_sure_as_noise_allows():
 
     assert distorted(of_time, temper=1e-4)["time"].statistic == pytest.approx(distorted(of_time)["time"].statistic, rel=0.1)
     assert distorted(of_time, temper=1e-4)["rate"].statistic < 1.0
+
+
+def test_what_one_stretch_of_the_record_differs_by_is_no_change_with_time():
+    # As in a record whose clock slips once: a gain that falls over time would have to fall in what follows too.
+    found = distorted(lambda level, time, direction: 1.05 + 0.1 * (time < 0.1))
+    assert abs(found["time"].change) < CONFIGURATION.policy.distortion_change

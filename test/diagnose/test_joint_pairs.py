@@ -56,6 +56,16 @@ def test_the_start_of_a_pair_is_what_it_was_made_with():
     assert values["gain_drift"]["change"] * -np.expm1(-TIME[-1] / values["gain_drift"]["tau"]) == pytest.approx(0.05, abs=0.002)
 
 
+def test_of_the_realizations_of_a_pair_the_one_of_fewest_parameters_is_fitted():
+    x = COMMAND / 10.0
+    bent = COMMAND + 0.2 * (2.5 * x**3 - 1.5 * x) + 0.06 * (1.5 * x**2 - 0.5)  # Legendre polynomials of degree 3 and 2
+    noise = NOISE * np.random.default_rng(0).standard_normal(bent.shape)
+    linearised, members = prepared(problem_of(bent * (1.0 + 0.03 * TIME[:, None] / TIME[-1]) + noise, slowest=3.0))
+    ((candidate, start),) = joint_pairs(linearised, members, 1, 4)
+    assert set(candidate.names) == {"gain_drift", "sensor_nonlinearity"}
+    assert len(start) == 3  # two degrees of the bend, and what the gain drifts by
+
+
 def test_one_pair_is_listed_once_and_effects_that_exclude_each_other_never():
     linearised, members = prepared(problem_of(1.02 * COMMAND))
     found = [

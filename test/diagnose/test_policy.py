@@ -401,6 +401,20 @@ TABLE = (
         checks=(C.WHITE_SPECTRUM,),
     ),
     Row(
+        "a second effect that takes off little of what the model leaves on clean records of other commands",
+        evidence(effect("a", left=4.0), effect("a+b", 1010.0), whitened=True),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
+        "the same beside a clean record of the same command, whose error is in no residual",
+        evidence(effect("a", left=4.0), effect("a+b", 1010.0), whitened=True, carried=True),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a+b",),
+    ),
+    Row(
         "1/f noise alone",
         evidence(base=none(residual=FALLING)),
         V.EFFECT,
