@@ -390,13 +390,19 @@ def _axis(
             }
         )
 
-    evidence = with_residuals(collected.evidence)
+    def tested(evidence: Evidence) -> Evidence:
+        # A test that fails may bring up another contender, which is then tested in turn.
+        while any(evidence.hypotheses[index].residual is None for index in contenders(evidence, thresholds)):
+            evidence = with_residuals(evidence)
+        return evidence
+
+    evidence = tested(collected.evidence)
     decision = decide(evidence, thresholds)
     for _ in range(VETOES if evidence.whitened else 0):
         best = collected.hypotheses[decision.chosen]
         if best.candidate is None or holds(linearised, best, found.none, configuration.reduction):
             break
-        evidence = with_residuals(evidence.without(decision.chosen))
+        evidence = tested(evidence.without(decision.chosen))
         decision = decide(evidence, thresholds)
     return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decision, baseline)
 

@@ -310,6 +310,8 @@ class Evidence:
         True where the fits know the spectrum of the model's own error: energies are then in units of it and the noise together.
     repeating : frozenset of str
         Names of the effects that repeat values by themselves.
+    drifts : frozenset of str
+        Names of the effects that are a change of the plant with time.
 
     """
 
@@ -329,6 +331,7 @@ class Evidence:
     clean_noise: bool = False
     whitened: bool = False
     repeating: frozenset[str] = frozenset()
+    drifts: frozenset[str] = frozenset()
 
     def without(self, index: int) -> Evidence:
         """Drop a hypothesis: it claims nothing, whatever it scored.

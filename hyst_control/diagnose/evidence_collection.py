@@ -108,6 +108,7 @@ def collect(
         problem.slowest is not None and problem.own_error is None,
         problem.own_spectrum is not None,
         frozenset(name for name, effect in EFFECTS.items() if effect.repeats_values),
+        frozenset(name for name, effect in EFFECTS.items() if effect.drifts),
     )
     return Collected(evidence, hypotheses)
 
