@@ -296,7 +296,7 @@ def _claims(evidence: Evidence, thresholds: Thresholds, with_effects: bool = Tru
     ]
     found.sort(key=lambda index: -evidence.hypotheses[index].score)
 
-    def kept(wanted: frozenset[str] = frozenset()) -> tuple[int, ...]:
+    def kept(wanted: frozenset[frozenset[str]] = frozenset()) -> tuple[int, ...]:
         return tuple(
             index
             for index in found
@@ -317,10 +317,15 @@ def _changes(evidence: Evidence, index: int, thresholds: Thresholds) -> tuple[Di
     return _failed_tests(evidence, index, thresholds)
 
 
-def _wanted(evidence: Evidence, index: int, thresholds: Thresholds) -> frozenset[str]:
-    """Effects that are the change with time which the effects of a hypothesis would need; without those that it has."""
-    changes = {one.variable for one in _changes(evidence, index, thresholds)}
-    return evidence.drifts.difference(evidence.hypotheses[index].names) if "time" in changes else frozenset()
+def _wanted(evidence: Evidence, index: int, thresholds: Thresholds) -> frozenset[frozenset[str]]:
+    """The effects of a hypothesis, each time with a drift that they lack, where their size would have to change with time.
+
+    The test is one of these effects: it says nothing of a drift beside others, which fitted worse.
+    """
+    if "time" not in {one.variable for one in _changes(evidence, index, thresholds)}:
+        return frozenset()
+    names = frozenset(evidence.hypotheses[index].names)
+    return frozenset(names | {drift} for drift in evidence.drifts - names)
 
 
 def _first(claims: Sequence[int]) -> int:
@@ -383,13 +388,13 @@ def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thre
 
 
 def _idle(
-    index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds, wanted: frozenset[str] = frozenset()
+    index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds, wanted: frozenset[frozenset[str]] = frozenset()
 ) -> bool:
     """True where a combination exceeds one of its parts by less than a claim needs, or by less than a share of all that it takes off.
 
     Beside a great effect what its stage and the physics differ by is many times the noise. But the share does not count where the
-    coefficients had to leave their tolerance for a part, and need not for the combination, nor where the best explanation is wanting
-    just the effect that the combination adds to that part (`wanted`): a distortion test tells it from the stage's own error.
+    coefficients had to leave their tolerance for a part, and need not for the combination, nor for a combination that is `wanted`: a
+    distortion test then tells what is added from the stage's own error.
     """
     one = evidence.hypotheses[index]
     if len(one.names) < 2:
@@ -404,7 +409,7 @@ def _idle(
     )
     alone = evidence.weight == 1.0 and not evidence.whitened
     share = thresholds.added_share if alone else thresholds.added_share_with_own_error
-    small = better <= share * (evidence.hypotheses[0].misfit - one.misfit) and not wanted & (set(one.names) - set(best.names))
+    small = better <= share * (evidence.hypotheses[0].misfit - one.misfit) and frozenset(one.names) not in wanted
     return evidence.temper * better <= evidence.null + thresholds.margin or (small and not relieved)
 
 

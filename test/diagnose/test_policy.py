@@ -646,6 +646,10 @@ def test_a_drift_is_named_beside_an_effect_that_would_have_to_change_with_time()
     assert named(replace(drifting(1.0), drifts=frozenset())) == (V.UNKNOWN, ("a",))
     assert named(drifting(1.0, statistic=1.0)) == (V.EFFECT, ("a",))  # nothing asks for it
     assert named(drifting(1.0, variable="level")) == (V.UNKNOWN, ("a",))  # a drift is no answer to that
+    # The test is one of a: beside another effect, which alone is worse, a drift remains a detail.
+    other = (effect("b", 900.0, left=2.1), effect("b+drift", 1500.0, left=0.9))
+    found = drifting(1.0)
+    assert named(replace(found, hypotheses=(*found.hypotheses, *other))) == (V.EFFECT, ("a+drift",))
 
 
 def test_a_drift_that_is_no_cure_is_not_named():
