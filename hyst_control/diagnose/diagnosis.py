@@ -392,7 +392,13 @@ def _axis(
             }
         )
 
-    evidence = with_residuals(collected.evidence)
+    def tested(evidence: Evidence) -> Evidence:
+        # A test that fails may bring up another contender, which is then tested in turn.
+        while any(evidence.hypotheses[index].residual is None for index in contenders(evidence, thresholds)):
+            evidence = with_residuals(evidence)
+        return evidence
+
+    evidence = tested(collected.evidence)
     decision = decide(evidence, thresholds)
     rows = None if baseline is None else clean_rows(baseline, problem)
     clean = None if rows is None else CleanRecords(rows)
@@ -404,7 +410,7 @@ def _axis(
         if not known and holds(linearised, best, found.none, configuration.reduction):
             break
         dropped = [i for i, one in enumerate(collected.hypotheses) if known.intersection(one.names)] if known else [decision.chosen]
-        evidence = with_residuals(evidence.without(dropped))
+        evidence = tested(evidence.without(dropped))
         decision = decide(evidence, thresholds)
     return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decision, baseline)
 

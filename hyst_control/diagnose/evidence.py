@@ -316,6 +316,8 @@ class Evidence:
         Names of the effects that repeat values by themselves.
     carried : bool
         True where the model's own error is carried over from a clean record of the same command, so that it is in no residual.
+    drifts : frozenset of str
+        Names of the effects that are a change of the plant with time.
 
     """
 
@@ -336,6 +338,7 @@ class Evidence:
     whitened: bool = False
     repeating: frozenset[str] = frozenset()
     carried: bool = False
+    drifts: frozenset[str] = frozenset()
 
     def without(self, indices: Collection[int]) -> Evidence:
         """Drop hypotheses: they claim nothing, whatever they scored.

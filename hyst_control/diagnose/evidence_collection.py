@@ -110,6 +110,7 @@ def collect(
         problem.own_spectrum is not None,
         frozenset(name for name, effect in EFFECTS.items() if effect.repeats_values),
         problem.is_carried,
+        frozenset(name for name, effect in EFFECTS.items() if effect.drifts),
     )
     return Collected(evidence, hypotheses)
 

@@ -295,11 +295,37 @@ def _claims(evidence: Evidence, thresholds: Thresholds, with_effects: bool = Tru
         and _explains(one, evidence, thresholds)
     ]
     found.sort(key=lambda index: -evidence.hypotheses[index].score)
-    return tuple(
-        index
-        for index in found
-        if not _idle(index, found, evidence, thresholds) and not _is_known_effect(index, found, evidence, thresholds)
-    )
+
+    def kept(wanted: frozenset[frozenset[str]] = frozenset()) -> tuple[int, ...]:
+        return tuple(
+            index
+            for index in found
+            if not _idle(index, found, evidence, thresholds, wanted) and not _is_known_effect(index, found, evidence, thresholds)
+        )
+
+    claims = kept()
+    wanted = _wanted(evidence, _first(claims), thresholds)
+    with_wanted = kept(wanted) if wanted else claims
+    # Where the added effect is no cure, the explanation without it is the nearest one.
+    return claims if _changes(evidence, _first(with_wanted), thresholds) else with_wanted
+
+
+def _changes(evidence: Evidence, index: int, thresholds: Thresholds) -> tuple[DistortionEvidence, ...]:
+    """Distortion tests by which an effect of a hypothesis is not itself; none of a hypothesis that is not tested yet."""
+    if evidence.hypotheses[index].residual is None:
+        return ()
+    return _failed_tests(evidence, index, thresholds)
+
+
+def _wanted(evidence: Evidence, index: int, thresholds: Thresholds) -> frozenset[frozenset[str]]:
+    """The effects of a hypothesis, each time with a drift that they lack, where their size would have to change with time.
+
+    The test is one of these effects: it says nothing of a drift beside others, which fitted worse.
+    """
+    if "time" not in {one.variable for one in _changes(evidence, index, thresholds)}:
+        return frozenset()
+    names = frozenset(evidence.hypotheses[index].names)
+    return frozenset(names | {drift} for drift in evidence.drifts - names)
 
 
 def _first(claims: Sequence[int]) -> int:
@@ -363,11 +389,14 @@ def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thre
     )
 
 
-def _idle(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
+def _idle(
+    index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds, wanted: frozenset[frozenset[str]] = frozenset()
+) -> bool:
     """True where a combination exceeds one of its parts by less than a claim needs, or by less than a share of all that it takes off.
 
     Beside a great effect what its stage and the physics differ by is many times the noise. But the share does not count where the
-    coefficients had to leave their tolerance for a part, and need not for the combination.
+    coefficients had to leave their tolerance for a part, and need not for the combination, nor for a combination that is `wanted`: a
+    distortion test then tells what is added from the stage's own error.
     """
     one = evidence.hypotheses[index]
     if len(one.names) < 2:
@@ -383,7 +412,7 @@ def _idle(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thr
     # Beside a clean record of the same command the model's own error is in no residual that a second effect could take off.
     alone = evidence.weight == 1.0 and (evidence.carried or not evidence.whitened)
     share = thresholds.added_share if alone else thresholds.added_share_with_own_error
-    small = better <= share * (evidence.hypotheses[0].misfit - one.misfit)
+    small = better <= share * (evidence.hypotheses[0].misfit - one.misfit) and frozenset(one.names) not in wanted
     return evidence.temper * better <= evidence.null + thresholds.margin or (small and not relieved)
 
 
@@ -500,20 +529,25 @@ def _distorted(evidence: Evidence, chosen: int, thresholds: Thresholds) -> tuple
     What is left must exceed what the model leaves on clean records, which has a shape of its own; where the fits know its spectrum,
     that is in the statistic, whose own chance is then the threshold: the null of the search is that of many more effects.
     """
-    residual = _residual(evidence, chosen)
-    exceeds = residual.energy > (1.0 + thresholds.least_excess) * _due(evidence, chosen)
+    found = list(_failed_tests(evidence, chosen, thresholds))
+    if not evidence.repeating.intersection(evidence.hypotheses[chosen].names):
+        found += [held_at_one_value(seen) for seen in evidence.record if _stuck(seen, thresholds)]
+    return tuple(sorted(found, key=lambda one: -one.statistic))
+
+
+def _failed_tests(evidence: Evidence, index: int, thresholds: Thresholds) -> tuple[DistortionEvidence, ...]:
+    """Distortion tests of a hypothesis' effects that exceed every threshold."""
+    residual = _residual(evidence, index)
+    exceeds = residual.energy > (1.0 + thresholds.least_excess) * _due(evidence, index)
     least = thresholds.distortion_whitened if evidence.whitened else evidence.null + thresholds.margin
-    found = [
+    return tuple(
         one
         for one in residual.distortions
         if (exceeds or evidence.whitened)
         and one.statistic > least
         and abs(one.change) > thresholds.distortion_change
         and one.share > thresholds.distortion_share
-    ]
-    if not evidence.repeating.intersection(evidence.hypotheses[chosen].names):
-        found += [held_at_one_value(seen) for seen in evidence.record if _stuck(seen, thresholds)]
-    return tuple(sorted(found, key=lambda one: -one.statistic))
+    )
 
 
 def _novelty(

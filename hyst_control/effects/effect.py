@@ -185,6 +185,8 @@ class Effect:
         Whether a record could show the effect at all.
     repeats_values
         Whether the measurement repeats a value while the effect holds it, which is then no sample that was held.
+    drifts
+        Whether it is a change with time, by which the size of another effect may seem to change.
     waveform
         Whether it has one that a simulation can be compared with; noise, lattices and repeated samples have none and are found by
         looking at the record.
@@ -228,6 +230,7 @@ class Effect:
     stage: Callable[[Values, Surroundings], Stage]
     exercised: Callable[[Surroundings], bool] = lambda _: True
     repeats_values: bool = False
+    drifts: bool = False
     waveform: bool = True
     couples: bool = False
     shared: bool = False

@@ -194,6 +194,7 @@ EFFECT = Effect(
     parameters,
     lambda values, around: GainDrift(values["change"], values["tau"], values.get("decades", 0.0), values.get("initial", 0.0)),
     variants=drift_variants,
+    drifts=True,
     summary=in_the_end,
     also_at=("drive",),
     phrase="a gain drift of {change}",

@@ -44,6 +44,7 @@ EFFECT = Effect(
         *drift_parameters(around),
     ),
     lambda values, around: OffsetDrift(values["change"], values["tau"], values.get("decades", 0.0), values.get("initial", 0.0)),
+    drifts=True,
     companion=Companion(1, "change", 2.0),
     phrase="an offset drift of {change}",
 )
