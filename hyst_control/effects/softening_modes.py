@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 from hyst_control.chain.c_code import COMPLEX, LARGER, CCode, integers, reals
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear import LinearStage, LinearSystem, TransferFunction, stacked
-from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, VectorPerAxis, scalar, vector
 from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter
 from hyst_control.effects.placement import mechanics_index
@@ -35,7 +35,9 @@ class SofteningModes(Modifier):
         λ(a) = Re λ (1 + damping r) + j Im λ (1 - softening r),    static deflection of each mode kept.
 
     The square root is the law of a restoring force q |q|^0.5 that loses stiffness (measured on a mirror, see
-    `chain.softening_modal`). `softening` and `damping` are shares at the amplitude `amplitude`.
+    `chain.softening_modal`). `softening` and `damping` are shares at the amplitude `amplitude`,
+    common to all modes. Where the modes differ, `softening_factors` and `damping_factors` hold the factor of every mode on the common
+    value, a pair of conjugate poles or a real pole each, in order of |λ|; a single factor holds for all.
     """
 
     name: ClassVar[str] = "softening_modes"
@@ -47,6 +49,12 @@ class SofteningModes(Modifier):
     softening: ScalarPerAxis = scalar("", "share of the frequencies that is lost at the amplitude")
     damping: ScalarPerAxis = scalar("", "share by which the damping grows at the amplitude")
     amplitude: ScalarPerAxis = scalar("measurement unit", "of the motion", above=0.0)
+    softening_factors: VectorPerAxis = vector(
+        "", "of every mode on the softening, in order of |λ|; one: of all", default=(1.0,), scatter=Scattering.NONE
+    )
+    damping_factors: VectorPerAxis = vector(
+        "", "of every mode on the damping, in order of |λ|; one: of all", default=(1.0,), scatter=Scattering.NONE
+    )
 
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
         index = mechanics_index(before)
@@ -57,7 +65,8 @@ class SofteningModes(Modifier):
         softening, damping, amplitude = per_axis_scalars(self, axes, "softening", "damping", "amplitude")
         if not softening.any() and not damping.any():
             return before
-        moved = ModesMoved(cast(LinearStage, before[index]), tuple(softening), tuple(damping), tuple(amplitude))
+        factors = [self.declarations()[name].spread(getattr(self, name), axes) for name in ("softening_factors", "damping_factors")]
+        moved = ModesMoved(cast(LinearStage, before[index]), tuple(softening), tuple(damping), tuple(amplitude), *factors)
         # Beside all that leads to the mechanics, not beside them alone: a chain merges them with what stands before.
         return (Parallel((before[: index + 1], (*before[:index], moved))), *before[index + 1 :])
 
@@ -70,13 +79,16 @@ class ModesMoved(Stage):
     softening: tuple[float, ...]
     damping: tuple[float, ...]
     amplitude: tuple[float, ...]
+    softening_factors: tuple[tuple[float, ...], ...]
+    damping_factors: tuple[tuple[float, ...], ...]
 
     def linearized(self, axes: int) -> tuple[Stage, ...]:
         return (TransferFunction([0.0], [1.0]),)
 
     def filter(self, sampling: Sampling) -> Filter:
         systems = self.base.systems(sampling.axes)
-        if len(systems) == 1 and sampling.axes > 1 and len(set(zip(self.softening, self.damping, self.amplitude))) > 1:
+        values = zip(self.softening, self.damping, self.amplitude, self.softening_factors, self.damping_factors)
+        if len(systems) == 1 and sampling.axes > 1 and len(set(values)) > 1:
             raise InputError("softening_modes: a list with one value per axis, but coupled axes share their modes: give one number")
         return ModesMovedFilter(systems, self, sampling)
 
@@ -87,9 +99,8 @@ class ModesMovedFilter(Filter):
     hold = "foh"
 
     def __init__(self, systems: list[LinearSystem], stage: ModesMoved, sampling: Sampling) -> None:
-        values = zip(stage.softening, stage.damping, strict=True) if len(systems) > 1 else [(stage.softening[0], stage.damping[0])]
         poles, shares = [], []
-        for system, moved in zip(systems, values, strict=True):
+        for axis, system in enumerate(systems):
             own, vectors = np.linalg.eig(system.A)
             if len(own) and not np.linalg.cond(vectors) < DEFECTIVE:
                 raise InputError(
@@ -97,7 +108,9 @@ class ModesMovedFilter(Filter):
                 )
             entering = np.linalg.solve(vectors, system.B.astype(complex)) if len(own) else system.B
             one = own.imag >= 0.0  # of every conjugate pair, whose sum is twice the real part
-            poles.append((own[one], np.broadcast_to(np.array(moved), (int(one.sum()), 2))))
+            softening = stage.softening[axis] * by_mode("softening_factors", stage.softening_factors[axis], own[one])
+            damping = stage.damping[axis] * by_mode("damping_factors", stage.damping_factors[axis], own[one])
+            poles.append((own[one], np.stack([softening, damping], axis=1)))
             shares.append((entering[one], (system.C @ vectors)[:, one] * np.where(own[one].imag > 0.0, 2.0, 1.0)))
         whole = stacked(systems)
         self.poles = np.concatenate([own for own, _ in poles]).astype(complex)
@@ -170,6 +183,37 @@ class ModesMovedFilter(Filter):
             },
             (LARGER, COMPLEX, PAIR),
         )
+
+
+def by_mode(name: str, factors: tuple[float, ...], poles: NDArray[np.complex128]) -> Array:
+    """Assign factors, given in order of the modes' |λ|, to the modes.
+
+    Parameters
+    ----------
+    name
+        Of the parameter, for the message.
+    factors
+        One for all modes, or one per mode.
+    poles
+        (M,), one of every conjugate pair, in any order.
+
+    Returns
+    -------
+    Array
+        (M,).
+
+    Raises
+    ------
+    InputError
+        There are neither one nor M factors.
+    """
+    if len(factors) == 1:
+        return np.full(len(poles), factors[0])
+    if len(factors) != len(poles):
+        raise InputError(f"softening_modes: {name}: {len(factors)} factors for {len(poles)} modes: give one, or one per mode")
+    found = np.empty(len(poles))
+    found[np.argsort(np.abs(poles), kind="stable")] = factors
+    return found
 
 
 @njit(cache=True)

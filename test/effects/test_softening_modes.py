@@ -41,6 +41,41 @@ def test_at_a_steady_amplitude_the_mode_is_another_one():
     assert np.abs(found - due).max() < 2e-3 * np.ptp(due)
 
 
+def test_every_mode_softens_by_its_own_share():
+    """Two modes, the higher one first in the model: at a steady amplitude the response is that of two modes moved differently."""
+    poles = np.array([complex(-150.0, 2 * np.pi * 700.0), complex(-60.0, 2 * np.pi * 300.0)])
+    softening, damping, statics = np.array([0.01, 0.04]), np.array([0.6, 0.2]), np.array([0.4, 1.0])
+    modes = [signal.TransferFunction([g * abs(p) ** 2], [1.0, -2 * p.real, abs(p) ** 2]) for g, p in zip(statics, poles)]
+    numerator = np.polyadd(np.polymul(modes[0].num, modes[1].den), np.polymul(modes[1].num, modes[0].den))
+    mechanics = TransferFunction(numerator, np.polymul(modes[0].den, modes[1].den))
+    time, tones = np.arange(200_000) * STEP, (290.0, 680.0)
+    u = sum(np.sin(2 * np.pi * tone * time) for tone in tones)  # rms 1: the amplitude is the static gain, 1.4
+    stage = SofteningModes(0.02, 0.4, 1.4, softening_factors=(2.0, 0.5), damping_factors=(0.5, 1.5))
+    running = Chain((mechanics, stage)).filter(Sampling(STEP, 1, "foh"))
+    running.settle(u[:1])
+    found = running.process(u[:, None])[-20_000:, 0]
+
+    def response(s: complex, real: np.ndarray, imag: np.ndarray) -> complex:
+        """Response of the modes with moved poles, each mode's own static share kept: y = 2 Re(c x), dx/dt = λ x + b u."""
+        moved = poles.real * real + 1j * poles.imag * imag
+        entering = statics * np.abs(poles) ** 2 / (2j * poles.imag)  # residues of the modes at rest
+        kept = entering * moved / poles
+        return complex(np.sum(kept / (s - moved) * 1.0 + kept.conj() / (s - moved.conj())))
+
+    def due(real: np.ndarray, imag: np.ndarray) -> np.ndarray:
+        return sum(np.imag(response(2j * np.pi * tone, real, imag) * np.exp(2j * np.pi * tone * time[-20_000:])) for tone in tones)
+
+    truth = due(1 + damping, 1 - softening)
+    assert np.abs(found - truth).max() < 5e-3 * np.ptp(truth)
+    assert np.abs(due(np.full(2, 1.4), np.full(2, 0.98)) - truth).max() > 0.05 * np.ptp(truth)  # one share for both is no match
+
+
+def test_factors_for_another_number_of_modes_are_refused():
+    mode = TransferFunction([4e7], [1.0, 200.0, 4e7])
+    with pytest.raises(InputError, match="2 factors for 1 modes"):
+        Chain((mode, SofteningModes(0.1, 0.2, 1.0, softening_factors=(1.0, 2.0)))).filter(Sampling(1e-4, 1))
+
+
 def test_nothing_at_rest_and_nothing_without_amplitude():
     mode = TransferFunction([4e7], [1.0, 200.0, 4e7])
     u = np.concatenate([np.full(50, 5.0), np.linspace(5.0, 6.0, 400)])[:, None]

@@ -8,8 +8,10 @@ from test_every_stage import CASES, SAMPLE_TIME, command, started
 
 from hyst_control.chain import STAGES, Chain, Sampling
 from hyst_control.chain.c_code import CCode
+from hyst_control.chain.linear import TransferFunction
 from hyst_control.chain.madelung_c import CAPACITY
 from hyst_control.chain.stage import Filter
+from hyst_control.effects.softening_modes import SofteningModes
 from hyst_control.errors import InputError
 from hyst_control.export.c_source import Program, Slot
 from hyst_control.export.compiled import CompiledProgram
@@ -56,6 +58,20 @@ def test_c_and_python_agree_to_the_last_bit(case, hold, axes):
         c.settle(u[5])
         c.state[:] = saved
         np.testing.assert_array_equal(np.concatenate([first, c.process(u[800:])]), expected)
+
+
+def test_modes_with_factors_of_their_own_agree_to_the_last_bit():
+    first, second = [1.0, 80.0, 4e6], [1.0, 300.0, 2e7]
+    mechanics = TransferFunction(np.polyadd(np.multiply(4e6, second), np.multiply(1e7, first)), np.polymul(first, second))
+    results = []
+    for factors in ((1.0,), (2.0, 0.5)):
+        stage = SofteningModes(0.03, 0.4, 2.0, softening_factors=factors, damping_factors=factors)
+        python = Chain((mechanics, stage)).filter(Sampling(SAMPLE_TIME, 1, "zoh"))
+        c, u = compiled(python.c_code(), 1), command(4, ROWS, 1)
+        np.testing.assert_array_equal(c.settle(u[0]), python.settle(u[0]))
+        results.append(python.process(u))
+        np.testing.assert_array_equal(c.process(u), results[-1])
+    assert np.abs(results[1] - results[0]).max() > 1e-3 * np.ptp(results[0])
 
 
 @pytest.mark.parametrize("case", [case for case, (name, _) in CASES.items() if name not in RANDOM])
