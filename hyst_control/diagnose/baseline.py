@@ -318,8 +318,8 @@ def _on_new_ground(
         return spectrum  # without a model nothing is known of its output
     stated = np.asarray(problem.model.discrepancy.get("rms", 0.0), dtype=float)
     relative = settings.unseen * np.maximum(error / known_size, stated / size)
-    driven = [ErrorSpectrum.of(series, clean.sample_time, count, slowest) for series in (known, new)]
-    return spectrum.for_output(*driven, relative)
+    before, now = (ErrorSpectrum.of(series, clean.sample_time, count, slowest) for series in (known, new))
+    return spectrum.for_output(before, now, relative)
 
 
 def _learned_mean(learned: LearnedDiscrepancy, piece: Piece, rows: int, sample_time: float) -> Array:

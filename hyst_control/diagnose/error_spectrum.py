@@ -28,6 +28,8 @@ FUNDAMENTALS = 1.0
 """The same in slowest excited frequencies, at most: a line far above the command, such as mains hum, is no error of the model."""
 SMOOTHED = 3
 """Bins that are averaged before: a line between two bins has its power in both."""
+MUCH_MORE = 4.0
+"""Factor of the output's power up to which the clean records tell of the model at a frequency: half the amplitude."""
 MOST_MORE = 100.0
 """Largest factor by which power of the output is taken to raise that of the error: where it is more, the clean records say nothing."""
 UPPER = 0.6
@@ -143,7 +145,7 @@ class ErrorSpectrum:
         """
         more = np.minimum(new.power / np.maximum(known.power, 1e-300), MOST_MORE)
         foreseen = more * self.power
-        beyond = relative**2 * np.maximum(new.power - known.power, 0.0)
+        beyond = relative**2 * np.maximum(new.power - MUCH_MORE * known.power, 0.0)
         return ErrorSpectrum(self.frequencies, np.maximum(self.power, np.maximum(foreseen, beyond)), self.noise)
 
     def rms(self, sigma: Array) -> Array:

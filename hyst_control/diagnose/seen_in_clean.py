@@ -26,7 +26,9 @@ class CleanRecords:
         """Simulate the coefficients' columns; problem: with the noise and the spectrum of the model's own error."""
         self.problem = problem
         self.linearised = Linearised(problem, scatter_of(problem.model))
-        columns = np.column_stack([self._without_zero(column) for column in self.linearised.columns.T])
+        columns = np.empty_like(self.linearised.columns)
+        for k, column in enumerate(self.linearised.columns.T):
+            columns[:, k] = self._without_zero(column)
         self.columns, self.gram = columns, columns.T @ columns + np.eye(columns.shape[1])
         self.nominal = self._misfit(self.linearised.nominal)
 

@@ -158,3 +158,19 @@ def test_practical_size_is_in_units_of_own_error_and_noise():
     given = problem(2000.0 * command, command, own_error=np.array([0.2]), own_spectrum=spectrum_of(1, 2))
     usual, quiet = (_floor(replace(given, sigma=np.array([size])), np.zeros(1), CONFIGURATION) for size in (NOISE, 0.01 * NOISE))
     assert quiet == pytest.approx(usual, rel=0.1)
+
+
+def test_the_error_on_a_larger_output_is_the_same_share_of_it():
+    """Where the clean records drove nothing the usual share of it; and nowhere less than on the clean records."""
+    known, new = (replace(spectrum_of(1), power=np.full((ROWS, 1), size)) for size in (4.0, 36.0))
+    foreseen = spectrum_of(1).for_output(known, new, np.zeros(1))
+    np.testing.assert_allclose(foreseen.power, 9.0 * spectrum_of(1).power)
+    nothing = replace(known, power=np.zeros((ROWS, 1)))
+    bare = replace(spectrum_of(1), power=np.zeros((ROWS, 1)))
+    np.testing.assert_allclose(bare.for_output(nothing, new, np.array([0.1])).power, 0.36)
+    np.testing.assert_allclose(spectrum_of(1).for_output(new, known, np.array([0.1])).power, spectrum_of(1).power)
+
+
+def test_the_size_of_own_error_and_noise_together():
+    spectrum = replace(spectrum_of(1), power=np.full((ROWS, 1), 0.09), noise=np.array([0.1]))
+    np.testing.assert_allclose(spectrum.rms(np.array([0.4])), 0.5)
