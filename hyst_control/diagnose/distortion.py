@@ -110,7 +110,7 @@ def _known(linearised: Linearised, scored: Scored, simulated: Array) -> Array:
     columns = [linearised.columns]
     for p in range(len(solution.x)):
         moved = solution.x.copy()
-        moved[p] += unknowns.step if moved[p] + unknowns.step <= unknowns.upper[p] else -unknowns.step
+        moved[p] += unknowns.difference(moved, p)
         column = (linearised.simulate(solution.z, unknowns, moved) - simulated) / (moved[p] - solution.x[p])
         if is_bounded(column):
             columns.append(column[:, None])

@@ -10,11 +10,12 @@ from typing import Any, cast
 import numpy as np
 from scipy.signal import lfilter
 
-from hyst_control.chain.linear import TransferFunction
+from hyst_control.chain.linear import Delay, TransferFunction
 from hyst_control.chain.parameter import Array
 from hyst_control.chain.stage import Stage
 from hyst_control.diagnose.hypothesis_fit import Unknowns
 from hyst_control.diagnose.problem import Problem
+from hyst_control.diagnose.session import with_sensor_delay
 from hyst_control.effects import EFFECTS, insert
 from hyst_control.effects.effect import Effect, Line, Parameter
 from hyst_control.effects.placement import mechanics_index
@@ -124,6 +125,12 @@ class Member:
         )
         return lower, upper, centre
 
+    def steps(self) -> Array:
+        """Steps of difference quotients by the scaled parameters."""
+        if self.is_line:
+            return np.full(self.size, STEP)
+        return np.array([min(STEP, p.smooth / p.scale) if p.smooth else STEP for p in self.parameters])
+
     def is_at_bound(self, x: Array) -> bool:
         """True where the effect's size is at an end of its range that only the catalogue sets.
 
@@ -220,6 +227,26 @@ class Member:
                 name: [value if i == self.axis else absent.get(name, 0.0) for i in range(count)] for name, value in values.items()
             }
         return self.effect.stage(values, self.problem.surroundings)
+
+    def inserted(self, stages: tuple[Stage, ...], x: Array) -> tuple[Stage, ...]:
+        """Insert the effect's stage at its place.
+
+        Parameters
+        ----------
+        stages : tuple of Stage
+            In signal order.
+        x : ndarray, shape (P,)
+            Scaled parameters.
+
+        Returns
+        -------
+        tuple of Stage
+            With one more.
+        """
+        stage = self.stage(x)
+        if isinstance(stage, Delay) and self.place == "sensor":
+            return with_sensor_delay(stages, stage, self.problem.sample_time, len(self.problem.model.axes))
+        return insert(stages, self.place, stage)
 
     def extra(self, x: Array) -> Array:
         """Compute the part that is added to the output.
@@ -430,7 +457,7 @@ class Candidate:
         def stages(nominal: tuple[Stage, ...], x: Array) -> tuple[Stage, ...]:
             for member, part in parts:
                 if not member.is_extra:
-                    nominal = insert(nominal, member.place, member.stage(x[part]))
+                    nominal = member.inserted(nominal, x[part])
             return nominal
 
         def extra(x: Array) -> Array:
@@ -458,7 +485,8 @@ class Candidate:
             lower,
             upper,
             centre,
-            known_columns=known_columns if known else None,
+            np.concatenate([member.steps() for member in self.members]),
+            known_columns if known else None,
         )
 
     def with_member(self, member: Member) -> Candidate:

@@ -41,8 +41,9 @@ LEAST_GAIN = 0.02
 class Unknowns:
     """Parameters that are fitted besides z: `stages(z stages, x)` inserts what they mean, `extra(x)` adds to the output.
 
-    x (P,) within lower … upper; centre: the prior's mean; step: of the difference quotients. known_columns(x, wanted): which
-    parameters have columns ∂ŷ/∂x (M, P') that are known without a run of the whole chain, and these, at least those that are wanted.
+    x (P,) within lower … upper; centre: the prior's mean; step: of the difference quotients, one or by parameter (P,).
+    known_columns(x, wanted): which parameters have columns ∂ŷ/∂x (M, P') that are known without a run of the whole chain, and these, at
+    least those that are wanted.
     """
 
     stages: Callable[[tuple[Stage, ...], Array], tuple[Stage, ...]]
@@ -50,8 +51,13 @@ class Unknowns:
     lower: Array
     upper: Array
     centre: Array
-    step: float = 0.02
+    step: float | Array = 0.02
     known_columns: Callable[[Array, Collection[int] | None], tuple[list[int], Array]] | None = None
+
+    def difference(self, x: Array, p: int) -> float:
+        """Step of the difference quotient by parameter p from x (P,): upwards, but inwards from the upper bound."""
+        step = float(np.broadcast_to(self.step, x.shape)[p])
+        return step if x[p] + step <= self.upper[p] else -step
 
 
 @dataclass(frozen=True)
@@ -314,7 +320,7 @@ def effect_columns(
             found[:, [place[known[i]] for i in inside]] = columns if len(inside) == len(known) else columns[:, inside]
     counted = slice(None) if weight is None else weight > 0
     for p in [p for p in chosen if p not in known]:
-        step = unknowns.step if x[p] + unknowns.step <= unknowns.upper[p] else -unknowns.step
+        step = unknowns.difference(x, p)
         moved = x.copy()
         moved[p] += step
         column = ((linearised.simulate(z, unknowns, moved) - base) / step)[counted]

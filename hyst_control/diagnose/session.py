@@ -10,16 +10,19 @@ predicts the error, with weights that are free within their posterior.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
+from hyst_control.chain.linear import Delay
 from hyst_control.chain.parameter import AllAxes, Array, Scattering, all_axes, count
 from hyst_control.chain.stage import Filter, Sampling, Stage
+from hyst_control.effects.placement import insert
 from hyst_control.effects.time_dependent import TimedStage
 from hyst_control.records.session_zero import SHAPES
 
@@ -109,6 +112,59 @@ class CarriedError(Stage):
 
     def filter(self, sampling: Sampling) -> Filter:
         return SeriesAdder(self.series[self.index], sampling)
+
+    @cached_property
+    def _splines(self) -> tuple[Any, ...]:
+        return tuple(make_interp_spline(np.arange(len(rows)), rows, k=3) for rows in self.series)
+
+    def delayed(self, samples: Array) -> CarriedError:
+        """The series that come later, by cubic splines: straight lines between samples would smooth all but whole samples of delay.
+
+        Parameters
+        ----------
+        samples : ndarray, shape (A,)
+            Delay of each axis, sample times.
+
+        Returns
+        -------
+        CarriedError
+            Before it begins, a series is as at its begin.
+        """
+        moved = []
+        for rows, spline in zip(self.series, self._splines, strict=True):
+            times = np.maximum(np.arange(len(rows))[:, None] - samples, 0.0)
+            if len(set(samples.tolist())) == 1:
+                moved.append(np.asarray(spline(times[:, 0]), dtype=np.float64))
+            else:
+                moved.append(np.stack([spline(column)[:, axis] for axis, column in enumerate(times.T)], axis=1))
+        return CarriedError(tuple(moved), self.index)
+
+
+def with_sensor_delay(stages: Sequence[Stage], delay: Delay, sample_time: float, axes: int) -> tuple[Stage, ...]:
+    """Insert a delay of the measurement so that the model's linear stages carry it exactly, and a carried error with them.
+
+    Parameters
+    ----------
+    stages : sequence of Stage
+        In signal order, with those of a session.
+    delay : Delay
+        To be inserted at the sensor.
+    sample_time : float
+        s.
+    axes : int
+        Number of axes A.
+
+    Returns
+    -------
+    tuple of Stage
+        With one more, in front of the model's error, whose carried part is delayed as well.
+    """
+    samples = np.broadcast_to(np.asarray(delay.tau, dtype=float), (axes,)) / sample_time
+    index = next((i for i, stage in enumerate(stages) if isinstance(stage, (CarriedError, LearnedError))), None)
+    if index is None:
+        return insert(tuple(stages), "sensor", delay)
+    behind = [stage.delayed(samples) if isinstance(stage, CarriedError) else stage for stage in stages[index:]]
+    return (*stages[:index], delay, *behind)
 
 
 @dataclass(frozen=True, eq=False)

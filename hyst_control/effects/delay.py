@@ -13,7 +13,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
         upper = max(1.0 / around.slowest, 2.5 * ts)
         few = tuple(samples * ts for samples in (0.3, 1.0, 2.0, 4.0, 8.0) if samples * ts < upper)
         starts = (*few, *(share * upper for share in (0.003, 0.01, 0.03, 0.1, 0.25, 0.5)))
-        return (Parameter("tau", "s", 0.0, starts, 0.0, upper, 0.1 * upper),)
+        return (Parameter("tau", "s", 0.0, starts, 0.0, upper, 0.1 * upper, smooth=0.1 * ts),)
     upper = min(20.0 * ts, max(5e-3, 2.5 * ts))
     return (Parameter("tau", "s", 0.0, (0.3 * ts, 2.0 * ts), 0.0, upper, min(2.0 * ts, upper)),)
 

@@ -118,6 +118,8 @@ class Parameter:
         Index of the one sensor that sees it, of a parameter in which the mechanics' output is linear; None of any other.
     response
         Of such a parameter: those of one response differ in their sensor only, and one simulation shows them all.
+    smooth
+        Change over which the output is nearly straight in it, in its unit, where that is less than a fiftieth of the scale; 0 otherwise.
     """
 
     name: str
@@ -132,6 +134,7 @@ class Parameter:
     suggested: bool = False
     sensor: int | None = None
     response: str = ""
+    smooth: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from scipy.signal import StateSpace, lsim
 
 from hyst_control.chain import Chain
@@ -35,29 +34,20 @@ def noise(fast: float, seed: int) -> np.ndarray:
     return rows * np.clip(np.arange(COUNT) / 500.0, 0.0, 1.0)
 
 
-def record(command: np.ndarray, seed: int, late: int = 0) -> Record:
-    """A machine with a second mode at 1150 Hz that the model has not, by scipy; its sensor is `late` samples late."""
+def record(command: np.ndarray, seed: int) -> Record:
+    """A machine with a second mode at 1150 Hz that the model has not, by scipy."""
     time, measured = np.arange(COUNT) / RATE, np.zeros(COUNT)
     for frequency, damping, size in ((300.0, 0.05, 0.1), (1150.0, 0.02, 0.006)):
         rate = 2 * np.pi * frequency
         system = StateSpace([[0.0, 1.0], [-(rate**2), -2 * damping * rate]], [[0.0], [rate**2]], [[size, 0.0]], [[0.0]])
         measured = measured + lsim(system, command, time)[1]
-    measured = np.concatenate([np.zeros(late), measured[: COUNT - late]]) + 1e-3 * np.random.default_rng(seed).normal(size=COUNT)
+    measured = measured + 1e-3 * np.random.default_rng(seed).normal(size=COUNT)
     signals = {"command": Signal(time, command[:, None], ("x",), "V"), "measurement": Signal(time, measured[:, None], ("x",), "um")}
     return Record(signals, f"seed {seed}", hold="foh")
 
 
-def report(late: int) -> dict:
-    clean = [record(noise(2.0, seed), seed) for seed in (1, 2)]
-    return diagnosed([record(noise(20.0, 3), 3, late)], MODEL, cache=False, baseline=clean)[0]
-
-
 def test_a_mode_that_the_model_never_had_is_no_change():
     """The new command excites it ten times as much as those of the clean records did."""
-    assert report(0)["verdict"] in ("no_gap", "parameters")
-
-
-def test_a_change_beside_it_is_named():
-    found = report(2)
-    assert found["verdict"] in ("effect", "ambiguous") and found["effects"][0]["name"] == "delay"
-    assert found["effects"][0]["parameters"]["tau"]["value"] == pytest.approx(2 / RATE, rel=0.05)
+    clean = [record(noise(2.0, seed), seed) for seed in (1, 2)]
+    report, *_ = diagnosed([record(noise(20.0, 3), 3)], MODEL, cache=False, baseline=clean)
+    assert report["verdict"] in ("no_gap", "parameters")
