@@ -103,6 +103,7 @@ def fitted() -> Model:
 
 CASES = {  # what is done to the machine, the names that fit, the parameter and its true value
     "delay of the sensor": ({"sensor": late(2e-3)}, {"delay"}, "tau", 2e-3),
+    "delay of a part of a sample": ({"sensor": late(0.28e-3)}, {"delay"}, "tau", 0.28e-3),
     "delay of the drive": ({"drive": late(2e-3)}, {"delay"}, "tau", 2e-3),
     "low-pass": ({"sensor": lowpass(80.0, 1)}, {"sensor_lowpass", "amplifier_lowpass"}, "cutoff", 80.0),
     "low-pass of second order": ({"sensor": lowpass(80.0, 2)}, {"sensor_lowpass", "amplifier_lowpass"}, "cutoff", 80.0),
