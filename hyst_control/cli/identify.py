@@ -25,7 +25,9 @@ WRITES = ("output", "figure")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
     parser.add_argument("bags", nargs="+", metavar="BAG", help="rosbag2 directories, or .mcap or .db3 files")
-    parser.add_argument("--model", metavar="NAME", help="model family (default: auto, the best of several on held-out data)")
+    parser.add_argument(
+        "--model", "--family", metavar="NAME", help="model family (default: auto, the best of several on held-out data)"
+    )
     parser.add_argument("--figure", metavar="OUT.svg", help="figure of the families that auto tried, to write (.svg, .png, .pdf)")
     parser.add_argument("--output", metavar="MODEL.yaml", required=True, help="model file to write")
     parser.add_argument(

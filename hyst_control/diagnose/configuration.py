@@ -68,6 +68,9 @@ class Thresholds:
     )
     own_error_share: float = _setting("1", "share of the error that a model states of itself which an effect must take off")
     own_error_energy: float = _setting("noise energies", "stated energy from which a model is taken to state an error of its own")
+    noise_own_share: float = _setting(
+        "share of the own error's energy", "least excess noise that is named beside an error whose spectrum is unknown"
+    )
     own_error_local: float = _setting(
         "energies of own error and noise",
         "what no effect must leave at an explanation's frequencies: fits follow the largest bins, of normal ones the mean is 3",

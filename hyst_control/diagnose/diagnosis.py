@@ -226,7 +226,7 @@ def with_clean(
     bare = model is None
     if model is None:
         if not baseline:
-            raise InputError("diagnose: needs a model or a baseline, and has neither: give --model, --baseline or both")
+            raise InputError("needs a model or a baseline, and has neither: give --model, --baseline or both")
         model = no_model(records[0])
     problem, notes = problem_of(records, model, warm_up, configuration)
     clean = split(_clean_problem(baseline, problem, warm_up, configuration)) if baseline else None

@@ -664,7 +664,7 @@ def _findings(
             whole = more.rms if more is not None else white if evidence.stated_noise[axis] <= 0.0 else np.inf
             if few and rms > thresholds.outliers_share * whole:
                 outliers.append(Outliers(axis, count, rms))
-            elif more is not None:
+            elif more is not None and not _is_own_error(more, evidence, thresholds):
                 found.append(more)
     if noise is not None:
         scale = evidence.noise[0]
@@ -672,6 +672,13 @@ def _findings(
         rms = noise.rms * scale
         found.append(Finding(RecordCheck.FALLING_SPECTRUM, 0, rms, (low * scale, high * scale), rms, noise.gain))
     return tuple(found), tuple(outliers)
+
+
+def _is_own_error(noise: Finding, evidence: Evidence, thresholds: Thresholds) -> bool:
+    """True where so little noise may as well be what the model leaves at high frequencies, of which only the whole size is known."""
+    if evidence.whitened or evidence.clean_noise:
+        return False
+    return (noise.rms / evidence.noise[noise.axis]) ** 2 < thresholds.noise_own_share * (evidence.stated - 1.0)
 
 
 def _ordered(reasons: Collection[Reason]) -> tuple[Reason, ...]:

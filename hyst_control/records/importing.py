@@ -189,6 +189,8 @@ def import_table(
         return scaled
 
     time = _times(path, times[0], picked(times[0], TIME_UNITS[times[0].unit]), rate, begin) if times else None
+    if time is not None:
+        notes += _missing(path, time)
     stamps = empty_rows(end - begin) if time is None else time
     if time is None and rate is not None:
         for part in blocks(end - begin):
@@ -221,6 +223,22 @@ def _times(path: Path, column: Column, found: Array, rate: float | None, begin: 
                 f"{path}: time: has {own:.6g} samples/s, --rate says {rate:g}: leave one of them out, or check the unit"
             )
     return np.ascontiguousarray(time)
+
+
+def _missing(path: Path, time: Array) -> list[str]:
+    """Note on rows that a column of times (N,) passes over."""
+    if len(time) < 3:
+        return []
+    step, rows, gaps, first = commonest_step(time), 0, 0, 0.0
+    for part in blocks(len(time) - 1):
+        skipped = np.rint(np.diff(time[part.start : part.stop + 1]) / step) - 1.0
+        if (skipped > 0.0).any():
+            first = first if gaps else float(time[part.start + int(np.argmax(skipped > 0.0))])
+            rows, gaps = rows + int(skipped[skipped > 0.0].sum()), gaps + int(np.count_nonzero(skipped > 0.0))
+    if not gaps:
+        return []
+    where = f"after {first:.6g} s" if gaps == 1 else f"in {gaps} gaps, the first after {first:.6g} s"
+    return [f"{path}: time: {rows} rows are missing, {where}: what needs equal steps uses the stretches between"]
 
 
 def write_bag(path: str | Path, record: Record) -> None:
@@ -413,6 +431,9 @@ def _columns_of_arrays(path: Path, kind: str, variable: str | None, columns: Seq
         return np.concatenate(list(tables.values()), axis=1), names
     if variable is None and len(numeric) == 1:
         variable = next(iter(numeric))
+    missing = [name for name, array in named.items() if array is None and not name.isdigit()]
+    if variable is None and missing and numeric:
+        raise InputError(f"{path}: has no array {', '.join(missing)}: name one of {', '.join(numeric)}")
     if variable not in numeric:
         raise InputError(f"{path}: name one of its arrays as the variable: {', '.join(numeric) or 'it holds none of numbers'}")
     return _table(numeric[variable]), []

@@ -31,6 +31,7 @@ LIMITS = replace(
     least_excess=0.1,
     own_error_share=0.5,
     own_error_energy=1.5,
+    noise_own_share=0.01,
     own_error_local=3.0,
     run_to_run=4.0,
     distortion_change=0.5,

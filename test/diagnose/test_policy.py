@@ -358,6 +358,25 @@ TABLE = (
         checks=(C.WHITE_SPECTRUM,),
     ),
     Row(
+        "more white noise than stated, a trifle beside the model's own error",
+        evidence(base=replace(SMALL, residual=replace(QUIET, white=(2.0,))), stated=1000.0, weight=0.001),
+        V.NO_GAP,
+        (R.BELOW_NULL,),
+    ),
+    Row(
+        "an effect that stays within the model's own error at each of its frequencies",
+        evidence(replace(effect("a"), local=2.9), base=none(energy=0.9, residual=QUIET), whitened=True),
+        V.NO_GAP,
+        (R.BELOW_PRACTICAL_SIZE,),
+    ),
+    Row(
+        "an effect that exceeds the model's own error at its frequencies",
+        evidence(replace(effect("a"), local=3.1), whitened=True),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
         "more white noise than stated, where none is",
         evidence(base=replace(SMALL, residual=replace(QUIET, white=(2.0,))), stated_noise=(0.0,)),
         V.NO_GAP,

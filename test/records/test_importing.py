@@ -136,3 +136,13 @@ def test_one_line_and_status_2_and_nothing_left_behind(tmp_path, capsys):
     assert main(["identify", str(tmp_path / "bag"), "--model", "hampi", "--output", str(tmp_path / "m.yaml")]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 2 and all(line.startswith("hyst ") for line in lines) and set(tmp_path.iterdir()) == before
+
+
+def test_rows_that_a_column_of_times_passes_over_are_told(tmp_path):
+    time = np.delete(np.arange(100) / 50.0, [10, 11, 40])
+    np.savetxt(tmp_path / "run.csv", np.column_stack([time, time, time]), delimiter=",")
+    columns = parse_columns("time=1[s],command=2[V],measurement=3[um]")
+    [note] = import_table(tmp_path / "run.csv", columns, None).notes
+    assert "3 rows are missing, in 2 gaps, the first after 0.18 s" in note
+    np.savetxt(tmp_path / "whole.csv", np.column_stack([np.arange(50) / 50.0] * 3), delimiter=",")
+    assert import_table(tmp_path / "whole.csv", columns, None).notes == ()

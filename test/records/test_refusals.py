@@ -386,6 +386,8 @@ def test_files_that_do_not_fit_are_named(tmp_path):
     np.savez(tmp_path / "a.npz", u=np.zeros(3), y=np.zeros(4))
     with pytest.raises(InputError, match="name one of its arrays as the variable: u, y"):
         import_table(tmp_path / "a.npz", columns, 10.0)
+    with pytest.raises(InputError, match="has no array v: name one of u, y"):
+        import_table(tmp_path / "a.npz", parse_columns("command=v[V],measurement=y[um]"), 10.0)
     with pytest.raises(InputError, match="the arrays differ in length .u 3 x 1, y 4 x 1"):
         import_table(tmp_path / "a.npz", parse_columns("command=u[V],measurement=y[um]"), 10.0)
     np.savez(tmp_path / "b.npz", y=np.zeros((4, 2)))
