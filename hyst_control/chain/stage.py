@@ -85,7 +85,7 @@ class Sampling:
 
     def with_hold(self, hold: str) -> Sampling:
         """The same clock for a signal of another hold."""
-        return Sampling(self.sample_time, self.axes, hold, self.ahead)
+        return self if hold == self.hold else Sampling(self.sample_time, self.axes, hold, self.ahead)
 
 
 class Filter:
