@@ -11,6 +11,10 @@ from hyst_control.chain.parameter import AllAxes, Array, ScalarPerAxis, VectorPe
 from hyst_control.errors import InputError
 
 
+PLAIN = frozenset({float, int, bool, str, type(None)})
+"""Types of what is frozen already."""
+
+
 def frozen(value: Any) -> Any:
     """Nested lists and arrays as nested tuples of Python numbers.
 
@@ -24,12 +28,14 @@ def frozen(value: Any) -> Any:
     object
         Hashable and comparable.
     """
+    if type(value) in PLAIN:
+        return value
     if isinstance(value, np.ndarray):
         return frozen(value.tolist())
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, (list, tuple)):
-        return tuple(frozen(item) for item in value)
+        return tuple(map(frozen, value))
     return value
 
 

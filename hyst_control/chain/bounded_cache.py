@@ -11,6 +11,9 @@ import numpy as np
 KEPT = 512
 """Results per function; when there are more, the one that was not asked for longest is dropped."""
 
+PLAIN = frozenset({float, int, bool, str, type(None)})
+"""Types that are keys as they are."""
+
 Result = TypeVar("Result")
 
 
@@ -58,6 +61,8 @@ def remembered(work: Callable[..., Result]) -> Callable[..., Result]:
 
 
 def _key(value: object) -> object:
+    if type(value) in PLAIN:
+        return value
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, value.tobytes()
     if isinstance(value, (list, tuple)):

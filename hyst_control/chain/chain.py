@@ -30,6 +30,8 @@ from hyst_control.chain.parameter import Array, chains
 from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, register
 from hyst_control.errors import InputError
 
+Piece = tuple[tuple[Stage, ...], bool]
+"""Stages of one filter of a chain, and whether they are linear and something that is not follows them."""
 Link = tuple[tuple[Stage, ...], bool, Sampling]
 """Stages of one filter of a chain, whether its output is held at its means, and its clock: equal links have equal filters."""
 
@@ -210,40 +212,62 @@ def started(stages: Sequence[Stage], sampling: Sampling) -> Filter:
         Not yet settled.
     """
     filters: list[Filter] = []
-    for _, running in links(stages, sampling):
+    for piece in pieces(stages):
+        running = started_link(link_of(piece, sampling))
         filters.append(running)
         sampling = sampling.with_hold(running.hold)
     return filters[0] if len(filters) == 1 else SeriesFilter(filters, sampling.hold)
 
 
-def links(stages: Sequence[Stage], sampling: Sampling) -> Iterator[tuple[Link, Filter]]:
-    """Start the filters of stages that are arranged already, one after the other.
+def pieces(stages: Sequence[Stage]) -> list[Piece]:
+    """Cut stages that are arranged already where one filter ends and the next one begins.
 
     Parameters
     ----------
     stages
         In signal order.
-    sampling
-        Clock of the first of them.
 
-    Yields
-    ------
-    tuple of Link and Filter
-        What the filter is made of, and the filter, not yet settled.
+    Returns
+    -------
+    list of Piece
+        In signal order.
     """
     runs = [(linear, list(group)) for linear, group in groupby(stages, key=_in_linear_run)]
-    for number, (linear, run) in enumerate(runs):
-        pieces = _cut_before_uneven_delays(run) if linear else [[stage] for stage in run]
-        for piece in pieces:
-            averaged = linear and number + 1 < len(runs) and sampling.hold == "zoh" and _averaged(piece)
-            if linear:
-                running: Filter = linear_filter(piece, sampling, averaged)
-            elif isinstance(piece[0], Parallel):
-                running = ParallelFilter([Chain(branch).filter(sampling) for branch in piece[0].branches])
-            else:
-                running = piece[0].filter(sampling)
-            yield (tuple(piece), averaged, sampling), running
-            sampling = sampling.with_hold(running.hold)
+    return [
+        (tuple(piece), linear and number + 1 < len(runs))
+        for number, (linear, run) in enumerate(runs)
+        for piece in (_cut_before_uneven_delays(run) if linear else [[stage] for stage in run])
+    ]
+
+
+def link_of(piece: Piece, sampling: Sampling) -> Link:
+    """What the filter of a piece is made of.
+
+    Parameters
+    ----------
+    piece
+        Of a chain.
+    sampling
+        Clock of the signal that enters.
+    """
+    stages, followed = piece
+    return stages, followed and sampling.hold == "zoh" and _averaged(stages), sampling
+
+
+def started_link(link: Link) -> Filter:
+    """A filter of a link, not yet settled.
+
+    Parameters
+    ----------
+    link
+        Of a chain.
+    """
+    stages, averaged, sampling = link
+    if _in_linear_run(stages[0]):
+        return linear_filter(list(stages), sampling, averaged)
+    if isinstance(stages[0], Parallel):
+        return ParallelFilter([Chain(branch).filter(sampling) for branch in stages[0].branches])
+    return stages[0].filter(sampling)
 
 
 def arrange(stages: Sequence[Stage], hold: str = "foh") -> tuple[Stage, ...]:

@@ -45,14 +45,14 @@ class LinearFilter(Filter):
             self.c[s, :, :order], self.d[s] = system.C, system.D
         self.bias = np.concatenate([system.bias for system in systems])
         # Modes that do not act on each other leave most of a matrix empty: only what is there is computed.
-        self.reach = _reach(self.a)
+        self.reach = _reach(self.a) if n > CLOSE else np.zeros((count, n, 2), dtype=np.int64)  # of few states all are computed
         self.late: NDArray[np.bool_] = np.any(self.b[:, 1:] != 0.0, axis=(1, 2, 3))
         if m > 1:
             self.quads, self.acting, self.ends = quads_of(self.a)
             self.by_input = np.zeros((count, 3, m, n + -n % QUAD))
             self.by_input[..., :n] = self.b.transpose(0, 1, 3, 2)
         # State and output at rest, for a unit input; the states that fill up a shorter system stay 0.
-        self.rest = np.stack([np.linalg.solve(np.eye(n) - a, b.sum(axis=0)) for a, b in zip(self.a, self.b, strict=True)])
+        self.rest = np.linalg.solve(np.eye(n) - self.a, self.b.sum(axis=1))
         self.static_gain = self.c @ self.rest + self.d.sum(axis=1)
         self.whole = whole.astype(np.int64)
         self._begin()

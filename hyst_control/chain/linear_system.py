@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag, matrix_balance
+from scipy.linalg import block_diag
+from scipy.linalg.lapack import dgebal
 
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.parameter import Array
@@ -25,7 +26,8 @@ class LinearSystem:
     def then(self, following: LinearSystem) -> LinearSystem:
         """Series of this system and the one `following` it."""
         n, m = len(self.A), len(following.A)
-        a = np.block([[self.A, np.zeros((n, m))], [following.B @ self.C, following.A]])
+        own, driven = np.concatenate([self.A, np.zeros((n, m))], axis=1), np.concatenate([following.B @ self.C, following.A], axis=1)
+        a = np.concatenate([own, driven])
         b = np.vstack([self.B, following.B @ self.D])
         c = np.hstack([following.D @ self.C, following.C])
         # The bias is constant, so what follows passes it on with its static gain.
@@ -44,7 +46,8 @@ class LinearSystem:
         """The same system with its states scaled so that the matrix exponential loses no digits."""
         if not len(self.A):
             return self
-        a, (scale, permutation) = matrix_balance(self.A, permute=False, separate=True)
+        # LAPACK itself: the checks of `scipy.linalg.matrix_balance` take ten times as long as the balancing.
+        a, _, _, scale, _ = dgebal(np.asarray_chkfinite(self.A), scale=1, permute=0)
         return LinearSystem(a, self.B / scale[:, None], self.C * scale, self.D, self.bias)
 
 
@@ -57,7 +60,7 @@ def stacked(systems: list[LinearSystem]) -> LinearSystem:
 @remembered
 def transfer_function_system(num: Array, den: Array) -> LinearSystem:
     """Controllable canonical form of num(s)/den(s), descending powers, in a time scale that keeps its entries near one."""
-    num, den = np.trim_zeros(np.atleast_1d(num), "f"), np.trim_zeros(np.atleast_1d(den), "f")
+    num, den = _leading(num), _leading(den)
     if not len(num):
         num = np.zeros(1)
     order = len(den) - 1
@@ -78,3 +81,10 @@ def transfer_function_system(num: Array, den: Array) -> LinearSystem:
     b[:1] = 1.0
     c = (num[1:] - num[0] * den[1:]).reshape(1, order)
     return LinearSystem(a * w, b * w, c, np.array([[num[0]]]), np.zeros(1)).balanced()
+
+
+def _leading(polynomial: Array) -> Array:
+    """Coefficients from the first that is not 0."""
+    coefficients = np.atleast_1d(polynomial)
+    found = np.flatnonzero(coefficients)
+    return coefficients[found[0] if len(found) else len(coefficients) :]

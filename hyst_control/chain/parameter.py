@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields
 from enum import Enum
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -121,12 +122,12 @@ class Parameter:
     optional: bool = False
     scatter: Scattering = Scattering.RELATIVE
 
-    @property
+    @cached_property
     def per_axis(self) -> int | None:
         """Dimensions of one axis' value; None for a parameter of all axes together."""
         return {Kind.SCALAR: 0, Kind.VECTOR: 1}.get(self.kind)
 
-    @property
+    @cached_property
     def nestings(self) -> tuple[int, ...]:
         """Depths of nesting that a value may have."""
         return self.dimensions if self.per_axis is None else (self.per_axis, self.per_axis + 1)

@@ -85,7 +85,7 @@ class Sampling:
 
     def with_hold(self, hold: str) -> Sampling:
         """The same clock for a signal of another hold."""
-        return Sampling(self.sample_time, self.axes, hold, self.ahead)
+        return self if hold == self.hold else Sampling(self.sample_time, self.axes, hold, self.ahead)
 
 
 class Filter:
@@ -135,8 +135,8 @@ class Stage:
     """True for a stage that only limits or rounds what it else passes unchanged: inverses and linear descriptions leave it out."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            object.__setattr__(self, field.name, frozen(getattr(self, field.name)))
+        for name in vars(self):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
         for name, declaration in self.declarations().items():
             declaration.check(name, getattr(self, name))
         self.check()
