@@ -7,12 +7,9 @@ from typing import Any, cast
 
 import numpy as np
 
+from hyst_control.chain.bounded_cache import PLAIN
 from hyst_control.chain.parameter import AllAxes, Array, ScalarPerAxis, VectorPerAxis
 from hyst_control.errors import InputError
-
-
-PLAIN = frozenset({float, int, bool, str, type(None)})
-"""Types of what is frozen already."""
 
 
 def frozen(value: Any) -> Any:

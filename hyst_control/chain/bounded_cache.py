@@ -12,7 +12,7 @@ KEPT = 512
 """Results per function; when there are more, the one that was not asked for longest is dropped."""
 
 PLAIN = frozenset({float, int, bool, str, type(None)})
-"""Types that are keys as they are."""
+"""Types of what cannot be changed, and is compared and hashed as it is."""
 
 Result = TypeVar("Result")
 

@@ -241,7 +241,7 @@ def pieces(stages: Sequence[Stage]) -> list[Piece]:
 
 
 def link_of(piece: Piece, sampling: Sampling) -> Link:
-    """What the filter of a piece is made of.
+    """Tell all that the filter of a piece is made of.
 
     Parameters
     ----------
@@ -249,18 +249,28 @@ def link_of(piece: Piece, sampling: Sampling) -> Link:
         Of a chain.
     sampling
         Clock of the signal that enters.
+
+    Returns
+    -------
+    Link
+        Equal for pieces that need the same filter.
     """
     stages, followed = piece
     return stages, followed and sampling.hold == "zoh" and _averaged(stages), sampling
 
 
 def started_link(link: Link) -> Filter:
-    """A filter of a link, not yet settled.
+    """Start the filter of a link.
 
     Parameters
     ----------
     link
         Of a chain.
+
+    Returns
+    -------
+    Filter
+        Not yet settled.
     """
     stages, averaged, sampling = link
     if _in_linear_run(stages[0]):

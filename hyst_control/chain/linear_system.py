@@ -26,7 +26,10 @@ class LinearSystem:
     def then(self, following: LinearSystem) -> LinearSystem:
         """Series of this system and the one `following` it."""
         n, m = len(self.A), len(following.A)
-        own, driven = np.concatenate([self.A, np.zeros((n, m))], axis=1), np.concatenate([following.B @ self.C, following.A], axis=1)
+        own, driven = (
+            np.concatenate([self.A, np.zeros((n, m))], axis=1),
+            np.concatenate([following.B @ self.C, following.A], axis=1),
+        )
         a = np.concatenate([own, driven])
         b = np.vstack([self.B, following.B @ self.D])
         c = np.hstack([following.D @ self.C, following.C])

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.signal import fftconvolve, periodogram
 
 from hyst_control.chain.stage import Array, Sampling
@@ -390,7 +391,7 @@ def lines(problem: Problem, unexplained: Array, settings: CheckSettings = CONFIG
         frequency, power = periodogram(signal, rate, "hann")
         spectra = periodogram(driving, rate, "hann", detrend="linear", axis=0)[1].T
         width = rate / count
-        ratio = power / np.maximum(_background(power, settings.background_bins), 1e-300)
+        ratio = power / np.maximum(background(power, settings.background_bins), 1e-300)
         mains = _mains(mains_effect, problem)
         for fundamental in mains:
             near = np.abs(frequency - fundamental) < max(settings.mains_width, settings.mains_bins * width)
@@ -402,7 +403,7 @@ def lines(problem: Problem, unexplained: Array, settings: CheckSettings = CONFIG
         sure &= frequency > settings.lowest_line_bins * width
         for driven in spectra:
             of_command = driven > settings.driven_share * driven.max()
-            of_command &= driven > settings.driven_ratio * _background(driven, settings.background_bins)
+            of_command &= driven > settings.driven_ratio * background(driven, settings.background_bins)
             sure &= ~np.convolve(of_command, np.ones(3), "same").astype(bool)
             sure &= ~_harmonics(frequency, driven, settings)
         for fundamental in mains:
@@ -463,7 +464,7 @@ def command_lattice(
     window = np.ones(bins // 16)
     smooth = np.convolve(sums, window, "same") / np.maximum(np.convolve(counts, window, "same"), 1.0)
     power = np.abs(np.fft.rfft(sums - smooth * counts, padded * bins)) ** 2
-    ratio = power / np.maximum(_background(power, padded * settings.background_bins), 1e-300)
+    ratio = power / np.maximum(background(power, padded * settings.background_bins), 1e-300)
     cycles = np.arange(len(power)) / padded
     ratio[(cycles < settings.lattice_least) | (cycles > 0.2 * bins)] = 0.0
     found: list[float] = []
@@ -509,12 +510,23 @@ def _harmonics(frequency: Array, driven: Array, settings: CheckSettings) -> NDAr
     return np.zeros(len(frequency), bool)
 
 
-def _background(power: Array, reach: int) -> Array:
-    """Mean power around every bin, from the median, which no line moves."""
+def background(power: Array, reach: int) -> Array:
+    """Mean power around every bin of a spectrum, from the median, which no line moves.
+
+    Parameters
+    ----------
+    power : ndarray, shape (N,)
+        By bin.
+    reach : int
+        Bins to either side.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Mean of a floor of the same median: power of noise falls off exponentially.
+    """
     padded = np.pad(power, reach, mode="reflect") if len(power) > reach + 1 else np.pad(power, reach, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
-    background: Array = np.median(windows, axis=1) / np.log(2.0)
-    return background
+    return np.asarray(median_filter(padded, 2 * reach + 1)[reach : reach + len(power)] / np.log(2.0), dtype=np.float64)
 
 
 def _peak(frequency: Array, power: Array, top: int) -> float:

@@ -7,7 +7,9 @@ import numpy as np
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear import Delay, TransferFunction
+from hyst_control.chain.linear_filter import LinearFilter
 from hyst_control.chain.memoryless import Gain, Offset
+from hyst_control.chain.prandtl_ishlinskii import PlayFilter, PlayOperator
 from hyst_control.diagnose.known_links import KnownLinks
 from hyst_control.diagnose.session import ErrorBasis, LearnedError
 
@@ -40,8 +42,6 @@ def test_equal_to_a_simulation_from_the_beginning() -> None:
 
 
 def test_only_what_is_new_is_run(monkeypatch) -> None:
-    from hyst_control.chain.linear_filter import LinearFilter
-
     runs = []
     process = LinearFilter.process
     monkeypatch.setattr(LinearFilter, "process", lambda self, block: runs.append(1) or process(self, block))
@@ -49,6 +49,31 @@ def test_only_what_is_new_is_run(monkeypatch) -> None:
     for stages in CHAINS[:3]:
         links.run(stages, sampling)
     assert len(runs) == 1
+
+
+def test_a_branch_that_stays_is_not_run_again(monkeypatch) -> None:
+    """A hysteresis beside a linear branch: another linear stage behind both leaves the hysteresis' own output as it was."""
+    runs = []
+    for kind in (LinearFilter, PlayFilter):
+
+        def counted(self, block, process=kind.process):
+            runs.append((type(self), len(block)))
+            return process(self, block)
+
+        monkeypatch.setattr(kind, "process", counted)
+    play, sampling, links = PlayOperator(1.0), Sampling(1e-4, 1, "zoh"), KnownLinks(COMMAND)
+    linear, hysteresis = (LinearFilter, len(COMMAND)), (PlayFilter, len(COMMAND))
+    for beside, behind, due in (
+        (SLOW, FAST, [hysteresis, linear, linear]),
+        (SLOW, SLOW, [linear, linear]),  # it is merged with the linear branch, and follows the hysteresis
+        (FAST, SLOW, [linear]),
+    ):
+        stages = (Parallel(((play,), (beside,))), behind)
+        runs.clear()
+        found = links.run(stages, sampling)
+        assert [run for run in runs if run[1] > 1] == due
+        for one, other in zip(found, from_the_beginning(stages, sampling), strict=True):
+            np.testing.assert_array_equal(one, other)
 
 
 def test_nothing_is_kept_in_a_pickle() -> None:

@@ -12,7 +12,7 @@ from hyst_control.chain.linear import StateSpace, TransferFunction
 from hyst_control.diagnose.flicker_estimation import flicker
 from hyst_control.diagnose.gap_report import sentence
 from hyst_control.diagnose.problem import Piece, Problem
-from hyst_control.diagnose.record_checks import lattice_of, lines, outliers, repeated_samples, stuck_stretches
+from hyst_control.diagnose.record_checks import background, lattice_of, lines, outliers, repeated_samples, stuck_stretches
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model, simulate
@@ -66,6 +66,19 @@ def test_a_harmonic_of_six_strokes_is_no_vibration(frequency, due):
     problem = Problem(model, (Piece(command, command),), STEP, "zoh", np.array([1e-3]))
     residual = 1e-3 * np.random.default_rng(2).standard_normal(len(time)) + 0.02 * np.sin(2 * np.pi * frequency * time)
     assert lines(problem, residual / 1e-3)["vibration"] == pytest.approx(due, abs=0.05)
+
+
+@pytest.mark.parametrize("length, reach", [(1, 3), (5, 9), (40, 9), (300, 40)])
+def test_the_background_is_the_median_around_every_bin(length: int, reach: int) -> None:
+    """A few lines on a sloping floor: the median of every window, of what is mirrored at the ends, one after the other."""
+    power = np.random.default_rng(length).exponential(size=length) * np.linspace(5.0, 1.0, length)
+    power[::17] *= 1e4
+    order = np.arange(-reach, length + reach)
+    if length > reach + 1:
+        order = np.abs(order)
+        order = np.where(order < length, order, 2 * (length - 1) - order)
+    windows = [power[np.clip(order[i : i + 2 * reach + 1], 0, length - 1)] for i in range(length)]
+    np.testing.assert_array_equal(background(power, reach), [np.sort(window)[reach] / np.log(2.0) for window in windows])
 
 
 def test_a_line_of_another_axis_command_is_no_vibration():
