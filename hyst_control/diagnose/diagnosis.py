@@ -400,12 +400,13 @@ def _axis(
 
     evidence = tested(collected.evidence)
     decision = decide(evidence, thresholds)
-    rows = None if baseline is None else clean_rows(baseline, problem)
-    clean = None if rows is None else CleanRecords(rows)
+    rows, clean = None if baseline is None else clean_rows(baseline, problem), None
     for _ in range(VETOES if evidence.whitened else 0):
         best = collected.hypotheses[decision.chosen]
         if best.candidate is None:
             break
+        if rows is not None and clean is None:
+            clean = CleanRecords(rows)
         known = frozenset() if clean is None else clean.show(best, null + thresholds.margin)
         if not known and holds(linearised, best, found.none, configuration.reduction):
             break

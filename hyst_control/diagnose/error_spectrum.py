@@ -29,9 +29,9 @@ FUNDAMENTALS = 1.0
 SMOOTHED = 3
 """Bins that are averaged before: a line between two bins has its power in both."""
 MUCH_MORE = 4.0
-"""Factor of the output's power up to which the clean records tell of the model at a frequency: half the amplitude."""
+"""Factor of the output's power (twice its amplitude) beyond which the clean records say nothing of the model at a frequency."""
 MOST_MORE = 100.0
-"""Largest factor by which power of the output is taken to raise that of the error: where it is more, the clean records say nothing."""
+"""Largest factor by which more power of the output raises that of the error."""
 UPPER = 0.6
 """Share of the Nyquist frequency above which the median bin is the white noise's."""
 MEDIAN = 0.4549
@@ -110,20 +110,6 @@ class ErrorSpectrum:
         most = (known.power + self.noise**2) * np.maximum(excited, 1.0) - self.noise**2
         lower = np.minimum(self.power, most)
         return ErrorSpectrum(self.frequencies, np.where(slow, lower, self.power), self.noise)
-
-    def times(self, factor: float) -> ErrorSpectrum:
-        """Multiply the power, the white noise left as it is.
-
-        Parameters
-        ----------
-        factor : float
-            Of the power.
-
-        Returns
-        -------
-        ErrorSpectrum
-        """
-        return ErrorSpectrum(self.frequencies, factor * self.power, self.noise)
 
     def for_output(self, known: ErrorSpectrum, new: ErrorSpectrum, relative: Array) -> ErrorSpectrum:
         """Foresee the error on new records, whose commands drive some frequencies more than those of the clean ones did.

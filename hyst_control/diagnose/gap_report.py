@@ -206,7 +206,7 @@ def sentence(report: dict[str, Any]) -> str:
     size = f"{gap['rms']:.3g} {unit} rms ({gap['nrmse']:.2g} % of range, noise floor {gap['floor_rms']:.3g} {unit})"
     beside = _beside_session(report)
     if beside is not None:
-        size += f", {beside:.3g} {unit} of it beside the session's zero, drift and initial memory"
+        size += f", {beside:.3g} {unit} apart from the session's zero, drift and initial memory"
     names = [named(effect) for effect in report["effects"]]
     verdict, reasons = report["verdict"], report.get("reasons", ())
     if verdict == Verdict.NO_GAP.value:

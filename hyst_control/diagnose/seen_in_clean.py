@@ -47,8 +47,7 @@ class CleanRecords:
         frozenset of str
             Names of the effects; lines in the spectrum, whose phase is that of a record, are none of them.
         """
-        if scored.candidate is None:
-            return frozenset()
+        assert scored.candidate is not None, "no effect"
         stages, found = self.problem.model.chain.stages, set()
         for member, part in zip(scored.candidate.members, scored.candidate.slices(), strict=True):
             if member.is_extra:

@@ -187,7 +187,7 @@ def test_a_sensor_may_have_its_zero_anywhere(change, names, taken_off):
     if taken_off == 0.0:  # nearly all of the difference is that zero: no coefficient's, and what is beside it is told
         largest = max(report["where"]["stage"], key=lambda row: row["share"])
         assert largest["name"] == "session" and largest["share"] > 0.99
-        told = re.search(r"([\d.]+) um of it beside the session's zero", sentence(report))
+        told = re.search(r"([\d.]+) um apart from the session's zero", sentence(report))
         assert told and float(told[1]) < 0.05 * report["gap"]["rms"]
 
 
@@ -271,3 +271,16 @@ def test_a_carried_error_loses_its_noise_and_keeps_what_follows_the_command():
 
 def test_a_gain_of_no_signal_stands_for_no_model():
     assert Gain(0.0).filter(Sampling(1e-3, 1)).settle(np.ones(1)) == 0.0
+
+
+def test_a_carried_error_comes_later_on_each_axis_by_a_part_of_a_sample():
+    """A sine of 25 samples a period, against itself later; before it begins it is as at its begin."""
+    phase = 2.0 * np.pi / 25.0
+    rows = np.sin(phase * np.arange(200))[:, None] * [1.0, 2.0]
+    late = np.array([0.4, 3.7])
+    [moved] = CarriedError((rows,)).delayed(late).series
+    expected = np.sin(phase * (np.arange(200)[:, None] - late)) * [1.0, 2.0]
+    np.testing.assert_allclose(moved[10:], expected[10:], atol=1e-3)
+    np.testing.assert_allclose(moved[0], rows[0])
+    [together] = CarriedError((rows,)).delayed(np.array([0.4, 0.4])).series
+    np.testing.assert_allclose(together[:, 0], moved[:, 0])

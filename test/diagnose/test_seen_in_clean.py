@@ -1,4 +1,4 @@
-"""What clean records of other commands say of an effect: a part that the model never had is nothing new."""
+"""A mode that the model lacks is in the clean records too, so it is not named as a change."""
 
 from __future__ import annotations
 
