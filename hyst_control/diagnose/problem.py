@@ -171,6 +171,7 @@ class Problem:
         command = np.concatenate([piece.command for piece in self.pieces])
         measurement = np.concatenate([piece.measurement for piece in self.pieces])
         slew = max(float(np.max(np.abs(np.diff(piece.command, axis=0)), initial=0.0)) for piece in self.pieces) / self.sample_time
+        poles = shared_poles(self.model)
         return Surroundings(
             self.sample_time,
             max(len(piece.command) for piece in self.pieces) * self.sample_time,
@@ -179,9 +180,10 @@ class Problem:
             (float(measurement.min()), float(measurement.max())),
             len(self.model.axes),
             self.slowest,
-            shared_modes(self.model),
+            shared_modes(poles),
             min(0 if piece.keep is None else int(np.argmax(piece.keep)) for piece in self.pieces) * self.sample_time,
             self._modelled,
+            poles,
         )
 
     @cached_property
@@ -195,8 +197,8 @@ class Problem:
         return (low, high) if np.isfinite(low) and np.isfinite(high) and low < high else None
 
 
-def shared_modes(model: Model) -> tuple[tuple[float, float], ...]:
-    """Modes of mechanics that drive the axes together.
+def shared_poles(model: Model) -> tuple[complex, ...]:
+    """Poles of mechanics that drive the axes together.
 
     Parameters
     ----------
@@ -205,9 +207,8 @@ def shared_modes(model: Model) -> tuple[tuple[float, float], ...]:
 
     Returns
     -------
-    tuple of (float, float)
-        Frequency (Hz) and damping by mode; real poles in pairs, which have a damping above 1. None where the axes do not mix.
-
+    tuple of complex
+        1/s, real ones and one of every conjugate pair, in order of size; none where the axes do not mix.
     """
     stages = model.chain.stages
     index = mechanics_index(stages)
@@ -215,10 +216,26 @@ def shared_modes(model: Model) -> tuple[tuple[float, float], ...]:
     if not isinstance(mechanics, LinearStage) or not mechanics.mixes_axes:
         return ()
     poles = np.concatenate([np.linalg.eigvals(system.A) for system in mechanics.systems(len(model.axes))])
+    return tuple(complex(pole) for pole in sorted(poles[poles.imag >= 0.0], key=abs))
+
+
+def shared_modes(poles: Sequence[complex]) -> tuple[tuple[float, float], ...]:
+    """Modes of such poles, each once.
+
+    Parameters
+    ----------
+    poles : sequence of complex
+        1/s, as `shared_poles` has them.
+
+    Returns
+    -------
+    tuple of (float, float)
+        Frequency (Hz) and damping by mode; real poles in pairs, which have a damping above 1.
+    """
     found: list[complex] = []
-    for pole in sorted(poles[poles.imag >= 0.0], key=abs):
+    for pole in poles:
         if all(abs(pole - other) > SAME_POLE * abs(pole) for other in found):
-            found.append(complex(pole))
+            found.append(pole)
     real = [-pole.real for pole in found if pole.imag == 0.0]
     if len(real) % 2:
         real.append(FAR_POLE * real[-1])

@@ -70,6 +70,8 @@ class Surroundings:
         s from the start of the record to the first sample that is compared.
     modelled
         Range of what the nominal model simulates on the record, in the measurement's unit; None where that is not known.
+    poles
+        Of the nominal mechanics, 1/s, where these drive the axes together: real ones, and one of every conjugate pair, in order of size.
     """
 
     sample_time: float
@@ -82,6 +84,7 @@ class Surroundings:
     modes: tuple[tuple[float, float], ...] = ()
     begin: float = 0.0
     modelled: tuple[float, float] | None = None
+    poles: tuple[complex, ...] = ()
 
     @property
     def stroke(self) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -15,7 +15,7 @@ from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear import LinearStage, LinearSystem, TransferFunction, stacked
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, VectorPerAxis, scalar, vector
 from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, per_axis_scalars, register
-from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.placement import mechanics_index
 from hyst_control.errors import InputError
 
@@ -404,15 +404,85 @@ def advance_modes_moved(
                 output[row, o] += (outputs[o, i] * (state[1, i] - state[0, i])).real
 
 
+SOFTENING, DAMPING = "softening", "damping"
+
+
+def parameters(around: Surroundings) -> tuple[Parameter, ...]:
+    """What all modes have in common, in a record's surroundings `around`."""
+    return (Parameter(SOFTENING, "", 0.0, (0.002,), -0.2, 0.2, 0.02), Parameter(DAMPING, "", 0.0, (0.0,), -0.9, 5.0, 0.5))
+
+
+def coupled_parameters(around: Surroundings) -> tuple[Parameter, ...]:
+    """Of coupled axes: every mode that oscillates softens by a share of its own.
+
+    Parameters
+    ----------
+    around
+        Record that the sizes are judged by.
+    """
+    if not around.poles:
+        return parameters(around)
+    return tuple(
+        replace(parameter, name=f"{parameter.name}_{mode}", starts=(0.0,), told=False)
+        for parameter in parameters(around)
+        for mode, pole in enumerate(around.poles)
+        if pole.imag
+    )
+
+
+def by_modes(values: Values, name: str) -> Array:
+    """The shares of a parameter by mode, as far as a mode has one."""
+    return np.array([value for key, value in values.items() if key.startswith(f"{name}_")])
+
+
+def common(values: Values) -> dict[str, float]:
+    """Mean size of the shares of all modes, with the sign of their sum.
+
+    Parameters
+    ----------
+    values
+        Of the parameters, by name.
+    """
+    found = {}
+    for name in (SOFTENING, DAMPING):
+        shares = by_modes(values, name)
+        if len(shares):
+            found[name] = float(np.copysign(np.mean(np.abs(shares)), np.sum(shares)))
+    return found
+
+
+def stage(values: Values, around: Surroundings) -> Stage:
+    """Modes that soften alike, or each by its own share.
+
+    Parameters
+    ----------
+    values
+        Of the parameters, by name.
+    around
+        Record that the sizes are judged by.
+    """
+    factors = {
+        name: tuple(values.get(f"{name}_{mode}", 0.0) / (values[name] or 1.0) for mode in range(len(around.poles)))
+        for name in (SOFTENING, DAMPING)
+        if len(by_modes(values, name))
+    }
+    return SofteningModes(
+        values[SOFTENING],
+        values[DAMPING],
+        max(0.25 * around.stroke, 1e-300),
+        factors.get(SOFTENING, (1.0,)),
+        factors.get(DAMPING, (1.0,)),
+    )
+
+
 EFFECT = Effect(
     "softening_modes",
     "motion",
     "The modes soften with amplitude: their frequencies fall and their damping grows with the root of it.",
-    lambda around: (
-        Parameter("softening", "", 0.0, (0.002,), -0.2, 0.2, 0.02),
-        Parameter("damping", "", 0.0, (0.0,), -0.9, 5.0, 0.5),
-    ),
-    lambda values, around: SofteningModes(values["softening"], values["damping"], max(0.25 * around.stroke, 1e-300)),
+    parameters,
+    stage,
     shared=True,
+    coupled_parameters=coupled_parameters,
+    summary=common,
     phrase="modes that soften with amplitude",
 )
