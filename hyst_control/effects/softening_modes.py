@@ -10,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.c_code import COMPLEX, LARGER, CCode, integers, reals
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear import LinearStage, LinearSystem, TransferFunction, stacked
@@ -67,8 +68,12 @@ class SofteningModes(Modifier):
             return before
         factors = [self.declarations()[name].spread(getattr(self, name), axes) for name in ("softening_factors", "damping_factors")]
         moved = ModesMoved(cast(LinearStage, before[index]), tuple(softening), tuple(damping), tuple(amplitude), *factors)
+        counts = {max(len(one), len(other)) for one, other in zip(*factors, strict=True)}
+        # A mode each, where they differ: a simulation of another value then runs the mode again that it is of.
+        each = [replace(moved, mode=mode) for mode in range(*counts)] if len(counts) == 1 and counts != {1} else [moved]
         # Beside all that leads to the mechanics, not beside them alone: a chain merges them with what stands before.
-        return (Parallel((before[: index + 1], (*before[:index], moved))), *before[index + 1 :])
+        beside = (*before[:index], Parallel(tuple((one,) for one in each)) if len(each) > 1 else moved)
+        return (Parallel((before[: index + 1], beside)), *before[index + 1 :])
 
 
 @dataclass(frozen=True)
@@ -81,6 +86,8 @@ class ModesMoved(Stage):
     amplitude: tuple[float, ...]
     softening_factors: tuple[tuple[float, ...], ...]
     damping_factors: tuple[tuple[float, ...], ...]
+    mode: int | None = None
+    """The only one that it is of, in order of |λ|; None: all."""
 
     def linearized(self, axes: int) -> tuple[Stage, ...]:
         return (TransferFunction([0.0], [1.0]),)
@@ -100,20 +107,14 @@ class ModesMovedFilter(Filter):
 
     def __init__(self, systems: list[LinearSystem], stage: ModesMoved, sampling: Sampling) -> None:
         poles, shares = [], []
-        for axis, system in enumerate(systems):
-            own, vectors = np.linalg.eig(system.A)
-            if len(own) and not np.linalg.cond(vectors) < DEFECTIVE:
-                raise InputError(
-                    "softening_modes: the mechanics' poles coincide, they have no modes of their own: separate them a little"
-                )
-            entering = np.linalg.solve(vectors, system.B.astype(complex)) if len(own) else system.B
-            one = own.imag >= 0.0  # of every conjugate pair, whose sum is twice the real part
-            softening = stage.softening[axis] * by_mode("softening_factors", stage.softening_factors[axis], own[one])
-            damping = stage.damping[axis] * by_mode("damping_factors", stage.damping_factors[axis], own[one])
-            poles.append((own[one], np.stack([softening, damping], axis=1)))
-            shares.append((entering[one], (system.C @ vectors)[:, one] * np.where(own[one].imag > 0.0, 2.0, 1.0)))
+        for axis, (own, entering, leaving) in enumerate(map(modal, systems)):
+            softening = stage.softening[axis] * by_mode("softening_factors", stage.softening_factors[axis], len(own))
+            damping = stage.damping[axis] * by_mode("damping_factors", stage.damping_factors[axis], len(own))
+            chosen = slice(None) if stage.mode is None else slice(stage.mode, stage.mode + 1)
+            poles.append((own[chosen], np.stack([softening, damping], axis=1)[chosen]))
+            shares.append((entering[chosen], leaving[:, chosen]))
         whole = stacked(systems)
-        self.poles = np.concatenate([own for own, _ in poles]).astype(complex)
+        self.poles = np.concatenate([own for own, _ in poles])
         self.change = np.ascontiguousarray(np.concatenate([moved for _, moved in poles]))
         self.inputs, self.outputs = block_diag(*(b for b, _ in shares)), block_diag(*(c for _, c in shares))
         self.static = np.ascontiguousarray(whole.static_gain() / np.array(stage.amplitude)[:, None])
@@ -185,8 +186,41 @@ class ModesMovedFilter(Filter):
         )
 
 
-def by_mode(name: str, factors: tuple[float, ...], poles: NDArray[np.complex128]) -> Array:
-    """Assign factors, given in order of the modes' |λ|, to the modes.
+@remembered
+def modal(system: LinearSystem) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
+    """Decompose a system into its modes: y = D u + Re Σ c x, dx/dt = λ x + b u.
+
+    Parameters
+    ----------
+    system
+        With n inputs and outputs.
+
+    Returns
+    -------
+    poles : ndarray, shape (M,)
+        λ (1/s) in order of size: real ones, and one of every conjugate pair.
+    entering : ndarray, shape (M, n)
+        b.
+    leaving : ndarray, shape (n, M)
+        c.
+
+    Raises
+    ------
+    InputError
+        The poles coincide.
+    """
+    own, vectors = np.linalg.eig(system.A)
+    if len(own) and not np.linalg.cond(vectors) < DEFECTIVE:
+        raise InputError("softening_modes: the mechanics' poles coincide, they have no modes of their own: separate them a little")
+    entering = np.linalg.solve(vectors, system.B.astype(complex)) if len(own) else system.B.astype(complex)
+    one = np.flatnonzero(own.imag >= 0.0)  # of every conjugate pair, whose sum is twice the real part
+    one = one[np.argsort(np.abs(own[one]), kind="stable")]
+    leaving = (system.C @ vectors)[:, one] * np.where(own[one].imag > 0.0, 2.0, 1.0)
+    return own[one].astype(complex), entering[one], leaving.astype(complex)
+
+
+def by_mode(name: str, factors: tuple[float, ...], modes: int) -> Array:
+    """Factors of all modes, in order of |λ|.
 
     Parameters
     ----------
@@ -194,8 +228,8 @@ def by_mode(name: str, factors: tuple[float, ...], poles: NDArray[np.complex128]
         Of the parameter, for the message.
     factors
         One for all modes, or one per mode.
-    poles
-        (M,), one of every conjugate pair, in any order.
+    modes
+        Their number M.
 
     Returns
     -------
@@ -207,13 +241,9 @@ def by_mode(name: str, factors: tuple[float, ...], poles: NDArray[np.complex128]
     InputError
         There are neither one nor M factors.
     """
-    if len(factors) == 1:
-        return np.full(len(poles), factors[0])
-    if len(factors) != len(poles):
-        raise InputError(f"softening_modes: {name}: {len(factors)} factors for {len(poles)} modes: give one, or one per mode")
-    found = np.empty(len(poles))
-    found[np.argsort(np.abs(poles), kind="stable")] = factors
-    return found
+    if len(factors) not in (1, modes):
+        raise InputError(f"softening_modes: {name}: {len(factors)} factors for {modes} modes: give one, or one per mode")
+    return np.broadcast_to(np.array(factors, dtype=float), modes)
 
 
 @njit(cache=True)
@@ -374,7 +404,7 @@ def advance_modes_moved(
     """
     modes, axes, shared = len(poles), block.shape[1], block.shape[1] // len(square)
     held = np.isnan(last[0])
-    drive = np.empty(axes)
+    drive, roots = np.empty(axes), np.empty(len(square))
     as_it_is = np.exp(poles * step)
     for row in range(block.shape[0]):
         for j in range(axes):
@@ -390,13 +420,14 @@ def advance_modes_moved(
                 power += (deflection - mean[o]) ** 2
                 mean[o] += smooth * (deflection - mean[o])
             square[s] += smooth * (power / shared - square[s])
+            roots[s] = square[s] ** 0.25
         for o in range(axes):
             output[row, o] = 0.0
         for i in range(modes):
             entering = 0j
             for j in range(axes):
                 entering += inputs[i, j] * drive[j]
-            rest, root = -entering / poles[i], square[whose[i]] ** 0.25
+            rest, root = -entering / poles[i], roots[whose[i]]
             pole = complex(poles[i].real * max(1.0 + change[i, 1] * root, 0.0), poles[i].imag * (1.0 - change[i, 0] * root))
             state[0, i] = rest + as_it_is[i] * (state[0, i] - rest)
             state[1, i] = rest + np.exp(pole * step) * (state[1, i] - rest)
@@ -436,7 +467,7 @@ def by_modes(values: Values, name: str) -> Array:
 
 
 def common(values: Values) -> dict[str, float]:
-    """Mean size of the shares of all modes, with the sign of their sum.
+    """Median of the modes' shares; where that is 0 because few have any, their mean size.
 
     Parameters
     ----------
@@ -447,7 +478,7 @@ def common(values: Values) -> dict[str, float]:
     for name in (SOFTENING, DAMPING):
         shares = by_modes(values, name)
         if len(shares):
-            found[name] = float(np.copysign(np.mean(np.abs(shares)), np.sum(shares)))
+            found[name] = float(np.median(shares) or np.mean(np.abs(shares)))
     return found
 
 
