@@ -1,4 +1,4 @@
-"""Diagnoses of both blind tests in one queue, one process per core, until a given time."""
+"""Diagnoses of all blind tests in one queue, one process per core, until a given time."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ Job = tuple[Callable[[Any], str], tuple[Any, ...]]
 """Function that makes a report, and what it takes; it returns the name of the case."""
 
 
-def interleaved(first: Sequence[Job], second: Sequence[Job]) -> list[Job]:
-    """Mix two lists evenly, so that a run that is stopped has done the same part of both.
+def interleaved(*lists: Sequence[Job]) -> list[Job]:
+    """Mix lists evenly, so that a run that is stopped has done the same part of each.
 
     Parameters
     ----------
-    first, second
-        Two lists.
+    *lists
+        Lists of diagnoses.
 
     Returns
     -------
     list[Job]
         All of them, each list's in its order.
     """
-    placed = [((index + 0.5) / len(jobs), job) for jobs in (first, second) for index, job in enumerate(jobs)]
+    placed = [((index + 0.5) / len(jobs), job) for jobs in lists for index, job in enumerate(jobs)]
     return [job for _, job in sorted(placed, key=lambda each: each[0])]
 
 

@@ -24,9 +24,10 @@ def write_page(
     found: Sequence[Metric],
     pairs: Sequence[Pair],
     rows: Sequence[Row],
+    without_gap: Sequence[Pair],
     command: str,
-    counts: tuple[int, int],
-    digests: Sequence[str],
+    counts: tuple[int, int, int],
+    digests: Mapping[str, str],
     left_out: int,
 ) -> None:
     """Write the page, and blind_confusion.svg in `figures` beside it.
@@ -41,33 +42,35 @@ def write_page(
         Every simulated case that was diagnosed, with its report.
     rows
         Every injected one.
+    without_gap
+        Every further one without a gap, with its report.
     command
         Command of the run.
     counts
-        Numbers of simulated and injected cases, as they were asked for.
+        Numbers of simulated cases, of injected ones and of further ones without a gap, as they were asked for.
     digests
-        SHA-256 of the labels.
+        SHA-256 of the labels of each, by what they are; "": the simulated ones.
     left_out
         Number of cases that were diagnosed once more with their effect out of the catalogue.
     """
     figure = path.parent / "figures" / "blind_confusion.svg"
     figure.parent.mkdir(parents=True, exist_ok=True)
     _draw(figure, pairs)
-    done = (len(pairs), len(rows))
-    interrupted = (
-        f" and stopped: {done[0]} of the {counts[0]} simulated and {done[1]} of the {counts[1]} injected cases, in their order"
-    )
+    done = (len(pairs), len(rows), len(without_gap))
+    what = ("simulated cases", "injected ones", "further ones without a gap")
+    parts = [f"{n} of the {asked} {name}" for n, asked, name in zip(done, counts, what, strict=True) if asked]
     text = render(
         "blind_test/templates/blind_test.md",
         command=command,
-        interrupted="" if done == counts else interrupted,
+        interrupted="" if done == counts else f" and stopped: {', '.join(parts)}, in their order",
         digests=digests,
         diagnosed=len(pairs),
         kinds={kind: sum(pair[0]["label"]["kind"] == kind for pair in pairs) for kind in KINDS},
         hidden=sum(bool(pair[0]["label"].get("hidden")) for pair in pairs),
         left_out=left_out,
         metrics=found,
-        worst=[_row(*pair) for pair in worst(pairs)],
+        without_gap=len(without_gap),
+        worst=[_row(*pair) for pair in worst([*pairs, *without_gap])],
         injected=len(rows),
         machines=by_machine(rows),
         cases=[_injected_row(*row) for row in rows],

@@ -51,6 +51,7 @@ def run_all(
     so_far: bool = False,
     injected_count: int = 0,
     stop_after: float | None = None,
+    without_gap: int = 0,
 ) -> Table:
     """Run the whole test: draw, diagnose, leave out, compare the predictions with fresh records, score, write.
 
@@ -76,6 +77,8 @@ def run_all(
         Number of cases that are injected into records of machines, in the folder `injected` of the run; the measurements are needed.
     stop_after
         Time after which no further diagnosis begins, s.
+    without_gap
+        Number of further cases without a gap, in the folder `without_gap` of the run, which only the false alarms count.
 
     Returns
     -------
@@ -92,30 +95,36 @@ def run_all(
     from hyst_control.blind_test.scores import metrics, table
 
     folder = _folder(out, count)
-    digests = [_digest(make(folder, seed, count, note))]
+    put_in, quiet = folder / "injected", folder / "without_gap"
+    digests = {"": _digest(make(folder, seed, count, note))}
     if injected_count:
-        digests.append(_digest(injected.make(str(folder / "injected"), seed, injected_count, note=note)))
+        digests["injected"] = _digest(injected.make(str(put_in), seed, injected_count, note=note))
+    if without_gap:
+        quiet.mkdir(exist_ok=True)
+        digests["without a gap"] = _digest(make(quiet, seed, without_gap, note, kinds=("none",)))
     if not so_far:
-        simulated = jobs_of(folder, left_out)
-        put_in = injected.jobs_of(folder / "injected") if injected_count else []
-        until = None if stop_after is None else time.time() + stop_after
-        work(interleaved(simulated, put_in), until, note)
+        jobs = [jobs_of(folder, left_out)]
+        jobs += [injected.jobs_of(put_in)] if injected_count else []
+        jobs += [jobs_of(quiet)] if without_gap else []
+        work(interleaved(*jobs), None if stop_after is None else time.time() + stop_after, note)
     add_realized_shrinks(folder, note)
     pairs = list(load(folder))
     if not pairs:
         raise InputError(f"{folder}: no case has been diagnosed yet: call without --so-far")
     others = list(load(folder, "reports_left_out")) if left_out else []
-    rows = injected.load(folder / "injected") if injected_count else []
-    found = [*metrics(pairs, others), *injected_metrics(rows)]
+    rows = injected.load(put_in) if injected_count else []
+    further = [({**case, "name": f"without_gap/{case['name']}"}, report) for case, report in load(quiet)] if without_gap else []
+    found = [*metrics(pairs, others, further), *injected_metrics(rows)]
     command = f"blind-test --seed {seed} --count {count} --left-out {left_out}"
     command += f" --with-injected {injected_count}" if injected_count else ""
+    command += f" --without-gap {without_gap}" if without_gap else ""
     result = table(found, command)
     if json_path is not None:
         result.write(json_path)
     if page is not None:
         from hyst_control.blind_test.page import write_page
 
-        write_page(Path(page), found, pairs, rows, command, (count, injected_count), digests, len(others))
+        write_page(Path(page), found, pairs, rows, further, command, (count, injected_count, without_gap), digests, len(others))
     return result
 
 

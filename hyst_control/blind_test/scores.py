@@ -34,7 +34,7 @@ OTHERWISE_DEFINED = ("vibration", "flicker_noise", "dac_hold", "sensor_nonlinear
 """Effects whose parameters have another definition in the plants (a nonlinearity over their stroke instead of the record's range)."""
 
 
-def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric]:
+def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = (), without_gap: Sequence[Pair] = ()) -> list[Metric]:
     """Compute every figure of the targets' table that the cases allow.
 
     Parameters
@@ -43,6 +43,8 @@ def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric
         Cases with their reports.
     left_out
         Cases diagnosed without their effect in the catalogue, with their reports.
+    without_gap
+        Further cases without a gap, which only the false alarms count.
 
     Returns
     -------
@@ -84,14 +86,16 @@ def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = ()) -> list[Metric
     share("single sine: truth among the candidates", 0.95, sine, lambda pair: _truth(pair)[0] in _candidates(pair))
     for excitation in ("multisine", "closed_loop"):
         share(f"top-1, {excitation.replace('_', ' ')}", 0.85, [p for p in singles if _label(p)["excitation"] == excitation], _first)
-    none = [pair for pair in pairs if _label(pair)["kind"] == "none" and not _label(pair).get("hidden")]
+    none = [pair for pair in (*pairs, *without_gap) if _label(pair)["kind"] == "none" and not _label(pair).get("hidden")]
     share(
         "false alarm on records without a gap",
         0.02,
         none,
-        lambda pair: pair[1]["verdict"] in ("effect", "ambiguous", "unknown", VERDICT),
+        _alarmed,
         False,
     )
+    for plant in sorted({_label(pair)["plant"] for pair in without_gap}):
+        share(f"false alarm, {plant}", 0.02, [pair for pair in none if _label(pair)["plant"] == plant], _alarmed, False)
     share(
         "gap too small to be scored: a wrong name",
         0.05,
@@ -279,6 +283,10 @@ def _first(pair: Pair) -> bool:
 def _wrong(pair: Pair) -> bool:
     """Report whether an absent effect was named with certainty."""
     return pair[1]["verdict"] == "effect" and not set(_named(pair)) & set(_truth(pair))
+
+
+def _alarmed(pair: Pair) -> bool:
+    return pair[1]["verdict"] in ("effect", "ambiguous", "unknown", VERDICT)
 
 
 def _family(name: str) -> str:

@@ -60,6 +60,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--with-injected", type=int, default=0, metavar="COUNT", help="with --seed: number of injected cases beside the others"
     )
     parser.add_argument(
+        "--without-gap",
+        type=int,
+        default=0,
+        metavar="COUNT",
+        help="with --seed: number of further cases without a gap, which only the false alarms count",
+    )
+    parser.add_argument(
         "--left-out",
         type=int,
         default=100,
@@ -108,4 +115,5 @@ def run(arguments: argparse.Namespace) -> Table:
         so_far=arguments.so_far,
         injected_count=arguments.with_injected,
         stop_after=arguments.stop_after,
+        without_gap=arguments.without_gap,
     )

@@ -7,12 +7,14 @@ import json
 import numpy as np
 import pytest
 
+from hyst_control.blind_test.error_report import VERDICT
 from hyst_control.blind_test.injected import diagnose_all, load, make
 from hyst_control.blind_test.injected_machines import MODEL_SEEDS, SCORING_SEEDS, TUNING_SEEDS, Clean, Machine, stack_machine
 from hyst_control.blind_test.injected_plan import planned
 from hyst_control.blind_test.injected_scores import injected_metrics, is_covered, named_exactly, named_right, quiet
 from hyst_control.blind_test.injections import OPEN_SET, SINGLES, apply_all, strength_of
 from hyst_control.blind_test.page import write_injected_page, write_page
+from hyst_control.blind_test.scores import metrics
 from hyst_control.errors import InputError
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.reproduction.measured_data import data_folder
@@ -156,11 +158,26 @@ def test_one_page_shows_both_tests(tmp_path):
     said = {**report("effect", "delay"), "unexplained_share": 0.0}
     rows = [(label, said)]
     path = tmp_path / "page.md"
-    pairs = [({"name": "case_0000", "label": {"kind": "none", "names": [], "gap_rms": 0.0, "noise_rms": 1.0}}, report("no_gap"))]
-    write_page(path, injected_metrics(rows), pairs, rows, "blind-test --seed 7", (1, 2), ["a" * 64, "b" * 64], 0)
+    untouched = {
+        "kind": "none",
+        "names": [],
+        "effects": [],
+        "gap_rms": 0.0,
+        "noise_rms": 1.0,
+        "plant": "third",
+        "excitation": "rich",
+        "noise": 0.003,
+    }
+    pairs = [({"name": "case_0000", "label": untouched}, {**report("no_gap"), "processor_seconds": 1.0})]
+    alarm = ({"name": "without_gap/case_0000", "label": untouched}, {"verdict": VERDICT, "effects": [], "error": "no report"})
+    found = [*metrics(pairs, without_gap=[alarm]), *injected_metrics(rows)]
+    digests = {"": "a" * 64, "injected": "b" * 64, "without a gap": "d" * 64}
+    write_page(path, found, pairs, rows, [alarm], "blind-test --seed 7", (1, 2, 5), digests, 0)
     text = path.read_text()
     assert text.index("b" * 64) < text.index("injected, no clean record: top-1 at 3 x | 1.000")
-    assert "1 of the 1 simulated and 1 of the 2 injected cases" in text
+    assert "1 of the 1 simulated cases, 1 of the 2 injected ones, 1 of the 5 further ones without a gap" in text
+    assert "| false alarm on records without a gap | 0.500 |" in text and "| false alarm, third | 0.500 |" in text
+    assert "| without_gap/case_0000 | third, rich, 0.3 % | none | 0.0 | no report |" in text
     assert "| stack | none | 3 | 1 | 1 |" in text
     assert "| case_0000 | stack: full, row 0 | none | delay (sensor) | 3 | effect | delay | yes |" in text
     write_injected_page(path, injected_metrics(rows), rows, "blind-test --injected --seed 7", "c" * 64)
