@@ -435,7 +435,8 @@ def advance_modes_moved(
                 output[row, o] += (outputs[o, i] * (state[1, i] - state[0, i])).real
 
 
-SOFTENING, DAMPING = "softening", "damping"
+SOFTENING = "softening"
+DAMPING = "damping"
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
@@ -461,7 +462,7 @@ def coupled_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     )
 
 
-def by_modes(values: Values, name: str) -> Array:
+def _by_mode(values: Values, name: str) -> Array:
     """The shares of a parameter by mode, as far as a mode has one."""
     return np.array([value for key, value in values.items() if key.startswith(f"{name}_")])
 
@@ -476,7 +477,7 @@ def common(values: Values) -> dict[str, float]:
     """
     found = {}
     for name in (SOFTENING, DAMPING):
-        shares = by_modes(values, name)
+        shares = _by_mode(values, name)
         if len(shares):
             found[name] = float(np.median(shares) or np.mean(np.abs(shares)))
     return found
@@ -495,7 +496,7 @@ def stage(values: Values, around: Surroundings) -> Stage:
     factors = {
         name: tuple(values.get(f"{name}_{mode}", 0.0) / (values[name] or 1.0) for mode in range(len(around.poles)))
         for name in (SOFTENING, DAMPING)
-        if len(by_modes(values, name))
+        if len(_by_mode(values, name))
     }
     return SofteningModes(
         values[SOFTENING],
