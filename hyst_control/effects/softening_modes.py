@@ -440,7 +440,7 @@ DAMPING = "damping"
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """What all modes have in common, in a record's surroundings `around`."""
+    """Softening and damping of all modes alike, in a record's surroundings `around`."""
     return (Parameter(SOFTENING, "", 0.0, (0.002,), -0.2, 0.2, 0.02), Parameter(DAMPING, "", 0.0, (0.0,), -0.9, 5.0, 0.5))
 
 
