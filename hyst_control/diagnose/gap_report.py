@@ -203,10 +203,12 @@ def sentence(report: dict[str, Any]) -> str:
 
     """
     gap, unit = report["gap"], report["gap"]["unit"]
-    size = f"{gap['rms']:.3g} {unit} rms ({gap['nrmse']:.2g} % of range, noise floor {gap['floor_rms']:.3g} {unit})"
-    beside = _beside_session(report)
-    if beside is not None:
-        size += f", {beside:.3g} {unit} apart from the session's zero, drift and initial memory"
+    # What differs between sessions may be many times the gap that is to be explained: a sensor's zero lies anywhere.
+    whole, beside = gap["rms"], _beside_session(report)
+    told = whole if beside is None else beside
+    range_share = gap["nrmse"] * told / whole if whole else 0.0
+    within = "" if beside is None else f"; {whole:.3g} {unit} with the session's zero, drift and initial memory"
+    size = f"{told:.3g} {unit} rms ({range_share:.2g} % of range, noise floor {gap['floor_rms']:.3g} {unit}{within})"
     names = [named(effect) for effect in report["effects"]]
     verdict, reasons = report["verdict"], report.get("reasons", ())
     if verdict == Verdict.NO_GAP.value:

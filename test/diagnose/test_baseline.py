@@ -187,8 +187,8 @@ def test_a_sensor_may_have_its_zero_anywhere(change, names, taken_off):
     if taken_off == 0.0:  # nearly all of the difference is that zero: no coefficient's, and what is beside it is told
         largest = max(report["where"]["stage"], key=lambda row: row["share"])
         assert largest["name"] == "session" and largest["share"] > 0.99
-        told = re.search(r"([\d.]+) um apart from the session's zero", sentence(report))
-        assert told and float(told[1]) < 0.05 * report["gap"]["rms"]
+        told = re.search(r" ([\d.]+) um rms .*; ([\d.]+) um with the session's zero", sentence(report))
+        assert told and float(told[1]) < 0.05 * report["gap"]["rms"] and float(told[2]) == pytest.approx(report["gap"]["rms"], rel=0.01)
 
 
 @pytest.mark.parametrize("frequencies", [(50.0, 50.0), (40.0, 50.0)])
