@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.c_code import COMPLEX, LARGER, CCode, integers, reals
 from hyst_control.chain.chain import Parallel
-from hyst_control.chain.linear import LinearStage, LinearSystem, TransferFunction, stacked
+from hyst_control.chain.linear import LinearStage, LinearSystem, TransferFunction
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, VectorPerAxis, scalar, vector
 from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
@@ -68,9 +68,11 @@ class SofteningModes(Modifier):
             return before
         factors = [self.declarations()[name].spread(getattr(self, name), axes) for name in ("softening_factors", "damping_factors")]
         moved = ModesMoved(cast(LinearStage, before[index]), tuple(softening), tuple(damping), tuple(amplitude), *factors)
-        counts = {max(len(one), len(other)) for one, other in zip(*factors, strict=True)}
         # A mode each, where they differ: a simulation of another value then runs the mode again that it is of.
-        each = [replace(moved, mode=mode) for mode in range(*counts)] if len(counts) == 1 and counts != {1} else [moved]
+        lengths = {(len(one), len(other)) for one, other in zip(*factors, strict=True)}
+        counts = set(lengths.pop()) - {1} if len(lengths) == 1 else set()
+        modes = counts.pop() if len(counts) == 1 else 1
+        each = [moved.of_mode(mode, modes) for mode in range(modes)] if modes > 1 else [moved]
         # Beside all that leads to the mechanics, not beside them alone: a chain merges them with what stands before.
         beside = (*before[:index], Parallel(tuple((one,) for one in each)) if len(each) > 1 else moved)
         return (Parallel((before[: index + 1], beside)), *before[index + 1 :])
@@ -88,6 +90,26 @@ class ModesMoved(Stage):
     damping_factors: tuple[tuple[float, ...], ...]
     mode: int | None = None
     """The only one that it is of, in order of |λ|; None: all."""
+    modes: int = 0
+    """Number of modes that there have to be; 0: any."""
+
+    def of_mode(self, mode: int, modes: int) -> ModesMoved:
+        """The part of one mode, with no number of any other."""
+
+        def own(common: tuple[float, ...], factors: tuple[tuple[float, ...], ...]) -> tuple[float, ...]:
+            return tuple(share * float(of[min(mode, len(of) - 1)]) for share, of in zip(common, factors, strict=True))
+
+        alike = ((1.0,),) * len(self.softening)
+        return ModesMoved(
+            self.base,
+            own(self.softening, self.softening_factors),
+            own(self.damping, self.damping_factors),
+            self.amplitude,
+            alike,
+            alike,
+            mode,
+            modes,
+        )
 
     def linearized(self, axes: int) -> tuple[Stage, ...]:
         return (TransferFunction([0.0], [1.0]),)
@@ -107,17 +129,18 @@ class ModesMovedFilter(Filter):
 
     def __init__(self, systems: list[LinearSystem], stage: ModesMoved, sampling: Sampling) -> None:
         poles, shares = [], []
-        for axis, (own, entering, leaving) in enumerate(map(modal, systems)):
+        for axis, (own, entering, leaving, _) in enumerate(map(modal, systems)):
+            if stage.modes not in (0, len(own)):
+                raise InputError(f"softening_modes: {stage.modes} factors for {len(own)} modes: give one, or one per mode")
             softening = stage.softening[axis] * by_mode("softening_factors", stage.softening_factors[axis], len(own))
             damping = stage.damping[axis] * by_mode("damping_factors", stage.damping_factors[axis], len(own))
             chosen = slice(None) if stage.mode is None else slice(stage.mode, stage.mode + 1)
             poles.append((own[chosen], np.stack([softening, damping], axis=1)[chosen]))
             shares.append((entering[chosen], leaving[:, chosen]))
-        whole = stacked(systems)
         self.poles = np.concatenate([own for own, _ in poles])
         self.change = np.ascontiguousarray(np.concatenate([moved for _, moved in poles]))
         self.inputs, self.outputs = block_diag(*(b for b, _ in shares)), block_diag(*(c for _, c in shares))
-        self.static = np.ascontiguousarray(whole.static_gain() / np.array(stage.amplitude)[:, None])
+        self.static = np.ascontiguousarray(block_diag(*(modal(one)[3] for one in systems)) / np.array(stage.amplitude)[:, None])
         self.step, self.smooth = sampling.sample_time, 1.0 - np.exp(-sampling.sample_time / MEMORY)
         self.held = sampling.hold == "zoh"
         self.state = np.zeros((2, len(self.poles)), dtype=complex)
@@ -187,7 +210,7 @@ class ModesMovedFilter(Filter):
 
 
 @remembered
-def modal(system: LinearSystem) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
+def modal(system: LinearSystem) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128], Array]:
     """Decompose a system into its modes: y = D u + Re Σ c x, dx/dt = λ x + b u.
 
     Parameters
@@ -203,6 +226,8 @@ def modal(system: LinearSystem) -> tuple[NDArray[np.complex128], NDArray[np.comp
         b.
     leaving : ndarray, shape (n, M)
         c.
+    static : ndarray, shape (n, n)
+        Response at rest.
 
     Raises
     ------
@@ -216,7 +241,7 @@ def modal(system: LinearSystem) -> tuple[NDArray[np.complex128], NDArray[np.comp
     one = np.flatnonzero(own.imag >= 0.0)  # of every conjugate pair, whose sum is twice the real part
     one = one[np.argsort(np.abs(own[one]), kind="stable")]
     leaving = (system.C @ vectors)[:, one] * np.where(own[one].imag > 0.0, 2.0, 1.0)
-    return own[one].astype(complex), entering[one], leaving.astype(complex)
+    return own[one].astype(complex), entering[one], leaving.astype(complex), system.static_gain()
 
 
 def by_mode(name: str, factors: tuple[float, ...], modes: int) -> Array:
