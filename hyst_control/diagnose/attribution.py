@@ -222,10 +222,9 @@ def _values(part: AxisDiagnosis, scored: Scored, index: int, settings: Attributi
     begin = part.linearised.count + where.start
     covariance = scored.solution.covariance[begin : begin + member.size, begin : begin + member.size] / part.found.temper
     centre = scored.solution.x[where]
-    random = np.random.default_rng(0)
     lower, upper, _ = member.bounds()
-    spread = np.linalg.cholesky(0.5 * (covariance + covariance.T) + 1e-18 * np.eye(member.size))
-    draws = np.clip(centre + random.standard_normal((settings.draws, member.size)) @ spread.T, lower, upper)
+    freedom = settings.freedom if part.problem.weighs_own_error else np.inf
+    draws = np.clip(centre + deviations(covariance, settings.draws, freedom), lower, upper)
     drawn = [member.values(x) for x in draws]
     found = {}
     for name, value in member.values(centre).items():
@@ -239,6 +238,29 @@ def _values(part: AxisDiagnosis, scored: Scored, index: int, settings: Attributi
             member.units().get(name, ""),
         )
     return found
+
+
+def deviations(covariance: Array, count: int, freedom: float) -> Array:
+    """Draw deviations from an estimate.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (P, P)
+        Of the estimate, for the variance of the samples as it was estimated.
+    count : int
+        Number of draws.
+    freedom : float
+        Degrees of freedom of that variance's estimate; infinite where it is known.
+
+    Returns
+    -------
+    ndarray, shape (count, P)
+        Of Student's t, which is normal where the variance is known.
+    """
+    random = np.random.default_rng(0)
+    spread = np.linalg.cholesky(0.5 * (covariance + covariance.T) + 1e-18 * np.eye(len(covariance)))
+    found = random.standard_normal((count, len(covariance))) @ spread.T
+    return found if np.isinf(freedom) else found * np.sqrt(freedom / random.chisquare(freedom, (count, 1)))
 
 
 def _joined(values: Sequence[dict[str, Value]]) -> dict[str, Value]:

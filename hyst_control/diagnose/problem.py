@@ -105,6 +105,11 @@ class Problem:
         return float(np.mean(np.maximum(self.own_error**2 - noise**2, 0.0) / self.sigma**2))
 
     @property
+    def weighs_own_error(self) -> bool:
+        """True where the model's own error, known from clean records, makes samples worth less."""
+        return self.own_spectrum is not None or self.own_energy > 0.0
+
+    @property
     def is_carried(self) -> bool:
         """True where the model's own error is carried over from a clean record of the same command."""
         return any(isinstance(stage, CarriedError) for stage in self.model.chain.stages)

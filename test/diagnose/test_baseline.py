@@ -188,7 +188,11 @@ def test_a_sensor_may_have_its_zero_anywhere(change, names, taken_off):
         largest = max(report["where"]["stage"], key=lambda row: row["share"])
         assert largest["name"] == "session" and largest["share"] > 0.99
         told = re.search(r" ([\d.]+) um rms .*; ([\d.]+) um with the session's zero", sentence(report))
-        assert told and float(told[1]) < 0.05 * report["gap"]["rms"] and float(told[2]) == pytest.approx(report["gap"]["rms"], rel=0.01)
+        assert (
+            told
+            and float(told[1]) < 0.05 * report["gap"]["rms"]
+            and float(told[2]) == pytest.approx(report["gap"]["rms"], rel=0.01)
+        )
 
 
 @pytest.mark.parametrize("frequencies", [(50.0, 50.0), (40.0, 50.0)])

@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from hyst_control.chain import Chain
 from hyst_control.chain.command_features import CommandFeatures
 from hyst_control.chain.linear import TransferFunction
 from hyst_control.chain.memoryless import Gain
+from hyst_control.diagnose.attribution import deviations
 from hyst_control.diagnose.baseline import with_discrepancy
 from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.evidence_collection import _has_holes
@@ -121,3 +123,14 @@ def test_a_learned_error_that_says_nothing_here_is_left_out():
     known = with_discrepancy(replace(seen, model=replace(seen.model, discrepancy=stated)), CONFIGURATION.baseline)
     predicted = [stage for stage in known.problem.model.chain.stages if isinstance(stage, LearnedError)]
     assert len(predicted) == 1  # the initial memory alone
+
+
+@pytest.mark.parametrize("freedom", [5.0, np.inf])
+def test_an_interval_knows_by_how_many_records_the_own_error_was_estimated(freedom):
+    """Against Student's t: as wide as its quantiles, in every direction of the covariance."""
+    covariance = np.array([[4.0, 1.2], [1.2, 1.0]])
+    drawn = deviations(covariance, 40_000, freedom)
+    due = stats.t(freedom).ppf([0.05, 0.95])
+    assert np.quantile(drawn[:, 0], [0.05, 0.95]) == pytest.approx(2.0 * due, rel=0.03)
+    along = np.linalg.solve(np.linalg.cholesky(covariance), drawn.T)
+    assert np.quantile(along, [0.05, 0.95], axis=1) == pytest.approx(np.stack([due, due], axis=1), rel=0.03)
