@@ -358,9 +358,13 @@ def _carried(
     for piece, found in zip(problem.pieces, matches, strict=True):
         filled = [max(_first_counted(piece), _first_counted(match.clean) - match.shift) for match in found]
         begin, end = max(*(match.begin for match in found), *filled), min(match.end for match in found)
+        # Rows of a warm-up do not count, but they wipe the memory out all the same.
+        wiped = max(
+            wiped_out(piece.command[:end]), *(wiped_out(match.clean.command[: end + match.shift]) - match.shift for match in found)
+        )
         kept = np.zeros(len(piece.command), dtype=bool)
         kept[begin:end] = True
-        kept &= ~_fills_memory(piece.command, begin, end, settings)
+        kept &= ~_fills_memory(piece.command, begin, end, wiped, settings)
         begin = int(np.argmax(kept))
         whole = kept.all() and piece.keep is None
         pieces.append(replace(piece, keep=None if whole else kept if piece.keep is None else kept & piece.keep))
@@ -379,7 +383,7 @@ def _carried(
         run_to_run += [without_zero((error - errors[0])[kept])[0] / np.sqrt(2.0) for error in errors[1:]]
         if len(errors) == 1:
             differences += _between_periods(piece.command[begin:end], errors[0][begin:end], settings)
-            run_to_run += _beside_periods(piece.command[begin:end], errors[0][begin:end], settings)
+            run_to_run += _beside_periods(piece.command[begin:end], errors[0][begin:end], begin + found[0].shift, settings)
     repeatability = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if differences else np.zeros(len(spans))
     usual = np.fmin(np.max(zeros, axis=0), np.array(settings.usual_share) * spans[:, None])
     # Both records of a difference have noise, and the mean of n clean ones a part of it; what is carried has none.
@@ -439,11 +443,13 @@ def as_clean_command(problem: Problem, clean: Problem, settings: BaselineSetting
 
 
 def _fills_memory(
-    command: Array, begin: int, end: int, settings: BaselineSettings
+    command: Array, begin: int, end: int, wiped: int, settings: BaselineSettings
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Rows (N,) from begin on that are left out, because what they hold of the time before the record differs from record to record."""
+    """Rows (N,) from begin on that are left out, because what they hold of the time before the record differs from record to record.
+
+    wiped: row from which nothing is left of it.
+    """
     rows = np.arange(len(command))
-    wiped = begin + wiped_out(command[begin:end])
     most = settings.memory_rows * len(command)
     if wiped - begin <= most:
         return np.asarray(rows < wiped)
@@ -560,15 +566,16 @@ def _between_periods(command: Array, error: Array, settings: BaselineSettings) -
     return [without_zero(later - earlier)[0] for earlier, later in zip(whole[:-1], whole[1:], strict=True)]
 
 
-def _beside_periods(command: Array, error: Array, settings: BaselineSettings) -> list[Array]:
+def _beside_periods(command: Array, error: Array, before: int, settings: BaselineSettings) -> list[Array]:
     """The error (N, A) without its mean over the periods of a periodic command; empty if it is not periodic.
 
-    Of three and more the first is left out: what is left of the memory fills in it.
+    before: rows of the clean record before these. Where they are no whole period, of three and more the first is left out: what is left
+    of the memory fills in it. Behind them it is as good as the others, and few periods tell little of what sessions differ by.
     """
     period = period_of(command, settings.same_command)
     if period is None:
         return []
-    if len(command) >= 3 * period:
+    if len(command) >= 3 * period and before < period:
         error = error[period:]
     count = len(error) // period
     whole = error[: count * period].reshape(count, period, -1)

@@ -134,7 +134,8 @@ class Member:
     def is_at_bound(self, x: Array) -> bool:
         """True where the effect's size is at an end of its range that only the catalogue sets.
 
-        Its first parameter is its size. A bound of 0 is none of these, nor are those of a voltage that begins where the command ends.
+        Its first parameter is its size. The end next to where it is absent is none of these: an effect as small as that is no larger one
+        than the catalogue has. Nor are those of a voltage that begins where the command ends.
 
         Parameters
         ----------
@@ -148,8 +149,8 @@ class Member:
         if self.is_line or not self.parameters or not (np.isfinite(self.parameters[0].absent) or self.parameters[0].logarithmic):
             return False
         size = self.parameters[0]
-        ends = np.array([_scaled(size, end) for end in (size.lower, size.upper) if size.logarithmic or end != 0.0])
-        return bool(np.any(np.abs(x[0] - ends) < AT_BOUND))
+        ends = [end for end in (size.lower, size.upper) if not (end == 0.0 or (end == size.upper and size.absent == np.inf))]
+        return any(abs(x[0] - _scaled(size, end)) < AT_BOUND for end in ends)
 
     def values(self, x: Array) -> dict[str, float]:
         """Convert scaled parameters to values, under the names of the gap report.

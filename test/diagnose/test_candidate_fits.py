@@ -9,6 +9,7 @@ import pytest
 from hyst_control.blind_test.plant_setups import scatter
 from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.diagnosis import with_clean
+from hyst_control.diagnose.hypothesis import catalogue
 from hyst_control.diagnose.hypothesis_search import search
 from hyst_control.diagnose.prepared_axis import prepare
 from test.diagnose.conftest import nominal, record_of
@@ -38,3 +39,14 @@ def test_a_second_order_low_pass_and_a_gain():
     found = search(prepared.linearised, members, 10.0, prepared.floor, prepared.leaves)
     best = max((*found.singles, *found.combinations), key=lambda one: one.score)
     assert best.names == ("amplifier_lowpass", "gain")
+
+
+def test_an_effect_that_is_hardly_there_is_not_beyond_its_range():
+    """A low-pass as fast as the sampling shows is next to none; one as slow as the catalogue has may be slower yet."""
+    record = record_of("pea_published", [])
+    problem = with_clean([record], nominal("pea_published"), 0.0, CONFIGURATION, ())[3][0][0]
+    members = {member.name: member for member in catalogue(problem, {})}
+    for name, fast, slow in (("sensor_lowpass", False, True), ("slew_limit", False, True), ("creep", True, True)):
+        lower, upper, centre = members[name].bounds()
+        assert not members[name].is_at_bound(centre)
+        assert [members[name].is_at_bound(end) for end in (upper, lower)] == [fast, slow]
