@@ -169,7 +169,7 @@ def level_crossings(pieces: Sequence[tuple[Array, Array]], step: float, sigma: f
     pieces : sequence of (ndarray, ndarray)
         Simulation (N,) and measurement (N,) of each stretch of record.
     step : float
-        Step of the measurement's lattice, 0 without: all values stand on one.
+        Step of the measurement's lattice, 0 without: beside noise below it all values stand on levels.
     sigma : float
         Noise of the measurement, rms.
 
@@ -182,7 +182,7 @@ def level_crossings(pieces: Sequence[tuple[Array, Array]], step: float, sigma: f
     reach = STANDS * sigma
     values = np.concatenate([measured for _, measured in pieces])
     lowest, span = float(values.min()), float(np.ptp(values))
-    if step > 0 or not PASSED * reach < span < MOST_LEVELS * reach:
+    if step > sigma or not PASSED * reach < span < MOST_LEVELS * reach:
         return 0
     moved = np.concatenate([np.abs(np.diff(simulated, prepend=simulated[:1])) for simulated, _ in pieces])
     bins = ((values - lowest) / reach).astype(np.int64)

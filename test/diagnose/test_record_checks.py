@@ -207,6 +207,7 @@ def test_a_dead_band_under_the_noise_is_told_by_the_level_that_it_is_passed_on()
     assert passed(play(10.0 * np.sin(2 * np.pi * 8.0 * time))) < 2
     assert passed(motion, fast) < 2 and passed(np.roll(motion, 40), motion) < 2  # a low-pass, a delay
     assert passed(np.round(dead(motion), 1), step=0.1) == 0
+    assert passed(np.round(dead(motion), 2), step=0.01) >= 14  # a lattice that the noise hides
     assert level_crossings([(motion, dead(motion))], 0.0, 0.0) == 0
 
 
