@@ -74,7 +74,7 @@ def commands(case: Case) -> Array:
     return np.concatenate([np.zeros((20, axes)), ramp[:, None] * rows[0], rows])
 
 
-def run_case(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True) -> dict[str, Array]:
+def run_case(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True, later: bool = False) -> dict[str, Array]:
     """Simulate a case.
 
     Parameters
@@ -87,13 +87,15 @@ def run_case(case: Case, effects: bool = True, noisy: bool = True, scattered: bo
         Include the noise.
     scattered
         Include the scatter of its plant.
+    later
+        Another session of the same plant: noise, lost samples, and the phases of the mains and of vibrations are others.
 
     Returns
     -------
     dict[str, Array]
         Signals (N, A) by topic.
     """
-    truth = plant_of(case, effects, noisy, scattered)
+    truth = plant_of(case, effects, noisy, scattered, later)
     rows, setup = commands(case), SETUPS[case.plant]
     if case.excitation != "closed_loop":
         first = truth.reset(rows[0])
@@ -103,7 +105,7 @@ def run_case(case: Case, effects: bool = True, noisy: bool = True, scattered: bo
     return {name: signals[name] for name in ("reference", "feedforward", "feedback", "command", "measurement")}
 
 
-def plant_of(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True) -> Plant:
+def plant_of(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True, later: bool = False) -> Plant:
     """Construct the truth plant of a case, rated for the range in which it is driven.
 
     Parameters
@@ -116,6 +118,8 @@ def plant_of(case: Case, effects: bool = True, noisy: bool = True, scattered: bo
         Include the noise.
     scattered
         Include the scatter of its plant.
+    later
+        Another session of the same plant: noise, lost samples, and the phases of the mains and of vibrations are others.
 
     Returns
     -------
@@ -131,7 +135,8 @@ def plant_of(case: Case, effects: bool = True, noisy: bool = True, scattered: bo
         "effects": [dict(effect) for effect in case.effects] if effects else [],
     }
     noise = case.noise * setup.stroke if noisy else 0.0
-    return load_plant(document, seed=case.seed, sample_time=setup.sample_time, **{**changes, "noise": noise})
+    seed = int(np.random.default_rng([case.seed, 4]).integers(1 << 31)) if later else case.seed
+    return load_plant(document, seed=seed, sample_time=setup.sample_time, **{**changes, "noise": noise})
 
 
 def record_of(case: Case, signals: Mapping[str, Array]) -> Record:

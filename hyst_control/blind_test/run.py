@@ -302,7 +302,9 @@ def jobs_of(folder: Path, left_out: int = 0) -> list[Job]:
 
 
 def add_realized_shrinks(folder: Path, note: Callable[[str], None] = print) -> None:
-    """Add to every shrink that a report predicts the one measured on a fresh record of another excitation.
+    """Add to every shrink that a report predicts the one measured on a fresh record: another session, another excitation.
+
+    A line of the augmented model is left out there, because its phase is that of the diagnosed record.
 
     Parameters
     ----------
@@ -398,6 +400,7 @@ def _add_realized_shrink(job: tuple[dict[str, Any], str, str]) -> None:
     from hyst_control.blind_test.case import Case
     from hyst_control.blind_test.case_records import run_case
     from hyst_control.blind_test.plant_setups import SETUPS
+    from hyst_control.diagnose.augmented_model import without_lines
     from hyst_control.model_file import load_model, simulate
 
     document, path, nominal = job
@@ -415,9 +418,9 @@ def _add_realized_shrink(job: tuple[dict[str, Any], str, str]) -> None:
             duration=document["duration"],
         )
     )
-    signals = run_case(case)
+    signals = run_case(case, later=True)
     command, measured = signals["command"], signals["measurement"]
-    model, better = load_model(nominal), load_model(Path(path).with_suffix(".yaml"))
+    model, better = load_model(nominal), without_lines(load_model(Path(path).with_suffix(".yaml")))
     before, after = (float(np.mean((measured - simulate(m, command)) ** 2)) for m in (model, better))
     floor = (case.noise * SETUPS[case.plant].stroke) ** 2
     realized = 1.0 - (after - floor) / max(before - floor, 1e-300)

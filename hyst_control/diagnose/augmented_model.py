@@ -75,6 +75,24 @@ def augmented(diagnosis: Diagnosis) -> Model | None:
     return model if noise is None else replace(model, noise={**model.noise, "sigma": noise})
 
 
+def without_lines(model: Model) -> Model:
+    """Take the lines out of an augmented model, such as the mains or a vibration, to compare it with a record of another session.
+
+    Their phases are those of the record that was diagnosed; a session has phases of its own.
+
+    Parameters
+    ----------
+    model : Model
+        Augmented model.
+
+    Returns
+    -------
+    Model
+    """
+    lines = {name for name, effect in EFFECTS.items() if effect.line is not None}
+    return model.with_stages([stage for stage in model.chain.stages if stage.name not in lines])
+
+
 def _stage(diagnosis: Diagnosis, name: str, values: Mapping[str, list[float]]) -> Stage:
     simple: dict[str, Any] = {key: slots[0] if len(set(slots)) == 1 else slots for key, slots in values.items()}
     try:

@@ -296,6 +296,10 @@ def in_words(report: dict[str, Any]) -> str:
                 f"      shrink {100 * effect['shrink']:.1f} % as given [{100 * low:.1f} … {100 * high:.1f}], "
                 f"{100 * effect['shrink_reidentified']:.1f} % re-identified"
             )
+            if report["verdict"] == Verdict.UNKNOWN.value and max(effect["shrink"], effect["shrink_reidentified"]) < 0.0:
+                lines.append(
+                    "      it widens the gap: its probability is that among the effects of the catalogue, none of which explains it"
+                )
         if effect["equivalent"]:
             lines.append(f"      cannot be told from: {', '.join(effect['equivalent'])}")
     for title, rows in report["where"].items():

@@ -134,8 +134,8 @@ class Member:
     def is_at_bound(self, x: Array) -> bool:
         """True where the effect's size is at an end of its range that only the catalogue sets.
 
-        Its first parameter is its size. The end next to where it is absent is none of these: an effect as small as that is no larger one
-        than the catalogue has. Nor are those of a voltage that begins where the command ends.
+        Its first parameter is a size, and so are those that say so. The end next to where it is absent is none of these: an effect as
+        small as that is no larger one than the catalogue has. Nor are those of a voltage that begins where the command ends.
 
         Parameters
         ----------
@@ -146,11 +146,13 @@ class Member:
         -------
         bool
         """
-        if self.is_line or not self.parameters or not (np.isfinite(self.parameters[0].absent) or self.parameters[0].logarithmic):
+        if self.is_line:
             return False
-        size = self.parameters[0]
-        ends = [end for end in (size.lower, size.upper) if not (end == 0.0 or (end == size.upper and size.absent == np.inf))]
-        return any(abs(x[0] - _scaled(size, end)) < AT_BOUND for end in ends)
+        return any(
+            _is_at_end(parameter, float(value))
+            for i, (parameter, value) in enumerate(zip(self.parameters, x, strict=True))
+            if i == 0 or parameter.is_size
+        )
 
     def values(self, x: Array) -> dict[str, float]:
         """Convert scaled parameters to values, under the names of the gap report.
@@ -580,6 +582,14 @@ def _suggested(parameter: Parameter, starts: Sequence[float]) -> Parameter:
     """A parameter with the starts that a check of the record suggests, where it takes any."""
     inside = tuple(start for start in starts if parameter.lower <= start <= parameter.upper)
     return replace(parameter, starts=inside) if parameter.suggested and inside else parameter
+
+
+def _is_at_end(size: Parameter, value: float) -> bool:
+    """True where a scaled size is at an end of its range that only the catalogue sets."""
+    if not (np.isfinite(size.absent) or size.logarithmic):
+        return False
+    ends = [end for end in (size.lower, size.upper) if not (end == 0.0 or (end == size.upper and size.absent == np.inf))]
+    return any(abs(value - _scaled(size, end)) < AT_BOUND for end in ends)
 
 
 def _scaled(parameter: Parameter, value: float) -> float:

@@ -25,6 +25,12 @@ from hyst_control.records.quantization_step import quantization_step
 
 NORMAL_95 = 1.645
 """95 % quantile of the normal distribution: half a 90 % interval."""
+STANDS = 4.0
+"""Noise rms within which a measurement stands on one level."""
+PASSED = 10.0
+"""Times as far as these the simulation must pass it meanwhile."""
+MOST_LEVELS = 1e6
+"""Levels up to which a range is resolved: beyond, the noise is that of a simulation without any."""
 
 
 def effect_found_by(check: RecordCheck) -> Effect | None:
@@ -151,6 +157,57 @@ def stuck_stretches(pieces: Sequence[tuple[Array, Array]], step: float, sigma: f
     return stretches[value] if 2 * count > repeats.total() else 0
 
 
+def level_crossings(pieces: Sequence[tuple[Array, Array]], step: float, sigma: float) -> int:
+    """Count passages through one level on which the measurement stands but for its noise, while the simulation moves on.
+
+    A sensor that does not follow about some level lets go on the other side of it. Play and the end of a range let go on the side that the
+    measurement came from. Friction holds at any level, and what a low-pass takes off is missing at any level: what the next level
+    has is taken off.
+
+    Parameters
+    ----------
+    pieces : sequence of (ndarray, ndarray)
+        Simulation (N,) and measurement (N,) of each stretch of record.
+    step : float
+        Step of the measurement's lattice, 0 without: beside noise below it all values stand on levels.
+    sigma : float
+        Noise of the measurement, rms.
+
+    Returns
+    -------
+    int
+        Passages through the level at which the simulation moves most, less those through the next one; 0 where the noise does not
+        resolve the range, or is none.
+    """
+    reach = STANDS * sigma
+    values = np.concatenate([measured for _, measured in pieces])
+    lowest, span = float(values.min()), float(np.ptp(values))
+    if step > sigma or not PASSED * reach < span < MOST_LEVELS * reach:
+        return 0
+    moved = np.concatenate([np.abs(np.diff(simulated, prepend=simulated[:1])) for simulated, _ in pieces])
+    bins = ((values - lowest) / reach).astype(np.int64)
+    travel = np.bincount(bins, moved)
+    first = int(np.argmax(travel))
+    others = np.where(np.abs(np.arange(len(travel)) - first) > PASSED, travel, 0.0)
+    counts = [_passages(pieces, float(np.median(values[bins == one])), reach) for one in (first, int(np.argmax(others)))]
+    return max(counts[0] - counts[1], 0)
+
+
+def _passages(pieces: Sequence[tuple[Array, Array]], level: float, reach: float) -> int:
+    """Stretches within `reach` of a level, entered on one side and left on the other, over which the simulation moves much further."""
+    found = 0
+    for simulated, measured in pieces:
+        on_it = np.abs(measured - level) <= reach
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], on_it, [False]]).astype(int)))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            if begin == 0 or end == len(measured):
+                continue
+            before, after = measured[begin - 1] - level, measured[end] - level
+            passed = (simulated[end - 1] - simulated[begin]) * np.sign(after)
+            found += bool(before * after < 0.0 and passed > 2.0 * PASSED * reach)
+    return found
+
+
 def _chance(values: Array, window: int) -> float:
     """Share of neighbors that coincide by chance in numbers that are rounded to the smallest step that occurs.
 
@@ -201,7 +258,9 @@ def record_evidence(
         rms = float(np.sqrt(share * np.mean(np.abs(np.diff(values)) ** 2)))
         rough = problem.roughness[axis] if problem.roughness else None
         rows = [(piece.counted(piece.command)[:, axis], piece.counted(piece.measurement)[:, axis]) for piece in problem.pieces]
-        stuck = stuck_stretches(rows, step, noise)
+        simulated = np.split(values - residuals[:, axis], np.cumsum([len(measured) for _, measured in rows])[:-1])
+        passages = level_crossings([(one, measured) for one, (_, measured) in zip(simulated, rows, strict=True)], step, noise)
+        stuck = max(stuck_stretches(rows, step, noise), passages)
         found.append(RecordEvidence(len(values), share, count, rms, step, modelled, noise, roughness=rough, stuck=stuck))
     return tuple(found)
 

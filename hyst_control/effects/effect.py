@@ -123,6 +123,8 @@ class Parameter:
         Of such a parameter: those of one response differ in their sensor only, and one simulation shows them all.
     smooth
         Change over which the output is nearly straight in it, in its unit, where that is less than a fiftieth of the scale; 0 otherwise.
+    is_size
+        Whether it is a size of the effect, as the first parameter always is: at an end of its range the effect is not known.
     """
 
     name: str
@@ -138,6 +140,7 @@ class Parameter:
     sensor: int | None = None
     response: str = ""
     smooth: float = 0.0
+    is_size: bool = False
 
 
 @dataclass(frozen=True)

@@ -163,8 +163,10 @@ EFFECT = Effect(
     "The single-valued curve under the loops is bent, evenly or oddly, or tilted.",
     lambda around: (
         Parameter("even", "", 0.0, (0.005,), -_reach(around), _reach(around), _usual(around), told=False),
-        Parameter("odd", "", 0.0, (0.0,), -_reach(around), _reach(around), _usual(around), told=False),
-        Parameter("tilt", "", 0.0, (0.0,), -2.0 * _reach(around), 2.0 * _reach(around), 1.5 * _usual(around), told=False),
+        Parameter("odd", "", 0.0, (0.0,), -_reach(around), _reach(around), _usual(around), told=False, is_size=True),
+        Parameter(
+            "tilt", "", 0.0, (0.0,), -2.0 * _reach(around), 2.0 * _reach(around), 1.5 * _usual(around), told=False, is_size=True
+        ),
         Parameter("behind", "", 0.0, (0.0, 1.0), 0.0, 1.0, 1.0, told=False),
     ),
     shape,

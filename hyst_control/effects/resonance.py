@@ -90,7 +90,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     return (
         Parameter("frequency", "Hz", starts[30], starts, lower, upper, 1.0, True),
         Parameter("damping", "", 0.02, (0.03,), 0.002, 0.2, 1.0, True),
-        Parameter("gain", "", 0.0, (0.01,), -1.0, 1.0, 0.1),
+        Parameter("gain", "", 0.0, (0.01,), -1.0, 1.0, 0.1, is_size=True),
         Parameter("quadrature", "", 0.0, (0.0,), -1.0, 1.0, 0.03, told=False),
         Parameter("deflection", "", 1.0, (0.7,), 0.0, 1.0, 0.5, told=False),
     )

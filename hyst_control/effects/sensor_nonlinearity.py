@@ -110,7 +110,10 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     # No bend is larger than what is measured; how large a usual one is does not depend on that.
     most, fewer, usual = (0.05 * size, 0.02 * size, 0.002 * size) if around.slowest is None else (size, 0.4 * size, 0.01 * size)
     return (
-        *(Parameter(name, "unit", 0.0, (0.002 * size,), -most, most, 0.01 * wide * size) for name in ("second", "third")),
+        *(
+            Parameter(name, "unit", 0.0, (0.002 * size,), -most, most, 0.01 * wide * size, is_size=True)
+            for name in ("second", "third")
+        ),
         Parameter("ratio", "", 0.0, (0.0,), -8.0, 8.0, 2.0, told=False),
         *(Parameter(name, "unit", 0.0, (0.0,), -fewer, fewer, usual, told=False) for name in ("fourth", "fifth")),
         *([Parameter("slope", "", 0.0, (0.0,), -8.0, 8.0, 2.0, told=False)] if around.slowest is not None else []),

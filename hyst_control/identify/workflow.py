@@ -26,6 +26,11 @@ from hyst_control.records.record_validity import Trial, check_records, refuse_in
 
 AUTO = "auto"
 """In place of a family: the best one."""
+BY_THEMSELVES = (
+    "auto tries no family whose axes are coupled: where the command of one axis moves another, name one, such as --model mhl or "
+    "--model linear"
+)
+"""Note on several axes where no family was named."""
 TOPICS = ("command", "measurement")
 LONGEST_JUDGED = 2**22
 """Rows of a record, from its beginning, by which it is judged whether it is a measurement of its command: 84 s at 50 kHz."""
@@ -177,6 +182,7 @@ def identify_bags(
         *notes,
         *differing,
         *fit.report["notes"],
+        *([BY_THEMSELVES] if not named and len(fit.model.axes) > 1 else []),
     ]
     judged: Report = {**fit.report, "verdict": verdict, "explained": shares, "bags": [str(bag) for bag in bags], "notes": notes}
     fit = replace(fit, report=judged)

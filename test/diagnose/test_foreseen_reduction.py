@@ -14,6 +14,7 @@ from hyst_control.blind_test.case import Case
 from hyst_control.blind_test.case_records import record_of, run_case
 from hyst_control.blind_test.nominal_models import nominal
 from hyst_control.blind_test.plant_setups import SETUPS
+from hyst_control.blind_test.run import _add_realized_shrink, _diagnose_one, _make_one
 from hyst_control.cli import main
 from hyst_control.diagnose import workflow
 from hyst_control.diagnose.baseline import Baseline
@@ -67,6 +68,35 @@ def test_the_shrink_foreseen_is_the_one_then_measured(plant, answer):
     assert own[1] == pytest.approx(np.sum(9.0 * floor - part.problem.sigma**2), rel=1e-6)
     if plant == "pea_published":  # on the record itself it is another one: another command excites other things
         assert abs(document["effects"][0]["shrink"] - foreseen.shrink) > 0.2
+
+
+def test_a_line_is_in_the_gap_of_another_session_whatever_was_found(tmp_path):
+    """The mains have another phase a day later, so that no model foresees them: their energy is what both gaps have.
+
+    With the phase of the diagnosed record the line doubles it on average, and is no prediction.
+    """
+    amplitude, frequency = 0.03, 50.0
+    hum = {"name": "mains_hum", "amplitude": amplitude, "frequency": frequency}
+    case = Case("case", "pea_published", "single", "rich", NOISE, 21, (hum,), off=0.0, duration=0.75)
+    document, report, file = _make_one((case, str(tmp_path), NOISE)), tmp_path / "case.json", tmp_path / "case" / "model.yaml"
+    save_model(nominal(case.plant, NOISE), file)
+    _diagnose_one((str(tmp_path / "case"), str(report), tuple(name for name in EFFECTS if name not in ("mains_hum", "delay"))))
+    _add_realized_shrink((document, str(report), str(file)))
+    found = json.loads(report.read_text())
+    assert [effect["name"] for effect in found["effects"]] == ["mains_hum"] and found["effects"][0]["shrink"] > 0.95
+
+    fresh = replace(case, excitation="multisine")
+    first, later = (
+        run_case(fresh, noisy=False, later=other)["measurement"]
+        - run_case(fresh, effects=False, noisy=False, later=other)["measurement"]
+        for other in (False, True)
+    )
+    energy = 0.5 * amplitude**2 * (1.0 + 0.3**2 + 0.1**2)
+    assert np.mean(first**2) == pytest.approx(energy, rel=0.01) and np.mean(later**2) == pytest.approx(energy, rel=0.01)
+    assert np.mean((later - first) ** 2) > 0.1 * energy  # another phase, of the same plant
+    assert found["foreseen"]["rms_before"] == pytest.approx(np.sqrt(energy), rel=0.03)
+    assert found["foreseen"]["shrink"] == pytest.approx(0.0, abs=0.02)
+    assert found["shrink_realised"][1] == pytest.approx(0.0, abs=0.02)
 
 
 def test_the_command_line_tells_what_is_foreseen(answer, tmp_path, capsys, monkeypatch):

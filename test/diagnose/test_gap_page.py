@@ -10,7 +10,7 @@ import pytest
 from hyst_control.config_files import config_path
 from hyst_control.diagnose.coefficient_changes import coefficient_changes
 from hyst_control.diagnose.gap_page import envelope, taken_off, write_page
-from hyst_control.diagnose.gap_report import named, sentence
+from hyst_control.diagnose.gap_report import in_words, named, sentence
 from hyst_control.diagnose.rejected_hypotheses import rejected
 from hyst_control.diagnose.slow_loops import slow_loops
 from hyst_control.effects import EFFECTS
@@ -46,6 +46,15 @@ def test_the_page_says_the_verdict_and_stands_alone(page):
     assert not re.search(r"<(script|link|img)[^>]+(src|href)=['\"]?https?:", text)
     marked = re.findall(r"stroke='#c2542d'", text)
     assert len(marked) == 1  # the delay's one place
+
+
+@pytest.mark.parametrize("verdict, shrink, told", [("unknown", -0.5, True), ("unknown", 0.2, False), ("effect", -0.5, False)])
+def test_an_effect_that_widens_the_gap_does_not_stand_as_sure(page, verdict, shrink, told):
+    """Its probability is that among the catalogue's effects; of an unknown gap the report says so."""
+    document = page[1]
+    effect = {**document["effects"][0], "probability": 1.0, "shrink": shrink, "shrink_reidentified": shrink}
+    said = in_words({**document, "verdict": verdict, "unexplained_share": 1.0, "effects": [effect]})
+    assert "probability 1.00" in said and ("it widens the gap" in said) == told
 
 
 def test_the_page_of_no_gap_is_written_too(few, tmp_path):

@@ -12,7 +12,15 @@ from hyst_control.chain.linear import StateSpace, TransferFunction
 from hyst_control.diagnose.flicker_estimation import flicker
 from hyst_control.diagnose.gap_report import sentence
 from hyst_control.diagnose.problem import Piece, Problem
-from hyst_control.diagnose.record_checks import background, lattice_of, lines, outliers, repeated_samples, stuck_stretches
+from hyst_control.diagnose.record_checks import (
+    background,
+    lattice_of,
+    level_crossings,
+    lines,
+    outliers,
+    repeated_samples,
+    stuck_stretches,
+)
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model, simulate
@@ -171,6 +179,36 @@ def test_a_dead_band_comes_back_to_one_value_and_held_samples_do_not():
     assert stuck(np.round(measured, 1), step=0.1) == 0
     assert stuck(dead, drive=np.zeros(4000)) == 0  # at rest it may stand where it likes
     assert stuck_stretches([(command, np.minimum(command, 0.9))], 0.0, 0.0) == 0
+
+
+def test_a_dead_band_under_the_noise_is_told_by_the_level_that_it_is_passed_on():
+    """Noise behind the band: no value comes back. What stands elsewhere, or turns there, is none."""
+    random, time = np.random.default_rng(8), np.arange(8000) / 8000
+    motion = 10.0 * np.sin(2 * np.pi * 8.0 * time) * (1.0 - 0.5 * time)
+    fast = motion + 1.5 * np.sin(2 * np.pi * 300.0 * time)
+
+    def passed(values, simulated=motion, noise=0.02, step=0.0):
+        return level_crossings([(simulated, values + noise * random.normal(size=len(values)))], step, 0.02)
+
+    def play(values, half=1.0):
+        place = np.zeros_like(values)
+        for k in range(1, len(values)):
+            place[k] = np.clip(place[k - 1], values[k] - half, values[k] + half)
+        return place
+
+    def dead(values, half=1.0):
+        return values - np.clip(values, -half, half)
+
+    assert passed(dead(motion)) >= 14  # twice in each of eight periods
+    assert passed(dead(motion + 1.0, 1.2), 1.1 * motion + 1.0) >= 14
+    assert passed(dead(motion), noise=0.0) >= 14
+    assert passed(motion) == 0 and passed(0.8 * motion) == 0
+    assert passed(np.minimum(motion, 4.0)) < 2  # turns where it came from
+    assert passed(play(10.0 * np.sin(2 * np.pi * 8.0 * time))) < 2
+    assert passed(motion, fast) < 2 and passed(np.roll(motion, 40), motion) < 2  # a low-pass, a delay
+    assert passed(np.round(dead(motion), 1), step=0.1) == 0
+    assert passed(np.round(dead(motion), 2), step=0.01) >= 14  # a lattice that the noise hides
+    assert level_crossings([(motion, dead(motion))], 0.0, 0.0) == 0
 
 
 def test_the_sentence_says_why_nothing_known_explains_a_gap():

@@ -7,8 +7,9 @@ import pytest
 
 from hyst_control.cli import main
 from hyst_control.errors import InputError
-from hyst_control.identify import workflow
+from hyst_control.identify import estimators, workflow
 from hyst_control.identify.dataset import Dataset, Fit
+from hyst_control.identify.estimator import every_option
 from hyst_control.identify.explained_share import explained_shares, useless
 from hyst_control.identify.workflow import identify_bags
 from hyst_control.model_file import Model, load_model, model_from_document
@@ -134,3 +135,24 @@ def test_a_forced_fit_keeps_what_was_found(tmp_path, monkeypatch, capsys):
     assert main(words) == 3 and output.exists()
     document = json.loads(json_path.read_text())
     assert document["verdict"] == "invalid_record" and "bag: x: the command explains the measurement when" in document["notes"][0]
+
+
+@pytest.mark.parametrize("named", [None, "auto", "linear"])
+def test_a_choice_between_families_says_that_none_of_them_couples_axes(named, tmp_path, monkeypatch):
+    """Several axes that were identified one by one, because nobody named a family."""
+    document = {"name": "made", "axes": ["x", "y"], "sample_time": STEP, "units": {"command": "V", "measurement": "um"}}
+    model = model_from_document(
+        {"format": "hyst_control/model", "version": 1, **document, "chain": [{"stage": "gain", "gain": [0.4, 0.4]}]}
+    )
+    report = {"family": "made", "method": "joint", "unit": "um", "records": [], "parameters": [], "notes": []}
+    monkeypatch.setattr(workflow, "identified", lambda *_, **__: Fit(model, dict(report)))
+    command = np.column_stack([DRIVE, DRIVE[::-1]])
+    signals = {"command": Signal(TIME, command, ("x", "y"), "V"), "measurement": Signal(TIME, 0.4 * command, ("x", "y"), "um")}
+    write_bag(tmp_path / "bag", Record(signals, "made"))
+    notes = identify_bags([tmp_path / "bag"], named, tmp_path / "model.yaml").fit.report["notes"]
+    told = [note for note in notes if "whose axes are coupled" in note]
+    assert len(told) == (0 if named == "linear" else 1)
+    # None of the families that are compared couples axes, and those that do are named.
+    coupling = {family for name in ("coupled", "cross_coupling") for family in every_option()[name]}
+    assert coupling and not any(estimators()[family].suggested or estimators()[family].second_choice for family in coupling)
+    assert all(f"--model {family}" in workflow.BY_THEMSELVES for family in coupling)
