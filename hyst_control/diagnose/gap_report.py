@@ -220,10 +220,15 @@ def sentence(report: dict[str, Any]) -> str:
         near = f"; the nearest, {' and '.join(names)}, leaves {100 * report['unexplained_share']:.0f} % of it" if names else ""
         if report.get("distortions") and Reason.ENERGY_LEFT.value not in reasons:
             worst = report["distortions"][0]
-            near = (
-                f"; {worst['name'].replace('_', ' ')} is the nearest, but its size would have to change by "
-                f"{100 * abs(worst['change']):.0f} % with {DISTORTED_BY[worst['variable']]}"
-            )
+            if worst["name"] in {effect["name"] for effect in report["effects"]}:
+                near = (
+                    f"; {worst['name'].replace('_', ' ')} is the nearest, but its size would have to change by "
+                    f"{100 * abs(worst['change']):.0f} % with {DISTORTED_BY[worst['variable']]}"
+                )
+            else:  # of the record itself, whatever is named
+                near = "; the measurement stands on one level while the command moves on"
+        elif names and Reason.AT_BOUND.value in reasons and Reason.ENERGY_LEFT.value not in reasons:
+            near = f"; {' and '.join(names)} would, with a size at the end of its range"
         elif names and Reason.TOO_MANY_EFFECTS.value in reasons and Reason.ENERGY_LEFT.value not in reasons:
             near = f"; it would take {' and '.join(names)} at once, and an effect outside the catalogue is more likely"
         return f"No known effect explains the gap of {size}{near}."
