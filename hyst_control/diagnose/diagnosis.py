@@ -26,10 +26,11 @@ from hyst_control.diagnose.hypothesis_fit import Linearised
 from hyst_control.diagnose.hypothesis_search import Found, Scored, search
 from hyst_control.diagnose.null_distribution import threshold
 from hyst_control.diagnose.passed_error import passed_error
-from hyst_control.diagnose.policy import contenders, decide, not_received
+from hyst_control.diagnose.policy import contenders, decide
 from hyst_control.diagnose.prepared_axis import clean_rows, is_used, nominal_residuals, prepare, with_noise
 from hyst_control.diagnose.problem import Piece, Problem, check_command, check_units, split
 from hyst_control.diagnose.record_checks import held_at_one_value
+from hyst_control.diagnose.record_findings import not_received
 from hyst_control.diagnose.seen_in_clean import CleanRecords
 from hyst_control.diagnose.verdict import Decision
 from hyst_control.effects.effect import RecordCheck

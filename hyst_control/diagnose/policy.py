@@ -23,17 +23,12 @@ from hyst_control.diagnose.evidence import (
     CompanionEvidence,
     DistortionEvidence,
     Evidence,
-    Finding,
-    FlickerEvidence,
     HypothesisEvidence,
     Outliers,
-    RecordEvidence,
-    ResidualEvidence,
-    RoughnessEvidence,
 )
-from hyst_control.diagnose.record_checks import excess_noise, held_at_one_value, held_samples, rounded_command, rounding
+from hyst_control.diagnose.record_checks import held_at_one_value
+from hyst_control.diagnose.record_findings import findings, flicker_found, is_stuck, outweighs, residual_of, share_of_outliers
 from hyst_control.diagnose.verdict import Decision, JointDecision, Reason, Verdict
-from hyst_control.effects.effect import RecordCheck
 
 PARAMETERS = ("parameters",)
 """Key of the coefficients alone in `Decision.probability`."""
@@ -80,16 +75,16 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
 
     """
     claims = _claims(evidence, thresholds)
-    noise = _flicker(evidence, _first(claims), thresholds)
-    outweighed = noise is not None and _outweighs(noise, evidence, _first(claims))
+    noise = flicker_found(evidence, _first(claims), thresholds)
+    outweighed = noise is not None and outweighs(noise, evidence, _first(claims))
     if outweighed:
         claims = _claims(evidence, thresholds, with_effects=False)
     chosen = _first(claims)
     probability = _probabilities(evidence, claims, thresholds)
-    findings, outliers = _findings(evidence, chosen, noise, thresholds)
+    shown, outliers = findings(evidence, chosen, noise, thresholds)
     left = 0.0 if outweighed else _remainder(evidence, chosen, thresholds)
-    remainder = max([left, *(_share_of_outliers(evidence, one) for one in outliers)])
-    companions = tuple(one for one in _residual(evidence, chosen).companions if _unusual(one, evidence, thresholds))
+    remainder = max([left, *(share_of_outliers(evidence, one) for one in outliers)])
+    companions = tuple(one for one in residual_of(evidence, chosen).companions if _unusual(one, evidence, thresholds))
 
     left_too_much, too_many = left > thresholds.unknown_share, _too_many(evidence, chosen, thresholds)
     distorted = _distorted(evidence, chosen, thresholds)
@@ -110,14 +105,14 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
             reasons |= {Reason.TOO_MANY_EFFECTS}
     elif len(listed) > 1:
         verdict, reasons = Verdict.AMBIGUOUS, {Reason.SEVERAL_EXPLANATIONS}
-    elif effects or findings or (companions and not listed):
+    elif effects or shown or (companions and not listed):
         verdict = Verdict.EFFECT
         if companions:
             reasons |= {Reason.SESSION_DIFFERS}
         if effects:
             sure = probability[key(evidence.hypotheses[chosen])] >= thresholds.sure_probability
             reasons |= {Reason.ONE_EXPLANATION if sure else Reason.NO_OTHER_EXPLANATION}
-        if findings:
+        if shown:
             reasons |= {Reason.RECORD_CHECK} | ({Reason.NOISE_EXPLAINS_MORE} if outweighed else set())
     elif listed:
         verdict, reasons = Verdict.PARAMETERS, {Reason.COEFFICIENTS_BEYOND_TOLERANCE}
@@ -131,7 +126,7 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
         listed,
         probability,
         remainder,
-        findings,
+        shown,
         outliers,
         companions,
         distorted,
@@ -158,71 +153,6 @@ def contenders(evidence: Evidence, thresholds: Thresholds) -> tuple[int, ...]:
     """
     first = _first(_claims(evidence, thresholds))
     return tuple(sorted({0, first, _first(_claims(evidence, thresholds, with_effects=False))}))
-
-
-def detected(record: Sequence[RecordEvidence], checks: Collection[RecordCheck], thresholds: Thresholds) -> tuple[Finding, ...]:
-    """Repeated samples, lattices and commands that were not received as recorded, which the fits have to know of.
-
-    Parameters
-    ----------
-    record : sequence of RecordEvidence
-        By axis.
-    checks : collection of RecordCheck
-        Checks whose effect is in the catalogue.
-    thresholds : Thresholds
-        Values of the configuration.
-
-    Returns
-    -------
-    tuple of Finding
-
-    """
-    found = []
-    for axis, seen in enumerate(record):
-        least = thresholds.repeated_share_on_lattice if seen.step else thresholds.repeated_share
-        new = seen.repeated - seen.usual_repeated
-        repeats = new * seen.repeats_counted > thresholds.repeats and seen.repeated > least
-        repeats &= seen.repeated > thresholds.beyond_clean * seen.usual_repeated
-        if RecordCheck.REPEATED_VALUES in checks and repeats:
-            found.append(held_samples(seen, axis))
-        coarse = seen.step > 0 and seen.step / np.sqrt(12.0) > thresholds.lattice_noise * seen.noise
-        coarse &= seen.step > thresholds.beyond_clean * seen.usual_step
-        if RecordCheck.VALUE_LATTICE in checks and coarse and not seen.step_modelled:
-            found.append(rounding(seen, axis))
-        rough = seen.roughness is not None and seen.roughness.rms > thresholds.beyond_clean * seen.usual_roughness
-        if RecordCheck.COMMAND_LATTICE in checks and rough:
-            found.append(rounded_command(seen, axis))
-    return tuple(found)
-
-
-def not_received(seen: RoughnessEvidence, thresholds: Thresholds) -> bool:
-    """True where a recorded command is rough as a rounded one is, and the plant did not receive that.
-
-    Parameters
-    ----------
-    seen : RoughnessEvidence
-        Of an axis.
-    thresholds : Thresholds
-        Values of the configuration.
-
-    Returns
-    -------
-    bool
-    """
-    rounded = (
-        seen.share < thresholds.rough_share
-        and seen.correlation < max(thresholds.rough_correlation, thresholds.rough_scatter / float(np.sqrt(seen.samples)))
-        and seen.tail < thresholds.rough_tail
-    )
-
-    def absent(received: float, deviation: float) -> bool:
-        return abs(received) <= max(thresholds.rough_received, thresholds.rough_scatter * deviation)
-
-    known = -seen.coefficient > thresholds.rough_deviations * seen.deviation
-    within = absent(seen.coefficient + 1.0, 0.0) and all(absent(value + 1.0, spread) for value, spread in seen.bands)
-    # Of many times at which an echo may come, the largest by chance is farther off than one is.
-    chance = seen.deviation * float(np.sqrt(2.0 * np.log(seen.samples))) / max(thresholds.rough_scatter, 1e-300)
-    return rounded and known and within and absent(seen.echo, chance + 0.25 * seen.deviation)
 
 
 def practical_floor(spans: Array, steps: Array, stated: Array, noise: Array, thresholds: Thresholds) -> float:
@@ -451,16 +381,9 @@ def _unusual(companion: CompanionEvidence, evidence: Evidence, thresholds: Thres
     return companion.rms > evidence.floor * evidence.noise[companion.axis] and abs(companion.value) > least
 
 
-def _residual(evidence: Evidence, index: int) -> ResidualEvidence:
-    residual = evidence.hypotheses[index].residual
-    if residual is None:
-        raise ValueError(f"hypothesis {index}: collect the evidence on what it leaves before deciding")
-    return residual
-
-
 def _remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
     """Share of the gap's energy that the chosen explanation leaves, 0 where that is under the floor."""
-    after, due = _residual(evidence, chosen).energy, _due(evidence, chosen)
+    after, due = residual_of(evidence, chosen).energy, _due(evidence, chosen)
     if not after - due > max(evidence.floor**2, thresholds.least_excess * due):
         return 0.0
     return _share_left(evidence, chosen, thresholds)
@@ -468,11 +391,11 @@ def _remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float
 
 def _share_left(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
     """Share of the gap's energy that the chosen explanation leaves, however little that is."""
-    before, after = evidence.hypotheses[0].energy, _residual(evidence, chosen).energy
+    before, after = evidence.hypotheses[0].energy, residual_of(evidence, chosen).energy
     due = _due(evidence, chosen)
     # What does not follow the command varies from run to run, and no effect would explain it. Where clean records show how much that
     # is, many times as much is something new all the same.
-    left, follows = after - due, _residual(evidence, chosen).predictable
+    left, follows = after - due, residual_of(evidence, chosen).predictable
     usual = thresholds.run_to_run * evidence.stated if evidence.stated > 1.0 or evidence.whitened else np.inf
     new = follows * left + max((1.0 - follows) * left - usual, 0.0)
     return float(np.clip(new / max(before - evidence.stated, 1e-12), 0.0, 1.0))
@@ -490,13 +413,13 @@ def _unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> flo
     beyond = (1.0 - min(thresholds.many_tolerances / max(one.farthest, 1e-300), 1.0)) ** 2
     if before <= thresholds.least_excess * evidence.stated:
         return beyond  # coefficients took all of it
-    return max(beyond, float(np.clip((_residual(evidence, chosen).energy - _due(evidence, chosen)) / before, 0.0, 1.0)))
+    return max(beyond, float(np.clip((residual_of(evidence, chosen).energy - _due(evidence, chosen)) / before, 0.0, 1.0)))
 
 
 def _half_explained(evidence: Evidence, chosen: int, unexplained: float, thresholds: Thresholds) -> bool:
     """True where effects are named that explain no more than a part: what is left, or coefficients far away take up, is another part."""
     one, due = evidence.hypotheses[chosen], _due(evidence, chosen)
-    left = _residual(evidence, chosen).energy - due > max(evidence.floor**2, thresholds.least_excess * due)
+    left = residual_of(evidence, chosen).energy - due > max(evidence.floor**2, thresholds.least_excess * due)
     far = one.farthest > thresholds.many_tolerances
     return bool(one.names) and (left or far) and unexplained > thresholds.named_unexplained_share
 
@@ -504,7 +427,7 @@ def _half_explained(evidence: Evidence, chosen: int, unexplained: float, thresho
 def _due(evidence: Evidence, chosen: int) -> float:
     """Energy that the right explanation leaves: the one that the model states, its own error as the effects pass it on."""
     own = evidence.stated if evidence.whitened else evidence.stated - 1.0
-    return evidence.stated + own * max(_residual(evidence, chosen).passed - 1.0, 0.0)
+    return evidence.stated + own * max(residual_of(evidence, chosen).passed - 1.0, 0.0)
 
 
 def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
@@ -531,13 +454,13 @@ def _distorted(evidence: Evidence, chosen: int, thresholds: Thresholds) -> tuple
     """
     found = list(_failed_tests(evidence, chosen, thresholds))
     if not evidence.repeating.intersection(evidence.hypotheses[chosen].names):
-        found += [held_at_one_value(seen) for seen in evidence.record if _stuck(seen, thresholds)]
+        found += [held_at_one_value(seen) for seen in evidence.record if is_stuck(seen, thresholds)]
     return tuple(sorted(found, key=lambda one: -one.statistic))
 
 
 def _failed_tests(evidence: Evidence, index: int, thresholds: Thresholds) -> tuple[DistortionEvidence, ...]:
     """Distortion tests of a hypothesis' effects that exceed every threshold."""
-    residual = _residual(evidence, index)
+    residual = residual_of(evidence, index)
     exceeds = residual.energy > (1.0 + thresholds.least_excess) * _due(evidence, index)
     least = thresholds.distortion_whitened if evidence.whitened else evidence.null + thresholds.margin
     return tuple(
@@ -557,10 +480,10 @@ def _novelty(
 
     A rule of several conditions counts as its weakest one. Nothing is truncated, so that cases short of every threshold are in order.
     """
-    one, residual, due = evidence.hypotheses[chosen], _residual(evidence, chosen), _due(evidence, chosen)
+    one, residual, due = evidence.hypotheses[chosen], residual_of(evidence, chosen), _due(evidence, chosen)
     beyond = (residual.energy - due) / max(evidence.floor**2, thresholds.least_excess * due)
     unexplained = _unexplained(evidence, chosen, thresholds)
-    signs = [0.0, *(_share_of_outliers(evidence, found) / thresholds.unknown_share for found in outliers)]
+    signs = [0.0, *(share_of_outliers(evidence, found) / thresholds.unknown_share for found in outliers)]
     if not outweighed:
         signs.append(min(beyond, _share_left(evidence, chosen, thresholds) / thresholds.unknown_share))
     if one.names:
@@ -590,95 +513,6 @@ def _novelty(
         signs.append(np.nextafter(1.0, 2.0))  # how far beyond its range the effect would be nobody knows
     clearest = max(signs)
     return float(clearest / (1.0 + clearest))
-
-
-def _stuck(seen: RecordEvidence, thresholds: Thresholds) -> bool:
-    """True where the measurement comes back to one value again and again, and does not in clean records."""
-    return seen.stuck >= thresholds.stuck and seen.stuck > thresholds.beyond_clean * seen.usual_stuck
-
-
-def _share_of_outliers(evidence: Evidence, outliers: Outliers) -> float:
-    """Share of the gap's energy that is outliers, which no effect of the catalogue is."""
-    energy = (outliers.rms / evidence.noise[outliers.axis]) ** 2 / len(evidence.noise)
-    return float(np.clip(energy / max(evidence.hypotheses[0].energy - 1.0, 1e-12), 0.0, 1.0))
-
-
-def _flicker(evidence: Evidence, first: int, thresholds: Thresholds) -> FlickerEvidence | None:
-    """1/f noise in what the coefficients leave, if it explains more than the best explanation, else in what that leaves."""
-    if RecordCheck.FALLING_SPECTRUM not in evidence.checks:
-        return None
-    for index in (0, first):
-        seen = _residual(evidence, index).flicker
-        if seen is None or not seen.plausible:
-            continue
-        size = thresholds.flicker_size_beside_one if evidence.clean_noise else thresholds.flicker_size
-        large = seen.rms > max(evidence.floor, size)
-        if large and seen.gain > evidence.null + thresholds.margin + thresholds.flicker_margin:
-            if index == first or _outweighs(seen, evidence, first):
-                return seen
-        if large and index == first and _falls_to_the_top(seen, evidence, first, thresholds):
-            return seen
-    return None
-
-
-def _falls_to_the_top(seen: FlickerEvidence, evidence: Evidence, first: int, thresholds: Thresholds) -> bool:
-    """True where noise in excess of the stated one falls with frequency up to the top of the spectrum, so that it is not white.
-
-    The weight of a sample, by the model's own error, is for what is slow; at the top of the spectrum the noise is what there is.
-    """
-    (white, *_), (stated, *_) = _residual(evidence, first).white, evidence.stated_noise
-    sure = seen.gain > evidence.weight * (evidence.null + thresholds.margin + thresholds.flicker_margin)
-    return 0.0 < thresholds.excess_ratio * stated < white and seen.top > thresholds.flicker_hides and sure
-
-
-def _outweighs(noise: FlickerEvidence, evidence: Evidence, first: int) -> bool:
-    """True where 1/f noise explains more than the best explanation does."""
-    one = evidence.hypotheses[first]
-    return not one.names or noise.gain > evidence.temper * (evidence.hypotheses[0].misfit - one.misfit)
-
-
-def _findings(
-    evidence: Evidence, chosen: int, noise: FlickerEvidence | None, thresholds: Thresholds
-) -> tuple[tuple[Finding, ...], tuple[Outliers, ...]]:
-    """Effects without a waveform, and excess noise that is outliers."""
-    holds = bool(evidence.repeating.intersection(evidence.hypotheses[chosen].names))
-    found = [
-        finding
-        for finding in detected(evidence.record, evidence.checks, thresholds)
-        if not (finding.check is RecordCheck.REPEATED_VALUES and (holds or _stuck(evidence.record[finding.axis], thresholds)))
-    ]
-    outliers: list[Outliers] = []
-    hidden = noise is not None and noise.top > thresholds.flicker_hides
-    if RecordCheck.WHITE_SPECTRUM in evidence.checks and not hidden:
-        residual = _residual(evidence, chosen)
-        for axis, measured in enumerate(residual.white):
-            # What is rough in a command is in no residual, since fits go on without it.
-            others = [one for one in found if one.axis == axis and one.check is not RecordCheck.COMMAND_LATTICE]
-            if any(finding.check is RecordCheck.REPEATED_VALUES for finding in others):
-                continue
-            white = measured if noise is None else noise.white * evidence.noise[0] / thresholds.flicker_white
-            more = excess_noise(white, evidence.stated_noise[axis], others, axis, evidence.noise_bins, thresholds.excess_ratio)
-            count, rms = residual.outliers[axis], residual.outliers_rms[axis]
-            few = thresholds.few_outliers <= count <= thresholds.many_outliers * evidence.rows
-            # Where nobody states the noise, single samples that are nearly all of it are no noise either.
-            whole = more.rms if more is not None else white if evidence.stated_noise[axis] <= 0.0 else np.inf
-            if few and rms > thresholds.outliers_share * whole:
-                outliers.append(Outliers(axis, count, rms))
-            elif more is not None and not _is_own_error(more, evidence, thresholds):
-                found.append(more)
-    if noise is not None:
-        scale = evidence.noise[0]
-        low, high = noise.ci90
-        rms = noise.rms * scale
-        found.append(Finding(RecordCheck.FALLING_SPECTRUM, 0, rms, (low * scale, high * scale), rms, noise.gain))
-    return tuple(found), tuple(outliers)
-
-
-def _is_own_error(noise: Finding, evidence: Evidence, thresholds: Thresholds) -> bool:
-    """True where so little noise may as well be what the model leaves at high frequencies, of which only the whole size is known."""
-    if evidence.whitened or evidence.clean_noise:
-        return False
-    return (noise.rms / evidence.noise[noise.axis]) ** 2 < thresholds.noise_own_share * (evidence.stated - 1.0)
 
 
 def _ordered(reasons: Collection[Reason]) -> tuple[Reason, ...]:

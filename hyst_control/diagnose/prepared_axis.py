@@ -22,9 +22,10 @@ from hyst_control.diagnose.evidence_collection import (
 from hyst_control.diagnose.hypothesis import Member, catalogue
 from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, fit
 from hyst_control.diagnose.parameter_uncertainty import pinned, scatter_of, within_own_error
-from hyst_control.diagnose.policy import detected, practical_floor
+from hyst_control.diagnose.policy import practical_floor
 from hyst_control.diagnose.problem import Problem
 from hyst_control.diagnose.record_checks import effect_found_by, lattice_of, lines, record_evidence
+from hyst_control.diagnose.record_findings import detected
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import PLACES, RecordCheck
 

@@ -13,9 +13,9 @@ from hyst_control.diagnose.command_roughness import as_recorded, roughness_evide
 from hyst_control.diagnose.command_smoothing import smoothed
 from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.evidence import RecordEvidence
-from hyst_control.diagnose.policy import detected, not_received
 from hyst_control.diagnose.prepared_axis import _beside_usual
 from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.diagnose.record_findings import detected, not_received
 from hyst_control.effects.effect import RecordCheck
 from hyst_control.model_file import Model
 

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyst_control.diagnose.evidence import DistortionEvidence, Evidence
-from hyst_control.diagnose.policy import contenders, decide, detected, join, practical_floor, strained
+from hyst_control.diagnose.policy import contenders, decide, join, practical_floor, strained
+from hyst_control.diagnose.record_findings import detected
 from hyst_control.diagnose.verdict import Decision, Reason, Verdict
 from hyst_control.effects.effect import RecordCheck
 from test.diagnose.made_evidence import (

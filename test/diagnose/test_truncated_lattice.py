@@ -11,9 +11,9 @@ from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.diagnosis import problem_of
 from hyst_control.diagnose.hypothesis_fit import Linearised
 from hyst_control.diagnose.parameter_uncertainty import scatter_of
-from hyst_control.diagnose.policy import detected
 from hyst_control.diagnose.prepared_axis import without_truncation
 from hyst_control.diagnose.record_checks import lattice_of, record_evidence
+from hyst_control.diagnose.record_findings import detected
 from hyst_control.effects.effect import RecordCheck
 from hyst_control.records.excitation import build
 from hyst_control.records.record import Record, Signal
