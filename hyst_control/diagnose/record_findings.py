@@ -1,4 +1,4 @@
-"""What a record itself shows, beside what simulations explain: repeated samples, lattices, noise, single samples far off.
+"""Findings in a record itself, beside what simulations explain: repeated samples, lattices, noise, single samples far off.
 
 Pure functions of the evidence, as the rest of the policy.
 """
