@@ -372,10 +372,6 @@ def _flicker(problem: Problem, scored: Scored, configuration: Configuration) -> 
         return None
     command = np.concatenate([piece.counted(piece.command)[:, 0] for piece in problem.pieces])
     seen = flicker(problem.in_noise(scored.solution.residual), command, configuration.flicker)
-    if problem.own_spectrum is not None:
-        # The own error falls with frequency too: what exceeds it has to, and then it does so beside it as well.
-        if float(np.mean(scored.solution.residual**2)) <= 1.0:
-            return None
-        beside = flicker(scored.solution.residual, command, configuration.flicker)
-        return replace(seen, gain=min(seen.gain, beside.gain))
+    if problem.own_spectrum is not None:  # the own error may fall with frequency too
+        return seen if float(np.mean(scored.solution.residual**2)) > 1.0 else None
     return replace(seen, gain=problem.weight * seen.gain)
