@@ -202,6 +202,9 @@ def _passages(pieces: Sequence[tuple[Array, Array]], level: float, reach: float)
         for begin, end in zip(edges[::2], edges[1::2], strict=True):
             if begin == 0 or end == len(measured):
                 continue
+            stands = measured[begin:end]
+            if np.count_nonzero(np.diff(stands) == 0.0) > len(stands) // 2 and float(np.median(stands)) != level:
+                continue  # samples that were held, each stretch at a value of its own
             before, after = measured[begin - 1] - level, measured[end] - level
             passed = (simulated[end - 1] - simulated[begin]) * np.sign(after)
             found += bool(before * after < 0.0 and passed > 2.0 * PASSED * reach)

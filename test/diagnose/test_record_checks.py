@@ -209,6 +209,10 @@ def test_a_dead_band_under_the_noise_is_told_by_the_level_that_it_is_passed_on()
     assert passed(np.round(dead(motion), 1), step=0.1) == 0
     assert passed(np.round(dead(motion), 2), step=0.01) >= 14  # a lattice that the noise hides
     assert level_crossings([(motion, dead(motion))], 0.0, 0.0) == 0
+    few = motion[::25]  # most samples are held, and the motion passes by meanwhile
+    for seed in range(20):
+        seen, kept = few + 0.02 * random.normal(size=len(few)), np.random.default_rng(seed).random(len(few)) > 0.9
+        assert passed(seen[np.maximum.accumulate(np.where(kept, np.arange(len(few)), 0))], few, noise=0.0) < 2
 
 
 def test_the_sentence_says_why_nothing_known_explains_a_gap():
