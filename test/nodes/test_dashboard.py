@@ -75,7 +75,8 @@ def dashboard(folder, *arguments):
         text=True,
     )
     try:
-        yield process.stdout.readline().strip(), process
+        # A middleware of which others were killed on this machine reports their shared memory on the same output.
+        yield next(line.strip() for line in process.stdout if line.startswith("http")), process
     finally:
         process.send_signal(signal.SIGINT)
         try:
