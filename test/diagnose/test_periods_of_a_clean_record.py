@@ -1,4 +1,4 @@
-"""What one clean record of the same command says of what sessions differ by, from period to period, behind a warm-up."""
+"""Periods of a single clean record of the same command: what they differ by stands for what sessions differ by."""
 
 from __future__ import annotations
 
