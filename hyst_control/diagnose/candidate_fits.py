@@ -1,43 +1,91 @@
-"""Fits of a candidate: points to begin at, and the candidates that one more effect makes."""
+"""Fits of candidates: points to begin at, the fits themselves, and the candidates that one more effect makes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import SearchSettings
 from hyst_control.diagnose.hypothesis import Candidate, Member
-from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, Unknowns, effect_columns, fit, is_bounded
+from hyst_control.diagnose.hypothesis_fit import LENGTHS, Linearised, Solution, Unknowns, effect_columns, fit, is_bounded
 from hyst_control.errors import InputError
+from hyst_control.parallel import map_forked
 
 FEW = 2
 """Parameters up to which fits begin at the starts themselves too."""
 
 
-def fit_candidate(
-    linearised: Linearised, candidate: Candidate, starts: Sequence[Array], settings: SearchSettings
-) -> Solution | None:
-    """Fit a candidate, and follow only the starts that a first linear step makes most of.
+@dataclass(frozen=True)
+class Begun:
+    """A candidate fitted beside linear coefficients.
+
+    Parameters
+    ----------
+    candidate : Candidate
+        Effects that are fitted together.
+    ends : tuple of Solution
+        Where its best starts lead, best first; at least one.
+    """
+
+    candidate: Candidate
+    ends: tuple[Solution, ...]
+
+    @property
+    def misfit(self) -> float:
+        """Of the best end, nats."""
+        return self.ends[0].misfit
+
+
+def begin(linearised: Linearised, candidates: Sequence[tuple[Candidate, Sequence[Array]]], settings: SearchSettings) -> list[Begun]:
+    """Fit candidates beside linear coefficients: what the search goes by, until a fit of the chain as it is could matter.
 
     Parameters
     ----------
     linearised : Linearised
         The problem with the columns of its coefficients.
-    candidate : Candidate
-        Effects that are fitted together.
-    starts : sequence of ndarray, shape (P,)
-        Scaled parameters to begin at.
+    candidates : sequence of (Candidate, sequence of ndarray of shape (P,))
+        Effects that are fitted together, and scaled parameters to begin at.
     settings : SearchSettings
         Numbers of starts and steps.
 
     Returns
     -------
-    Solution or None
-        The best fit; None where no start can be simulated.
+    list of Begun
+        Best first; without those of which no start can be simulated.
 
     """
+    ends = map_forked(lambda i: _begun(linearised, *candidates[i], settings), len(candidates))
+    found = [Begun(candidate, tuple(one)) for (candidate, _), one in zip(candidates, ends, strict=True) if one]
+    return sorted(found, key=lambda one: one.misfit)
+
+
+def finish(linearised: Linearised, begun: Sequence[Begun], rival: float) -> list[tuple[Candidate, Solution]]:
+    """Fit candidates from where they were begun, the chain with all its coefficients as it is.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        The problem with the columns of its coefficients.
+    begun : sequence of Begun
+        Candidates.
+    rival : float
+        Misfit of the best fit so far.
+
+    Returns
+    -------
+    list of (Candidate, Solution)
+        The best fit of each.
+
+    """
+    found = map_forked(lambda i: _finished(linearised, begun[i], rival), len(begun))
+    return [(one.candidate, solution) for one, solution in zip(begun, found, strict=True)]
+
+
+def _begun(linearised: Linearised, candidate: Candidate, starts: Sequence[Array], settings: SearchSettings) -> list[Solution]:
+    """Fits from those starts that a linear step makes most of, the coefficients' columns as they are: best first."""
     unknowns = candidate.unknowns()
     starts = (
         _nearby(linearised, unknowns, candidate.members[0], starts, settings.scanned) if len(candidate.members) == 1 else starts
@@ -58,13 +106,43 @@ def fit_candidate(
             starts = [*leading, *starts]
         else:
             starts = leading
-    tried = []
+    tried: list[Solution] = []
     for start in starts:
         try:
-            tried.append(fit(linearised, unknowns, start))
+            tried.append(fit(linearised, unknowns, start, rival=min((one.misfit for one in tried), default=np.inf), linear=True))
         except InputError:
             continue
-    return min(tried, key=lambda solution: solution.misfit, default=None)
+    return sorted(tried, key=lambda one: one.misfit)[: settings.followed]
+
+
+def _finished(linearised: Linearised, begun: Begun, rival: float) -> Solution:
+    """The best of the fits that were begun, each gone on with while it may reach the best other one."""
+    unknowns = begun.candidate.unknowns()
+    ends: list[Solution] = []
+    for solution in begun.ends:
+        try:
+            ends.append(fit(linearised, unknowns, solution.x, _possible(linearised, unknowns, solution), rival=rival))
+        except InputError:
+            continue  # next to the nominal coefficients it could be simulated, but not at these
+        rival = min(rival, ends[-1].misfit)
+    return min(ends or begun.ends, key=lambda one: one.misfit)
+
+
+def _possible(linearised: Linearised, unknowns: Unknowns, begun: Solution) -> Array:
+    """The coefficients (K,) that a fit beside linear ones promises, as far as the chain follows them: beside a great gap they may be
+    many tolerances away."""
+
+    def left(length: float) -> float:
+        z = length * begun.z
+        try:
+            residual = linearised.measured - linearised.simulate(z, unknowns, begun.x)
+        except InputError:
+            return np.inf
+        return 0.5 * float(linearised.problem.weight * (residual @ residual) + z @ z) if is_bounded(residual) else np.inf
+
+    if left(1.0) <= 2.0 * begun.misfit:
+        return begun.z
+    return min((1.0, *LENGTHS[1:], 0.0), key=left) * begun.z
 
 
 def _nearest(linearised: Linearised, unknowns: Unknowns, starts: Sequence[Array]) -> list[Array]:

@@ -216,6 +216,10 @@ class SearchSettings:
         "effects", "the same where the model states an error of its own: finer parts cannot be told"
     )
     followed: int = _setting("starts", "starts of an effect that are fitted to the end")
+    first: int = _setting(
+        "fits", "fits beside linear coefficients that are finished first: others while they may come near the best"
+    )
+    slack: float = _setting("share of what the best takes off", "most that a fit beside linear coefficients may be off")
     screened: int = _setting("starts", "starts of an effect that are looked at on top of another effect")
     scanned: int = _setting("values", "values of a parameter that are tried, and then as many between the best and its neighbors")
     realizations: int = _setting(

@@ -36,6 +36,15 @@ TAIL = 3.0
 LEAST_GAIN = 0.02
 """Misfit (nats) under which a step is not worth taking; a hundred thousandth of the misfit counts as little."""
 
+LEAST_APPROACH = 0.05
+"""Share of the distance to a better fit under which a step is not worth taking either: such a fit will not reach it."""
+
+ROUGHLY = 50.0
+"""How much more a step must gain where the output is taken as linear in the coefficients, which is true to a per cent at best."""
+
+LENGTHS = (1.0, 0.5, 0.25, 0.1)
+"""Lengths of a step that are tried, in full steps."""
+
 
 @dataclass(frozen=True)
 class Unknowns:
@@ -108,6 +117,12 @@ class Linearised:
                 return column
         return np.zeros_like(self.nominal)
 
+    def explaining(self, residual: Array) -> Array:
+        """The coefficients z (K,) that the columns explain most of a residual (M,) by, shrunk by their prior."""
+        if not self.count:
+            return np.zeros(0)
+        return np.asarray(cho_solve(self.factor, self.problem.weight * (self.columns.T @ residual)), dtype=np.float64)
+
     def unexplained(self, vectors: Array) -> Array:
         """Remove from vectors what the scattered coefficients explain, shrunk by their prior.
 
@@ -173,10 +188,13 @@ def fit(
     rounds: int = 8,
     measured: Array | None = None,
     weight: Array | None = None,
+    rival: float = np.inf,
+    linear: bool = False,
 ) -> Solution:
     """Minimize Φ over z and x by damped Gauss-Newton steps.
 
-    A step that does not lower Φ is shortened a few times; the fit then ends at the last point.
+    A step that does not lower Φ is shortened a few times; the fit then ends at the last point. So it does where it is far behind
+    another and comes no nearer.
 
     Parameters
     ----------
@@ -194,6 +212,11 @@ def fit(
         Replaces the record's own measurement, in units of the noise.
     weight : ndarray of shape (M,) or None
         1 for values that count, 0 for others; None: all count.
+    rival : float
+        Φ of the best other fit.
+    linear : bool
+        Whether ŷ(z, x) is taken as ŷ(0, x) + J z, whose best z is known for every x. The chain is run with the coefficients that it
+        has, so that a run costs less, and none of their steps leads astray. Φ and residual of the solution are those of this output.
 
     Returns
     -------
@@ -213,9 +236,13 @@ def fit(
         columns = columns * weight[:, None]
         gram = sample_weight * (columns.T @ columns)
 
-    def residual_of(z: Array, x: Array) -> Array:
-        found = y - linearised.simulate(z, unknowns, x)
-        return found if weight is None else np.where(weight > 0, found, 0.0)  # where it ran away, 0 times it were none
+    def residual_of(z: Array, x: Array) -> tuple[Array, Array]:
+        """Residual, and the z that it belongs to."""
+        found = y - linearised.simulate(nominal if linear else z, unknowns, x)
+        if linear and is_bounded(found):
+            z = linearised.explaining(found)
+            found -= columns @ z
+        return (found if weight is None else np.where(weight > 0, found, 0.0)), z  # where it ran away, 0 times it were none
 
     def misfit_of(residual: Array, z: Array, x: Array) -> float:
         prior = x if fitted is None else x - fitted.centre
@@ -223,16 +250,20 @@ def fit(
             return np.inf
         return 0.5 * float(sample_weight * (residual @ residual) + z @ z) + _prior_misfit(prior)
 
-    residual = residual_of(z, x)
+    nominal = np.zeros(count)
+    residual, z = residual_of(z, x)
     misfit = misfit_of(residual, z, x)
     normal = np.eye(count + size)
     promised = 0.0
     for _ in range(rounds):
+        enough = max((ROUGHLY if linear else 1.0) * (LEAST_GAIN + 1e-5 * misfit), LEAST_APPROACH * (misfit - rival))
         if fitted is None:
             design, away = np.zeros((len(y), 0)), x
         else:
             try:
-                design, away = effect_columns(linearised, fitted, z, x, y - residual, weight), x - fitted.centre
+                base = y - residual - columns @ z if linear else y - residual
+                design = effect_columns(linearised, fitted, nominal if linear else z, x, base, weight)
+                away = x - fitted.centre
             except InputError:
                 break  # next to these values the chain cannot be simulated
         normal, right = _normal(columns, gram, design, residual, z, away, sample_weight)
@@ -240,15 +271,18 @@ def fit(
         if fitted is not None:
             step = _within(normal, right, step, x, fitted, count)
         promise = float(right @ step - 0.5 * step @ normal @ step)
-        if promise < LEAST_GAIN + 1e-5 * misfit:
+        if promise < enough:
+            promised = promise
             break  # a linear step would gain next to nothing
         better = False
-        for shorter in (1.0, 0.5, 0.25, 0.1, 0.03):
+        for shorter in LENGTHS:
+            if shorter * (2.0 - shorter) * promise < enough:
+                break
             new_z, new_x = z + shorter * step[:count], x + shorter * step[count:]
             if fitted is not None:
                 new_x = np.clip(new_x, fitted.lower, fitted.upper)
             try:
-                new_residual = residual_of(new_z, new_x)
+                new_residual, new_z = residual_of(new_z, new_x)
             except InputError:
                 continue
             new = misfit_of(new_residual, new_z, new_x)
@@ -260,7 +294,8 @@ def fit(
             break
         gained = misfit - new
         z, x, residual, misfit = new_z, new_x, new_residual, new
-        if gained < LEAST_GAIN + 1e-5 * misfit:
+        if gained < enough:
+            promised = max(promise - gained, 0.0)
             break
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     information = np.zeros((0, 0))

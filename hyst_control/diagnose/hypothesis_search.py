@@ -21,8 +21,8 @@ from scipy.linalg import cho_factor
 from scipy.optimize import minimize_scalar
 
 from hyst_control.chain.stage import Array
-from hyst_control.diagnose.candidate_fits import fit_candidate, merged_start, misfit_of, promising_pairs
-from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, Thresholds
+from hyst_control.diagnose.candidate_fits import Begun, begin, finish, merged_start, misfit_of, promising_pairs
+from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, SearchSettings, Thresholds
 from hyst_control.diagnose.hypothesis import Candidate, Member
 from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, fit, refined
 from hyst_control.diagnose.joint_pairs import joint_pairs
@@ -163,30 +163,25 @@ def search(
     none = Scored(None, settled(linearised), 0.0)
     wide = inflated(linearised, settings.inflation)
     parameters = Scored(None, settled(wide, none.solution.z / settings.inflation), 0.0, True, settings.inflation)
-    fits: list[tuple[Candidate, Solution]] = []
     # Every effect is as likely as any other before the record is seen, however many realizations it has.
     realizations = Counter(member.name for member in members)
     alternatives = np.log(max(len(realizations), 1))
     members = _screened(linearised, members, settings.realizations)
-    alone = [Candidate((member,)) for member in members]
-    solutions = map_forked(lambda i: fit_candidate(linearised, alone[i], alone[i].starts(), settings), len(alone))
-    for candidate, found in zip(alone, solutions, strict=True):
-        progress(candidate.names[0])
-        if found is not None:
-            fits.append((candidate, found))
-    fits = _freed(linearised, fits, none.solution.misfit, configuration)
-    fits = _refined(linearised, fits, settings.refined, none.solution.misfit, configuration)
-    best = min([none.solution.misfit, *(solution.misfit for _, solution in fits)])
-    combinations: list[tuple[Candidate, Solution]] = []
-    parents = _leading(fits)[:beam]
-    size = len(linearised.measured)
+    without = none.solution.misfit
+    begun = begin(linearised, [(one, one.starts()) for one in map(_alone, members)], settings)
+    for one in begun:
+        progress(one.candidate.names[0])
+    leading, waiting, size = _leading(begun), begun, len(linearised.measured)
     for size_reached in range(1, depth):
+        if not leading:
+            break
+        best = leading[0].ends[0]
         excess = max(leaves - 1.0 + leaves * settings.spent * size_reached**2, settings.spent_floor * floor**2)
         # The spectrum of the own error is an upper one: what is below it may hold an effect yet.
-        nothing_left = _beyond_noise(parents[0][1]) < excess and not whitened if parents else True
-        if not parents or (nothing_left and not strained(parents[0][1])):
+        nothing_left = _beyond_noise(best) < excess and not whitened
+        if nothing_left and not strained(best):
             break  # nothing but noise is left, and no coefficients were strained for it
-        if whitened and none.solution.misfit - parents[0][1].misfit < threshold:
+        if whitened and without - best.misfit < threshold:
             break  # there is no gap to explain
         # Beside the own error several effects are alike, and the two at work need not lead alone.
         joint = (
@@ -194,21 +189,24 @@ def search(
             if size_reached == 1 and side_by_side
             else []
         )
-        least = settings.promise * threshold
-        grown = _grown(linearised, parents, members, least, none.solution.misfit, progress, configuration, joint)
+        grown = _grown(linearised, leading[:beam], members, settings.promise * threshold, settings, progress, joint)
         if not grown:
             break
-        gain, weight = best - grown[0][1].misfit, temper_of(linearised.problem, grown[0][1].residual)
-        relieved = strained(parents[0][1]) and not strained(grown[0][1])
+        end = grown[0].ends[0]
+        gain = min(best.misfit, without) - end.misfit
         taken_off = 2.0 * gain / (size * linearised.problem.weight)
-        if gain * weight < threshold or (taken_off < floor**2 and not relieved):
+        relieved = strained(best) and not strained(end)
+        if gain * temper_of(linearised.problem, end.residual) < threshold or (taken_off < floor**2 and not relieved):
             break
-        best = grown[0][1].misfit
-        combinations += grown[: settings.kept_beams * beam]
-        parents = _leading(grown)[:beam]
+        leading = _leading(grown)
+        waiting = waiting + grown
+    finished = _finished(linearised, waiting, without, threshold, configuration)
+    fits = [item for item in finished if len(item[0].members) == 1]
+    combinations = [item for item in finished if len(item[0].members) > 1]
     for candidate, solution in _pruned(linearised, combinations):
         (combinations if len(candidate.members) > 1 else fits).append((candidate, solution))
     everything = [solution for _, solution in fits + combinations] + [none.solution]
+    fits += [(one.candidate, one.ends[0]) for one in _rest(waiting, fits) if len(one.candidate.members) == 1]
     temper = temper_of(linearised.problem, min(everything, key=lambda solution: solution.misfit).residual)
 
     def scored(candidate: Candidate, solution: Solution) -> Scored:
@@ -257,12 +255,47 @@ def _screened(linearised: Linearised, members: Sequence[Member], most: int) -> l
     return [member for member in members if member.size or id(member) in kept]
 
 
-def _leading(found: Sequence[tuple[Candidate, Solution]]) -> list[tuple[Candidate, Solution]]:
+def _alone(member: Member) -> Candidate:
+    return Candidate((member,))
+
+
+def _leading(found: Sequence[Begun]) -> list[Begun]:
     """The best realization of every explanation, best first."""
-    best: dict[tuple[object, ...], tuple[Candidate, Solution]] = {}
-    for candidate, solution in sorted(found, key=lambda item: item[1].misfit):
-        best.setdefault(tuple(member.variant for member in candidate.members), (candidate, solution))
+    best: dict[tuple[object, ...], Begun] = {}
+    for one in found:
+        best.setdefault(tuple(member.variant for member in one.candidate.members), one)
     return list(best.values())
+
+
+def _rest(begun: Sequence[Begun], finished: Sequence[tuple[Candidate, Solution]]) -> list[Begun]:
+    """What was begun and not finished."""
+    done = {id(candidate) for candidate, _ in finished}
+    return [one for one in begun if id(one.candidate) not in done]
+
+
+def _finished(
+    linearised: Linearised, begun: Sequence[Begun], without: float, threshold: float, configuration: Configuration
+) -> list[tuple[Candidate, Solution]]:
+    """Fits of the chain as it is, of the best candidate and of those that might come near it: some at a time, the best first."""
+    settings, found, best = configuration.search, list[tuple[Candidate, Solution]](), without
+    begun = sorted(begun, key=lambda one: one.misfit)
+    while begun:
+        within = _within(min(best, begun[0].misfit), without, settings)
+        # What gains less than half of what a claim needs can be left as it is.
+        least = min(within, without - settings.promise * threshold)
+        near = [one for one in begun[: settings.first] if one.misfit <= least] or ([] if found else begun[:1])
+        if not near:
+            break
+        ends = _freed(linearised, finish(linearised, near, best), without, configuration)
+        found += _refined(linearised, ends, best if found else within, configuration.policy)
+        best = min([best, *(solution.misfit for _, solution in found)])
+        begun = begun[len(near) :]
+    return found
+
+
+def _within(best: float, without: float, settings: SearchSettings) -> float:
+    """Misfit up to which a fit beside linear coefficients may be as good as the best."""
+    return best + max(settings.slack * (without - best), settings.near)
 
 
 def _beyond_noise(solution: Solution) -> float:
@@ -293,32 +326,28 @@ def strain(solution: Solution) -> float:
 
 def _grown(
     linearised: Linearised,
-    parents: Sequence[tuple[Candidate, Solution]],
+    parents: Sequence[Begun],
     members: Sequence[Member],
     least: float,
-    before: float,
+    settings: SearchSettings,
     progress: Callable[[str], None],
-    configuration: Configuration,
     joint: Sequence[tuple[Candidate, Array]] = (),
-) -> list[tuple[Candidate, Solution]]:
-    """The parents with one effect more each, and the candidates (with their starts) of `joint`, best first."""
-    settings = configuration.search
-    promising = map_forked(lambda i: promising_pairs(linearised, *parents[i], members, least, settings), len(parents))
-    wanted: list[tuple[Candidate, Array]] = []
-    for (candidate, solution), found in zip(parents, promising, strict=True):
+) -> list[Begun]:
+    """The parents with one effect more each, and the candidates (with their starts) of `joint`, begun."""
+    promising = map_forked(
+        lambda i: promising_pairs(linearised, parents[i].candidate, parents[i].ends[0], members, least, settings), len(parents)
+    )
+    wanted: list[tuple[Candidate, list[Array]]] = []
+    for parent, found in zip(parents, promising, strict=True):
         for index, start in found:
-            pair = candidate.with_member(members[index])
+            pair = parent.candidate.with_member(members[index])
             if not any(_same(pair, other) for other, _ in wanted):
-                wanted.append((pair, merged_start(pair, candidate, solution.x, members[index], start)))
-    wanted += [(pair, start) for pair, start in joint if not any(_same(pair, other) for other, _ in wanted)]
-    fitted = map_forked(lambda i: fit_candidate(linearised, wanted[i][0], [wanted[i][1]], settings), len(wanted))
-    grown = []
-    for (pair, _), end in zip(wanted, fitted, strict=True):
-        progress("+".join(pair.names))
-        if end is not None:
-            grown.append((pair, end))
-    better = _refined(linearised, grown, settings.refined // 2, before, configuration)
-    return sorted(better, key=lambda item: item[1].misfit)
+                wanted.append((pair, [merged_start(pair, parent.candidate, parent.ends[0].x, members[index], start)]))
+    wanted += [(pair, [start]) for pair, start in joint if not any(_same(pair, other) for other, _ in wanted)]
+    begun = begin(linearised, wanted, settings)
+    for one in begun:
+        progress("+".join(one.candidate.names))
+    return begun
 
 
 def _pruned(linearised: Linearised, found: Sequence[tuple[Candidate, Solution]]) -> list[tuple[Candidate, Solution]]:
@@ -396,32 +425,17 @@ def settled(linearised: Linearised, z: Array | None = None) -> Solution:
 
 
 def _refined(
-    linearised: Linearised, found: Sequence[tuple[Candidate, Solution]], count: int, before: float, configuration: Configuration
+    linearised: Linearised, found: Sequence[tuple[Candidate, Solution]], within: float, thresholds: Thresholds
 ) -> list[tuple[Candidate, Solution]]:
-    """The best fits gone on with, but for those that are too far behind the first to reach it; the rest as they are."""
-    found = sorted(found, key=lambda item: item[1].misfit)
-    if not found:
-        return found
-    settings = configuration.search
-    # Of every explanation the best realizations first: those of one effect are many, and would leave no room for its rivals.
-    met: dict[tuple[object, ...], int] = {}
-    rank: list[int] = []
-    for candidate, _ in found:
-        variant = tuple(member.variant for member in candidate.members)
-        met[variant] = met.get(variant, 0) + 1
-        rank.append(met[variant])
-    found = [
-        item for _, item in sorted(zip(rank, found, strict=True), key=lambda one: (one[0] > settings.siblings, one[1][1].misfit))
-    ]
-    within = found[0][1].misfit + max(settings.reach * (before - found[0][1].misfit), settings.near)
+    """The fits, those gone on with that may come within this misfit."""
     # A fit that got stuck may be far from its minimum: what counts is how far it says that it might come.
-    near = [i for i, (_, solution) in enumerate(found[:count]) if solution.misfit - solution.promised <= within]
-    better = map_forked(lambda i: _finished(linearised, *found[near[i]], configuration.policy), len(near))
-    finished = dict(zip(near, better, strict=True))
-    return [(candidate, finished.get(i, solution)) for i, (candidate, solution) in enumerate(found)]
+    near = [i for i, (_, solution) in enumerate(found) if solution.misfit - solution.promised <= within]
+    better = map_forked(lambda i: _settled(linearised, *found[near[i]], thresholds), len(near))
+    gone_on = dict(zip(near, better, strict=True))
+    return [(candidate, gone_on.get(i, solution)) for i, (candidate, solution) in enumerate(found)]
 
 
-def _finished(linearised: Linearised, candidate: Candidate, solution: Solution, thresholds: Thresholds) -> Solution:
+def _settled(linearised: Linearised, candidate: Candidate, solution: Solution, thresholds: Thresholds) -> Solution:
     """A fit gone on with; where it strains the coefficients, also begun again from where the effects do best without them."""
     unknowns = candidate.unknowns()
     best = refined(linearised, unknowns, solution)
@@ -457,16 +471,20 @@ def _freed(
         if len(candidate.unknowns().lower) == 1 and (solution.misfit > without or _strained(solution, configuration.policy))
     ]
 
-    def begun_again(i: int) -> Solution | None:
-        candidate = fits[stuck[i]][0]
-        return fit_candidate(linearised, candidate, [_best_alone(linearised, candidate, settings.scanned)], settings)
-
-    again = map_forked(begun_again, len(stuck))
+    alone = list(map_forked(lambda i: _best_alone(linearised, fits[stuck[i]][0], settings.scanned), len(stuck)))
+    again = map_forked(lambda i: _begun_again(linearised, fits[stuck[i]][0], alone[i]), len(stuck))
     freed = dict(zip(stuck, again, strict=True))
     return [
         (candidate, min((solution, freed.get(i) or solution), key=lambda one: one.misfit))
         for i, (candidate, solution) in enumerate(fits)
     ]
+
+
+def _begun_again(linearised: Linearised, candidate: Candidate, start: Array) -> Solution | None:
+    try:
+        return fit(linearised, candidate.unknowns(), start)
+    except InputError:
+        return None
 
 
 def _best_alone(linearised: Linearised, candidate: Candidate, count: int) -> Array:
