@@ -196,7 +196,9 @@ class FlickerSettings:
     exponents: tuple[float, ...] = _setting("1", "powers of the frequency with which it may fall, the usual one first")
     exponent_margin: float = _setting("nats", "gain from which another power than the usual one counts")
     bands_per_octave: int = _setting("bands", "bands of the spectrum")
-    shape_misfit: float = _setting("natural logarithm, rms", "most that bands may be off a + b/f beyond what chance does")
+    shape_misfit: float = _setting(
+        "natural logarithm, rms", "most that bands may be off a + b/f^p, each weighed by this and chance together"
+    )
     colored_share: float = _setting("share of the power", "1/f part from which a band counts for the shape")
     least_bands: int = _setting("bands", "fewest bands that count for the shape")
     slow_corner: float = _setting("share of the Nyquist frequency", "corner of the low-pass before rest and motion are compared")

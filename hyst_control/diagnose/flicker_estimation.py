@@ -73,8 +73,9 @@ def flicker(residual: Array, command: Array, settings: FlickerSettings = CONFIGU
     share = b * inverse / (a + b * inverse)
     spread = min(1.645 * 0.5 / np.sqrt(max(float(np.sum(bins * share**2)), 1e-9)), 3.0)
     colored = share > settings.colored_share
-    scatter = np.log(level / (a + b * inverse))[colored] ** 2 - 1.0 / bins[colored]
-    plausible = bool(colored.sum() >= settings.least_bands and np.mean(scatter) < settings.shape_misfit**2)
+    # A band of three bins is off by twice as much by chance as the shape may be: it says little of the shape.
+    scatter = np.log(level / (a + b * inverse))[colored] ** 2 / (settings.shape_misfit**2 + 1.0 / bins[colored])
+    plausible = bool(colored.sum() >= settings.least_bands and np.mean(scatter) < 1.0)
     return FlickerEvidence(
         rms,
         (rms * float(np.exp(-spread)), rms * float(np.exp(spread))),
