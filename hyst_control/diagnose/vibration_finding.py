@@ -15,8 +15,8 @@ from hyst_control.diagnose.record_checks import effect_found_by
 from hyst_control.diagnose.record_findings import residual_of
 from hyst_control.effects.effect import RecordCheck
 
-FINER = 2.0
-"""A width is as many times less sure than a size: both follow from the same independent parts of the record."""
+LESS_SURE = 2.0 * (35.0 / 18.0) ** 0.5
+"""Relative error of a width over that of a size: a size is the root of an energy, and a width is read under a Hann window."""
 
 
 def vibration_found(evidence: Evidence, first: int, left: float, thresholds: Thresholds) -> int | None:
@@ -70,7 +70,7 @@ def vibration(hump: HumpEvidence, noise: float) -> Finding:
         Its value is the amplitude of a sine of the same rms, measurement unit; frequency and width are further parameters.
     """
     rms, low, high = (noise * size for size in (hump.rms, *hump.ci90))
-    times = (hump.ci90[1] / hump.rms) ** FINER
+    times = (hump.ci90[1] / hump.rms) ** LESS_SURE
     sine = float(np.sqrt(2.0))
     return Finding(
         RecordCheck.SPECTRAL_HUMP,
