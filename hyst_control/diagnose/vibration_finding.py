@@ -40,7 +40,7 @@ def vibration_found(evidence: Evidence, first: int, left: float, thresholds: Thr
     int or None
         0 where the vibration explains more than the best explanation, that one's index where both are at work, None where there is none.
     """
-    if RecordCheck.SPECTRAL_HUMP not in evidence.checks or (evidence.hypotheses[first].names and left <= thresholds.unknown_share):
+    if RecordCheck.SPECTRAL_HUMP not in evidence.checks or left <= thresholds.unknown_share:
         return None
     effect = effect_found_by(RecordCheck.SPECTRAL_HUMP)
     named = effect is not None and effect.name in evidence.hypotheses[first].names

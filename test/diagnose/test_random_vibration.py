@@ -125,6 +125,12 @@ def test_a_hump_is_not_looked_at_where_an_effect_explains_the_gap():
     assert decision.listed == (1,) and not decision.findings
 
 
+def test_a_hump_within_what_the_model_leaves_on_clean_records_is_no_gap():
+    small = replace(HUMP, rms=0.9)
+    decision = decide(evidence(base=none(energy=1.9, residual=replace(QUIET, energy=1.9, hump=small)), stated=1.9), LIMITS)
+    assert decision.verdict is Verdict.NO_GAP and not decision.findings
+
+
 def test_an_effect_and_a_hump_in_what_it_leaves_are_both_named():
     beside = replace(QUIET, energy=50.0, hump=replace(HUMP, rms=7.0, gain=4e5, misfit=1.5e4))
     decision = decided(effect("a", left=50.0, residual=beside), hump=replace(HUMP, plausible=False))
