@@ -384,9 +384,13 @@ def _hump(problem: Problem, scored: Scored, configuration: Configuration) -> Hum
     """A vibration whose phase wanders in what a hypothesis leaves; not of several axes at once, nor where rows are missing in between."""
     if len(problem.model.axes) > 1 or any(_has_holes(piece) for piece in problem.pieces):
         return None
-    command = np.concatenate([piece.counted(piece.command)[:, 0] for piece in problem.pieces])
+    commands = [
+        piece.command if piece.driven_beside is None else np.hstack([piece.command, piece.driven_beside])
+        for piece in problem.pieces
+    ]
+    driving = np.concatenate([piece.counted(command) for piece, command in zip(problem.pieces, commands, strict=True)])
     measured = np.concatenate([piece.counted(piece.measurement)[:, 0] for piece in problem.pieces])
     residual, in_noise = scored.solution.residual, problem.in_noise(scored.solution.residual)
     simulated = measured - in_noise * float(problem.sigma[0])
-    seen = random_vibration(residual, in_noise, command, simulated, problem.sample_time, configuration.hump)
-    return None if seen is None else replace(seen, gain=problem.weight * seen.gain)
+    seen = random_vibration(residual, in_noise, driving, simulated, problem.sample_time, configuration.hump)
+    return None if seen is None else replace(seen, gain=problem.weight * seen.gain, misfit=problem.weight * seen.misfit)

@@ -64,7 +64,7 @@ class Hump:
 def random_vibration(
     residual: Array,
     in_noise: Array,
-    command: Array,
+    commands: Array,
     simulated: Array,
     sample_time: float,
     settings: HumpSettings = CONFIGURATION.hump,
@@ -77,8 +77,10 @@ def random_vibration(
         As the fits have it: white but for what is not explained, of unit variance.
     in_noise : ndarray, shape (N,)
         The same in units of the noise.
-    command, simulated : ndarray, shape (N,)
-        What a vibration does not follow: the command, and the measurement as it is simulated; any units.
+    commands : ndarray, shape (N, A)
+        What a vibration does not follow: the command of this axis, then those of the others, V.
+    simulated : ndarray, shape (N,)
+        Nor this: the measurement as it is simulated.
     sample_time : float
         s.
     settings : HumpSettings
@@ -110,8 +112,8 @@ def random_vibration(
     plausible = (
         1.05 * settings.least_half_width < hump.half_width < 0.95 * settings.most_half_width * hump.frequency
         and _has_shape(power[colored], at[colored], hump, settings)
-        and _is_steady(residual, command, hump, settings)
-        and _followed(residual, command, simulated, hump) < settings.followed
+        and _is_steady(residual, commands[:, 0], hump, settings)
+        and _followed(residual, commands, simulated, hump) < settings.followed
     )
     return HumpEvidence(
         hump.frequency * width,
@@ -211,8 +213,8 @@ def _is_steady(residual: Array, command: Array, hump: Hump, settings: HumpSettin
     return bool(np.mean(energy[order[-third:]]) < settings.motion_ratio * np.mean(energy[order[:third]]))
 
 
-def _followed(residual: Array, command: Array, simulated: Array, hump: Hump) -> float:
-    """Share of the hump that modes of its frequency and width make of the command, of the simulation, and of its powers."""
+def _followed(residual: Array, commands: Array, simulated: Array, hump: Hump) -> float:
+    """Share of the hump that modes of its frequency and width make of the commands, of the simulation, and of its powers."""
     count = len(_windowed(residual))
     at = np.arange(count, dtype=float)
     near = np.abs(at - hump.frequency) < 3.0 * hump.half_width
@@ -220,7 +222,7 @@ def _followed(residual: Array, command: Array, simulated: Array, hump: Hump) -> 
     apart = (at[near] - hump.frequency) / hump.half_width
     # As many columns as a quarter of the independent bins leaves room for.
     most = max(int(np.count_nonzero(near) / HANN_BINS / 4.0), 2)
-    driving = (command, simulated, centered**2, centered**3)
+    driving = (*commands.T, simulated, centered**2, centered**3)
     columns = [_windowed(one)[near] / (1.0 + 1j * apart) ** order for one in driving for order in (0, 1)][:most]
     design = np.column_stack([column / max(float(np.linalg.norm(column)), 1e-300) for column in columns])
     target = _windowed(residual)[near]

@@ -44,10 +44,11 @@ def wandering_tone(rms: float, random: np.random.Generator) -> Array:
     return rms * (sine * np.sin(angle) + cosine * np.cos(angle))
 
 
-def seen_in(residual: Array, command: Array | None = None) -> HumpEvidence | None:
+def seen_in(residual: Array, command: Array | None = None, beside: Array | None = None) -> HumpEvidence | None:
     if command is None:
         command = lfilter([0.01], [1.0, -0.99], np.random.default_rng(99).standard_normal(ROWS))
-    return random_vibration(residual, residual, command, np.roll(command, 1), STEP)
+    commands = np.column_stack([command] if beside is None else [command, beside])
+    return random_vibration(residual, residual, commands, np.roll(command, 1), STEP)
 
 
 @pytest.mark.parametrize("made", [shaken_mode, wandering_tone])
@@ -71,7 +72,7 @@ def test_top_width_and_size_are_those_that_are_known(made, rms):
 
 
 def test_what_is_no_vibration_is_not_called_one():
-    """A steady line, white and 1/f noise, a mode that the command drives, and one that is shaken where the command moves."""
+    """A steady line, white and 1/f noise, a mode that a command drives, and one that is shaken where the command moves."""
     random = np.random.default_rng(3)
     white = random.standard_normal(ROWS)
     time = STEP * np.arange(ROWS)
@@ -94,6 +95,9 @@ def test_what_is_no_vibration_is_not_called_one():
     for name, (residual, command) in none_of_them.items():
         one = seen_in(residual, command)
         assert one is None or not one.plausible, name
+    mode = white + 3.0 * driven / driven.std()
+    alone, beside = seen_in(mode), seen_in(mode, beside=driving)  # by the other axis' command
+    assert alone is not None and alone.plausible and beside is not None and not beside.plausible
 
 
 HUMP = HumpEvidence(300.0, (299.0, 301.0), 12.0, 9.9, (9.5, 10.3), 9e5, 2e4, 1.0, True)
