@@ -230,4 +230,4 @@ def _followed(residual: Array, commands: Array, simulated: Array, hump: Hump) ->
     solution, *_ = np.linalg.lstsq(design * weight[:, None], target * weight, rcond=1e-9)
     left = float(np.sum(np.abs((target - design @ solution) * weight) ** 2) / np.sum(np.abs(target * weight) ** 2))
     free = max(1.0 - HANN_BINS * len(columns) / np.count_nonzero(near), 0.05)
-    return 1.0 - left / free
+    return float(1.0 - left / free)
