@@ -284,8 +284,7 @@ def _joined(values: Sequence[dict[str, Value]]) -> dict[str, Value]:
 
 def _without_waveform(diagnosis: Diagnosis) -> list[Named]:
     """Effects that checks of the record found."""
-    named: dict[str, list[tuple[int, Value, float, float]]] = {}
-    parameters: dict[str, str] = {}
+    named: dict[str, list[tuple[int, dict[str, Value], float, float]]] = {}
     for part in diagnosis.parts:
         for finding in part.decision.findings:
             effect = effect_found_by(finding.check)
@@ -295,9 +294,9 @@ def _without_waveform(diagnosis: Diagnosis) -> list[Named]:
             unit = diagnosis.model.units["measurement"] if parameter.unit == "unit" else parameter.unit
             own = finding.rms**2 if finding.check.is_noise or finding.check.is_of_the_record else 0.0
             probability = float(1.0 - np.exp(-min(finding.gain, 50.0)))
-            parameters[effect.name] = parameter.name
-            value = (finding.value, finding.ci90, unit)
-            named.setdefault(effect.name, []).append((part.axes[finding.axis], value, probability, own))
+            values = {parameter.name: (finding.value, finding.ci90, unit)}
+            values |= {name: (value, interval, own_unit) for name, value, interval, own_unit in finding.further}
+            named.setdefault(effect.name, []).append((part.axes[finding.axis], values, probability, own))
     gap = sum(float(np.sum(np.mean(part.gap() ** 2, axis=0))) for part in diagnosis.parts)
     found = []
     for name, rows in named.items():
@@ -307,7 +306,7 @@ def _without_waveform(diagnosis: Diagnosis) -> list[Named]:
                 name,
                 tuple(diagnosis.model.axes[axis] for axis, *_ in rows),
                 max(p for *_, p, _ in rows),
-                _joined([{parameters[name]: value} for _, value, *_ in rows]),
+                _joined([values for _, values, *_ in rows]),
                 share=min(own / gap, 1.0) if own and gap else 1.0,
             )
         )

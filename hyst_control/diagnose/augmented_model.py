@@ -120,7 +120,7 @@ def _noise(diagnosis: Diagnosis) -> list[float] | float | None:
         for finding in part.decision.findings:
             if finding.check.is_noise:
                 axis = part.axes[finding.axis]
-                stated[axis], more = float(np.hypot(stated[axis], finding.value)), True
+                stated[axis], more = float(np.hypot(stated[axis], finding.rms)), True
     if not more:
         return None
     return float(stated[0]) if len(set(stated)) == 1 else [float(value) for value in stated]

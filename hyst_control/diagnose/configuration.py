@@ -196,11 +196,35 @@ class FlickerSettings:
     exponents: tuple[float, ...] = _setting("1", "powers of the frequency with which it may fall, the usual one first")
     exponent_margin: float = _setting("nats", "gain from which another power than the usual one counts")
     bands_per_octave: int = _setting("bands", "bands of the spectrum")
-    shape_misfit: float = _setting("natural logarithm, rms", "most that bands may be off a + b/f beyond what chance does")
+    shape_misfit: float = _setting(
+        "natural logarithm, rms", "most that bands may be off a + b/f^p, each weighed by this and chance together"
+    )
     colored_share: float = _setting("share of the power", "1/f part from which a band counts for the shape")
     least_bands: int = _setting("bands", "fewest bands that count for the shape")
     slow_corner: float = _setting("share of the Nyquist frequency", "corner of the low-pass before rest and motion are compared")
     motion_ratio: float = _setting("1", "most energy in motion over that at rest: more follows the command")
+
+
+@dataclass(frozen=True)
+class HumpSettings:
+    """Estimation of a vibration whose phase wanders."""
+
+    lowest_bins: int = _setting("bins", "frequency from which a hump is looked for")
+    least_half_width: float = _setting("bins", "half width from which a hump is none of a line")
+    most_half_width: float = _setting("share of the frequency", "half width up to which noise is of a narrow band")
+    least_gain: float = _setting("nats", "gain from which a hump is fitted: a running mean over the white noise")
+    starts: int = _setting("widths", "widths at which fits begin")
+    colored_share: float = _setting("share of the power", "part of the hump from which a band counts for the shape")
+    narrowest_band: float = _setting("half widths", "width of the bands at its top; the others widen from there")
+    bands: int = _setting("bands", "bands on either side")
+    least_bands: int = _setting("bands", "fewest bands that count for the shape")
+    shape_misfit: float = _setting(
+        "natural logarithm, rms", "most that bands may be off the hump, each weighed by this and chance together"
+    )
+    segments: int = _setting("segments", "most parts of the record compared between rest and motion")
+    least_segments: int = _setting("segments", "fewest parts that are compared")
+    motion_ratio: float = _setting("1", "most energy in motion over that at rest: more follows the command")
+    followed: float = _setting("share of the power", "part of the hump from which it follows the command")
 
 
 @dataclass(frozen=True)
@@ -350,6 +374,7 @@ class Configuration:
     noise: NoiseSettings
     checks: CheckSettings
     flicker: FlickerSettings
+    hump: HumpSettings
     search: SearchSettings
     null_distribution: NullSettings
     reduction: ReductionSettings

@@ -134,6 +134,44 @@ class FlickerEvidence:
 
 
 @dataclass(frozen=True)
+class HumpEvidence:
+    """A hump in a residual's spectrum: a vibration whose phase wanders.
+
+    Parameters
+    ----------
+    frequency : float
+        Of its top, Hz.
+    frequency_ci90 : tuple of float
+        90 % interval, Hz.
+    width : float
+        At half its height, Hz.
+    rms : float
+        Size, in units of the noise.
+    ci90 : tuple of float
+        90 % interval of the size.
+    gain : float
+        Gain in log-likelihood over white noise of the same floor, nats.
+    misfit : float
+        Of the residual by Whittle's likelihood of noise and hump, nats.
+    left : float
+        Energy of the residual without it, in units of the residual.
+    plausible : bool
+        Whether it is wider than a line, has the shape of a hump, and does not follow the command.
+
+    """
+
+    frequency: float
+    frequency_ci90: tuple[float, float]
+    width: float
+    rms: float
+    ci90: tuple[float, float]
+    gain: float
+    misfit: float
+    left: float
+    plausible: bool
+
+
+@dataclass(frozen=True)
 class ResidualEvidence:
     """Remainder that a hypothesis leaves.
 
@@ -157,6 +195,8 @@ class ResidualEvidence:
         Of its effects.
     passed : float
         Energy with which its effects pass on the model's own error, as a factor.
+    hump : HumpEvidence or None
+        A vibration whose phase wanders; None where none stands out, or none was looked for.
 
     """
 
@@ -169,6 +209,7 @@ class ResidualEvidence:
     companions: tuple[CompanionEvidence, ...] = ()
     distortions: tuple[DistortionEvidence, ...] = ()
     passed: float = 1.0
+    hump: HumpEvidence | None = None
 
 
 @dataclass(frozen=True)
@@ -389,13 +430,15 @@ class Finding:
     axis : int
         Index in the problem.
     value : float
-        Value of the effect's one parameter.
+        Value of the effect's one parameter, or its first.
     ci90 : tuple of float
         90 % interval of the value.
     rms : float
         Error that it brings, measurement unit.
     gain : float
         Evidence for it, nats.
+    further : tuple of (str, float, (float, float), str)
+        Name, value, 90 % interval and unit of further parameters.
 
     """
 
@@ -405,6 +448,7 @@ class Finding:
     ci90: tuple[float, float]
     rms: float
     gain: float
+    further: tuple[tuple[str, float, tuple[float, float], str], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from hyst_control.diagnose.evidence import (
     Evidence,
     Finding,
     FlickerEvidence,
+    HumpEvidence,
     HypothesisEvidence,
     RecordEvidence,
     ResidualEvidence,
@@ -26,6 +27,7 @@ from hyst_control.diagnose.hypothesis_search import Found, Scored, strain
 from hyst_control.diagnose.noise_floor import noise_between_periods, noise_of
 from hyst_control.diagnose.predictability import predictable_share
 from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.diagnose.random_vibration import random_vibration
 from hyst_control.diagnose.record_checks import outliers
 from hyst_control.diagnose.session import SessionZero
 from hyst_control.diagnose.unexplained_residual import leftover
@@ -185,6 +187,7 @@ def residual_evidence(
         beside,
         distorted,
         passed,
+        _hump(problem, scored, configuration) if RecordCheck.SPECTRAL_HUMP in checks else None,
     )
 
 
@@ -375,3 +378,19 @@ def _flicker(problem: Problem, scored: Scored, configuration: Configuration) -> 
     if problem.own_spectrum is not None:  # the own error may fall with frequency too
         return seen if float(np.mean(scored.solution.residual**2)) > 1.0 else None
     return replace(seen, gain=problem.weight * seen.gain)
+
+
+def _hump(problem: Problem, scored: Scored, configuration: Configuration) -> HumpEvidence | None:
+    """A vibration whose phase wanders in what a hypothesis leaves; not of several axes at once, nor where rows are missing in between."""
+    if len(problem.model.axes) > 1 or any(_has_holes(piece) for piece in problem.pieces):
+        return None
+    commands = [
+        piece.command if piece.driven_beside is None else np.hstack([piece.command, piece.driven_beside])
+        for piece in problem.pieces
+    ]
+    driving = np.concatenate([piece.counted(command) for piece, command in zip(problem.pieces, commands, strict=True)])
+    measured = np.concatenate([piece.counted(piece.measurement)[:, 0] for piece in problem.pieces])
+    residual, in_noise = scored.solution.residual, problem.in_noise(scored.solution.residual)
+    simulated = measured - in_noise * float(problem.sigma[0])
+    seen = random_vibration(residual, in_noise, driving, simulated, problem.sample_time, configuration.hump)
+    return None if seen is None else replace(seen, gain=problem.weight * seen.gain, misfit=problem.weight * seen.misfit)

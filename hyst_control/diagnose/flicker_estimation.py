@@ -63,24 +63,29 @@ def flicker(residual: Array, command: Array, settings: FlickerSettings = CONFIGU
             )
             for start in (1e-1, 1e2)
         ]
-    # The usual exponent stands first: another one has to explain clearly more.
-    usual = min(item[0].fun for item in fits[:2]) - settings.exponent_margin
-    best, exponent, inverse = min(fits, key=lambda item: item[0].fun)
-    if best.fun > usual:
-        best, exponent, inverse = min(fits[:2], key=lambda item: item[0].fun)
+
+    def has_shape(item: tuple[OptimizeResult, float, Array]) -> bool:
+        a, b = np.exp(item[0].x)
+        spectrum = a + b * item[2]
+        colored = b * item[2] / spectrum > settings.colored_share
+        # A band of three bins is off by twice as much by chance as the shape may be: it says little of the shape.
+        scatter = np.log(level / spectrum)[colored] ** 2 / (settings.shape_misfit**2 + 1.0 / bins[colored])
+        return bool(colored.sum() >= settings.least_bands and np.mean(scatter) < 1.0)
+
+    # The usual exponent stands first: another one has to explain clearly more, or have the shape that the usual one has not.
+    usual, other = (min(some, key=lambda item: item[0].fun) for some in (fits[:2], fits))
+    nearly = usual[0].fun - settings.exponent_margin <= other[0].fun
+    best, exponent, inverse = usual if nearly and (has_shape(usual) or not has_shape(other)) else other
     a, b = np.exp(best.x)
     rms = float(np.sqrt(2.0 * b * float(np.sum(np.arange(1, count // 2) ** -exponent)) / count))
     share = b * inverse / (a + b * inverse)
     spread = min(1.645 * 0.5 / np.sqrt(max(float(np.sum(bins * share**2)), 1e-9)), 3.0)
-    colored = share > settings.colored_share
-    scatter = np.log(level / (a + b * inverse))[colored] ** 2 - 1.0 / bins[colored]
-    plausible = bool(colored.sum() >= settings.least_bands and np.mean(scatter) < settings.shape_misfit**2)
     return FlickerEvidence(
         rms,
         (rms * float(np.exp(-spread)), rms * float(np.exp(spread))),
         float(np.sqrt(a)),
         alone - float(best.fun),
-        plausible and _stationary(residual, command, settings),
+        has_shape((best, exponent, inverse)) and _stationary(residual, command, settings),
         float(share[-1]),
     )
 

@@ -29,6 +29,7 @@ from hyst_control.diagnose.evidence import (
 from hyst_control.diagnose.record_checks import held_at_one_value
 from hyst_control.diagnose.record_findings import findings, flicker_found, is_stuck, outweighs, residual_of, share_of_outliers
 from hyst_control.diagnose.verdict import Decision, JointDecision, Reason, Verdict
+from hyst_control.diagnose.vibration_finding import vibration, vibration_found, without_vibration
 
 PARAMETERS = ("parameters",)
 """Key of the coefficients alone in `Decision.probability`."""
@@ -77,11 +78,17 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
     claims = _claims(evidence, thresholds)
     noise = flicker_found(evidence, _first(claims), thresholds)
     outweighed = noise is not None and outweighs(noise, evidence, _first(claims))
-    if outweighed:
+    shaken = None if noise is not None else _shaken(evidence, _first(claims), thresholds)
+    if outweighed or shaken == 0:
         claims = _claims(evidence, thresholds, with_effects=False)
     chosen = _first(claims)
     probability = _probabilities(evidence, claims, thresholds)
     shown, outliers = findings(evidence, chosen, noise, thresholds)
+    if shaken is not None:
+        hump = residual_of(evidence, shaken).hump
+        assert hump is not None
+        shown = (*shown, vibration(hump, evidence.noise[0]))
+        evidence = without_vibration(evidence, thresholds)
     left = 0.0 if outweighed else _remainder(evidence, chosen, thresholds)
     remainder = max([left, *(share_of_outliers(evidence, one) for one in outliers)])
     companions = tuple(one for one in residual_of(evidence, chosen).companions if _unusual(one, evidence, thresholds))
@@ -113,7 +120,7 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
             sure = probability[key(evidence.hypotheses[chosen])] >= thresholds.sure_probability
             reasons |= {Reason.ONE_EXPLANATION if sure else Reason.NO_OTHER_EXPLANATION}
         if shown:
-            reasons |= {Reason.RECORD_CHECK} | ({Reason.NOISE_EXPLAINS_MORE} if outweighed else set())
+            reasons |= {Reason.RECORD_CHECK} | ({Reason.NOISE_EXPLAINS_MORE} if outweighed or shaken == 0 else set())
     elif listed:
         verdict, reasons = Verdict.PARAMETERS, {Reason.COEFFICIENTS_BEYOND_TOLERANCE}
     else:
@@ -256,6 +263,11 @@ def _wanted(evidence: Evidence, index: int, thresholds: Thresholds) -> frozenset
         return frozenset()
     names = frozenset(evidence.hypotheses[index].names)
     return frozenset(names | {drift} for drift in evidence.drifts - names)
+
+
+def _shaken(evidence: Evidence, first: int, thresholds: Thresholds) -> int | None:
+    """Index of the hypothesis whose residual shows a vibration without a waveform."""
+    return vibration_found(evidence, first, _remainder(evidence, first, thresholds), thresholds)
 
 
 def _first(claims: Sequence[int]) -> int:

@@ -47,7 +47,7 @@ def effect_found_by(check: RecordCheck) -> Effect | None:
         The first that names the check, None where there is none.
 
     """
-    return next((effect for effect in EFFECTS.values() if effect.record_check is check), None)
+    return next((effect for effect in EFFECTS.values() if check in (effect.record_check, effect.random_check)), None)
 
 
 def lattice_of(values: Array, settings: CheckSettings = CONFIGURATION.checks) -> float:

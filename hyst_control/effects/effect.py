@@ -26,11 +26,12 @@ class RecordCheck(Enum):
     MAINS_LINE = "mains_line"
     COMMAND_LATTICE = "command_lattice"
     SPECTRAL_LINE = "spectral_line"
+    SPECTRAL_HUMP = "spectral_hump"
 
     @property
     def is_noise(self) -> bool:
         """True where noise is what it finds: that raises the model's noise, and is no stage of the chain."""
-        return self in (RecordCheck.WHITE_SPECTRUM, RecordCheck.FALLING_SPECTRUM)
+        return self in (RecordCheck.WHITE_SPECTRUM, RecordCheck.FALLING_SPECTRUM, RecordCheck.SPECTRAL_HUMP)
 
     @property
     def is_of_the_record(self) -> bool:
@@ -216,6 +217,8 @@ class Effect:
     record_check
         The check that finds an effect without a waveform, and measures its one parameter; of an effect with a waveform the check
         that suggests its frequencies, or the starts of its `suggested` parameter.
+    random_check
+        The check that finds an effect with a waveform where it is at random, and has none.
     variants
         Realizations that differ in numbers that are not fitted, such as an order, a phase or a manner of rounding: values of
         these numbers, each tried with the effect's other parameters fitted. Values of all parameters leave nothing to fit.
@@ -250,6 +253,7 @@ class Effect:
     line: Line | None = None
     further_lines: tuple[Line, ...] = ()
     record_check: RecordCheck | None = None
+    random_check: RecordCheck | None = None
     separating_record: str | None = None
     companion: Companion | None = None
     also_at: tuple[str, ...] = ()
@@ -257,7 +261,7 @@ class Effect:
     phrase: str = ""
 
     def checked_parameter(self, around: Surroundings) -> Parameter:
-        """Select the parameter that the effect's record check measures: its only one, or the one that a check suggests.
+        """Select the parameter that the effect's record check measures: the one that a check suggests, or its first.
 
         Parameters
         ----------
@@ -269,4 +273,4 @@ class Effect:
         Parameter
         """
         every = self.parameters(around)
-        return every[0] if len(every) == 1 else next(parameter for parameter in every if parameter.suggested)
+        return next((parameter for parameter in every if parameter.suggested), every[0])

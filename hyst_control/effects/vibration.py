@@ -70,5 +70,6 @@ EFFECT = Effect(
     line=Line(swells=24, skirt=0.05, overtones=(2, 3)),
     further_lines=(Line(skirt=0.05, overtones=(2, 3)), Line(harmonics=(1, 2, 3), swells=6, skirt=0.05)),
     record_check=RecordCheck.SPECTRAL_LINE,
+    random_check=RecordCheck.SPECTRAL_HUMP,
     phrase="vibration at {frequency}",
 )

@@ -237,18 +237,19 @@ def test_the_sentence_says_why_nothing_known_explains_a_gap():
     assert sentence(report | {"effects": []}).endswith("noise floor 0.1 um).")
 
 
-def test_flicker_noise_has_its_shape_in_most_draws():
-    """1/f noise of three times the white noise's rms, made in the spectrum: its few lowest lines scatter widely."""
+@pytest.mark.parametrize(("exponent", "size"), [(1.0, 3.0), (0.8, 8.0)])
+def test_flicker_noise_has_its_shape_in_most_draws(exponent, size):
+    """1/f^p noise of several times the white noise's rms, made in the spectrum: its few lowest lines scatter widely."""
     rows = 16950
     lines = np.arange(1, rows // 2)
 
     def drawn(seed: int) -> np.ndarray:
         random = np.random.default_rng(seed)
         spectrum = np.zeros(rows // 2 + 1, complex)
-        spectrum[1 : rows // 2] = (random.normal(size=len(lines)) + 1j * random.normal(size=len(lines))) / np.sqrt(lines)
+        spectrum[1 : rows // 2] = (random.normal(size=len(lines)) + 1j * random.normal(size=len(lines))) / lines ** (0.5 * exponent)
         noise = np.fft.irfft(spectrum, rows)
-        return 3.0 * noise / noise.std() + random.normal(size=rows)
+        return size * noise / noise.std() + random.normal(size=rows)
 
     seen = [flicker(drawn(seed), np.ones(rows)) for seed in range(40)]
     assert sum(one.plausible for one in seen) >= 36
-    assert np.median([one.rms for one in seen]) == pytest.approx(3.0, rel=0.05)
+    assert np.median([one.rms for one in seen]) == pytest.approx(size, rel=0.05)
