@@ -36,9 +36,7 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     patch.undo()
 
 
-def record_of(
-    plant: str, effects: Sequence[Mapping[str, Any]], seed: int = 3, duration: float = 0.3, **changes: Any
-) -> Record:
+def record_of(plant: str, effects: Sequence[Mapping[str, Any]], seed: int = 3, duration: float = 0.3, **changes: Any) -> Record:
     """A diagnostic record of `duration` in s, by default the shortest whose multisine has lines, and rests.
 
     changes: parameters of the plant that differ from the shipped ones.
