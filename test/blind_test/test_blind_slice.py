@@ -1,6 +1,6 @@
 """A slice of the blind test: cases of tuning seeds, diagnosed from bag and model alone, asserted at the lower end of the intervals.
 
-The simulated records are about a fifth as long as those of a whole run, which saves time and asks more of the diagnosis.
+The simulated records are about a quarter as long as those of a whole run, which saves time and asks more of the diagnosis.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from hyst_control.errors import InputError
 pytestmark = pytest.mark.long_file
 
 SEED, COUNT, INJECTED = 11, 15, 5
-DURATION = 0.3
+DURATION = 0.4
 """Length of a simulated record, s."""
 
 

@@ -30,7 +30,6 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("screened") / "fleet"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(simulated_fleet, "map_spawned", map)
-        patch.setattr(simulated_fleet, "EXCITATION", {**simulated_fleet.EXCITATION, "periods": 2})
         labels = json.loads(simulated_fleet.make_fleet(folder, 4, 3, 6, 0.34).read_text())
     [unit] = [unit for unit in labels["units"] if unit["effect"]]
     return folder, unit["name"], unit["begins"]
