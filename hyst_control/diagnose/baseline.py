@@ -20,44 +20,32 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.signal import correlate
 
 from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import Array
+from hyst_control.diagnose.carried_noise import white_noise, without_noise
 from hyst_control.diagnose.configuration import BaselineSettings
+from hyst_control.diagnose.error_on_other_commands import (
+    learned_mean,
+    lowest_frequency,
+    on_new_ground,
+    own_error_spectrum,
+    predicted_error,
+    simulated_rows,
+)
 from hyst_control.diagnose.error_spectrum import ErrorSpectrum
 from hyst_control.diagnose.initial_memory import has_whole_loop, initial_memory, is_new_ground, wiped_out
 from hyst_control.diagnose.noise_floor import noise_between_periods
 from hyst_control.diagnose.problem import Piece, Problem, check_units
-from hyst_control.diagnose.session import CarriedError, ErrorBasis, LearnedError, SessionZero
+from hyst_control.diagnose.same_command import Match, beside_periods, between_periods, matching
+from hyst_control.diagnose.session import CarriedError, LearnedError, SessionZero
 from hyst_control.errors import InputError
 from hyst_control.identify.learned_discrepancy import LearnedDiscrepancy, discrepancy_of, session_zeros
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.correlation import correlation_length
 from hyst_control.records.record import Record
-from hyst_control.records.repeated_periods import is_same, period_of
 from hyst_control.records.session_zero import SHAPES, usual_zero, without_zero
-
-LEAST_DIRECTION = 0.1
-"""Least rms of a direction of the learned error, in the rms of what it leaves, that is free in a diagnosis."""
-NOISE_REACH = 20
-"""Bins of the spectrum to either side over which the power of a carried error is averaged to tell its noise."""
-UNEXCITED = 1e-6
-"""Power of a command, as a share of its largest, below which it excites nothing."""
-LOW_SHARE = 0.02
-"""Share of a command's power that lies below what counts as its lowest frequency."""
-
-
-@dataclass(frozen=True)
-class Match:
-    """Clean record with the same command: row k of the new record matches row k + shift of the clean one, for begin ≤ k < end."""
-
-    clean: Piece
-    shift: int
-    begin: int
-    end: int
 
 
 @dataclass(frozen=True)
@@ -197,7 +185,7 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
     Baseline
     """
     matches = [matching(piece.command, clean.pieces, settings.same_command, settings.overlap) for piece in problem.pieces]
-    if not all(matches) and any(np.ptp(_simulated(clean, i, piece)) > 0 for i, piece in enumerate(clean.pieces)):
+    if not all(matches) and any(np.ptp(simulated_rows(clean, i, piece)) > 0 for i, piece in enumerate(clean.pieces)):
         # What a model leaves changes little from one command to a similar one, and its simulation knows the difference.
         matches = [
             matching(piece.command, clean.pieces, settings.similar_command, settings.similar_overlap) for piece in problem.pieces
@@ -207,7 +195,9 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
         return _carried(problem, clean, matches, spans, settings)
     # A record that begins anywhere fills the memory first: what the model leaves there is no error of it.
     known = _from_wiped_memory(clean, problem)
-    errors = [(piece.measurement - _simulated(clean, i, piece))[_first_counted(piece) :] for i, piece in enumerate(clean.pieces)]
+    errors = [
+        (piece.measurement - simulated_rows(clean, i, piece))[_first_counted(piece) :] for i, piece in enumerate(clean.pieces)
+    ]
     left = [
         rows[_first_counted(later) - _first_counted(piece) :]
         for rows, later, piece in zip(errors, known.pieces, clean.pieces, strict=True)
@@ -252,12 +242,12 @@ def _beside_own_error(
     mean = np.asarray(stated.get("zero_mean", np.zeros((len(error), len(SHAPES)))), dtype=float)
     usual = np.full(mean.shape, np.nan) if zeros is None else np.asarray(zeros, dtype=float) - np.abs(mean)
     # Without a stated correlation that of a sine at the slowest excited frequency is assumed.
-    seconds = float(stated.get("correlation", 1.0 / (np.pi * _slowest(problem))))
+    seconds = float(stated.get("correlation", 1.0 / (np.pi * lowest_frequency(problem))))
     learned = [LearnedDiscrepancy.from_document(one) for one in stated.get("learned", ()) if one is not None]
     predicted = _memory(problem, settings)
     rest = settings.unseen * error
     if len(learned) == len(error) == 1:  # axes that the model mixes have no features of their own
-        predicted = (*predicted, *_predicted(problem, learned[0]))
+        predicted = (*predicted, *predicted_error(problem, learned[0]))
         rest, seconds = settings.unseen * np.array([learned[0].rest]), learned[0].correlation
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     noise = np.broadcast_to(np.atleast_1d(np.asarray(problem.model.noise.get("sigma", 0.0), dtype=float)), error.shape)
@@ -272,79 +262,16 @@ def _beside_own_error(
         left = [without_zero(rows)[0] for rows in errors]
         if known is not None:
             left = [
-                rows - without_zero(_learned_mean(known, piece, len(rows), clean.sample_time))[0]
+                rows - without_zero(learned_mean(known, piece, len(rows), clean.sample_time))[0]
                 for rows, piece in zip(left, clean.pieces, strict=True)
             ]
-        spectrum = _spectrum(left, everything, clean, max(len(piece.counted(piece.command)) for piece in problem.pieces))
-        spectrum = _on_new_ground(spectrum, problem, clean, error, settings)
+        spectrum = own_error_spectrum(left, everything, clean, max(len(piece.counted(piece.command)) for piece in problem.pieces))
+        spectrum = on_new_ground(spectrum, problem, clean, error, settings)
         floor = np.zeros_like(excess)
-    beside = replace(problem, model=model, slowest=_slowest(problem), own_error=rest, own_correlation=length, own_spectrum=spectrum)
+    beside = replace(
+        problem, model=model, slowest=lowest_frequency(problem), own_error=rest, own_correlation=length, own_spectrum=spectrum
+    )
     return Baseline(beside, False, error, usual, floor, clean, excess, known, mean)
-
-
-def _spectrum(errors: Sequence[Array], everything: Sequence[Array], clean: Problem, count: int) -> ErrorSpectrum:
-    """Estimate the spectrum of the model's own error for a record of `count` rows.
-
-    errors: on the clean records, each (N, A), from the row on at which the time before them no longer shows; everything: on all rows
-    that count.
-    """
-    slowest = _slowest(clean)
-
-    def spectrum_of(series: Sequence[Array]) -> ErrorSpectrum:
-        return ErrorSpectrum.of([without_zero(rows)[0] for rows in series], clean.sample_time, count, slowest)
-
-    def driven_by(series: Sequence[Array]) -> Array:
-        return spectrum_of([piece.command[-len(rows) :] for rows, piece in zip(series, clean.pieces, strict=True)]).power
-
-    if all(len(some) == len(rows) for some, rows in zip(errors, everything, strict=True)):
-        return spectrum_of(errors)
-    driven, all_driven = driven_by(errors), driven_by(everything)
-    least = UNEXCITED * np.max(all_driven, axis=0)
-    return spectrum_of(everything).with_slow_part(spectrum_of(errors), (all_driven + least) / (driven + least))
-
-
-def _on_new_ground(
-    spectrum: ErrorSpectrum, problem: Problem, clean: Problem, error: Array, settings: BaselineSettings
-) -> ErrorSpectrum:
-    """The spectrum of the own error with what the model may leave at frequencies that the new records' commands drive more.
-
-    error: rms (A,) that the model leaves on the clean records; the one that its file states counts too, where it is larger.
-    """
-    count, slowest = len(spectrum.frequencies), _slowest(clean)
-    new = [without_zero(_simulated(problem, i, piece))[0] for i, piece in enumerate(problem.pieces)]
-    known = [without_zero(_simulated(clean, i, piece))[0] for i, piece in enumerate(clean.pieces)]
-    size, known_size = (np.sqrt(np.mean(np.concatenate(series) ** 2, axis=0)) for series in (new, known))
-    if not (size.all() and known_size.all()):
-        return spectrum  # without a model nothing is known of its output
-    stated = np.asarray(problem.model.discrepancy.get("rms", 0.0), dtype=float)
-    relative = settings.unseen * np.maximum(error / known_size, stated / size)
-    before, now = (ErrorSpectrum.of(series, clean.sample_time, count, slowest) for series in (known, new))
-    return spectrum.for_output(before, now, relative)
-
-
-def _learned_mean(learned: LearnedDiscrepancy, piece: Piece, rows: int, sample_time: float) -> Array:
-    """The last rows (N, 1) of what a learned error predicts on a record."""
-    features = learned.features.rows(np.ascontiguousarray(piece.command[:, 0]), sample_time)
-    return np.asarray((features @ learned.mean)[-rows:, None], dtype=np.float64)
-
-
-def _predicted(problem: Problem, learned: LearnedDiscrepancy) -> tuple[LearnedError, ...]:
-    """Predict a learned error on the records of a problem of one axis, in the fewest directions that matter; empty where none does.
-
-    The mean is one direction more, free between absent and twice itself: on other commands it is a guess, and the nominal model stays
-    the model as given.
-    """
-    rows = [
-        without_zero(learned.features.rows(np.ascontiguousarray(piece.command[:, 0]), problem.sample_time))[0]
-        for piece in problem.pieces
-    ]
-    factor = np.column_stack([learned.mean, learned.factor])
-    spread = np.concatenate(rows) @ factor
-    _, sizes, directions = np.linalg.svd(spread, full_matrices=False)
-    kept = directions[sizes > LEAST_DIRECTION * learned.rest * np.sqrt(len(spread))].T
-    if not kept.shape[1]:
-        return ()
-    return (LearnedError(np.zeros(kept.shape[1]), ErrorBasis(tuple(design @ factor @ kept for design in rows))),)
 
 
 def _carried(
@@ -372,18 +299,18 @@ def _carried(
         for match in found:
             rows = np.clip(np.arange(len(piece.command)) + match.shift, 0, len(match.clean.command) - 1)
             index = next(i for i, one in enumerate(clean.pieces) if one is match.clean)
-            errors.append((match.clean.measurement - _simulated(clean, index, match.clean))[rows])
+            errors.append((match.clean.measurement - simulated_rows(clean, index, match.clean))[rows])
         mean = np.mean(errors, axis=0)
         repeating = [noise_between_periods([column], [piece.command]) for column in mean.T]
         # What the new record has too is no noise of the clean one, however rough.
-        differing = white_noise((piece.measurement - _simulated(problem, len(series), piece) - mean)[kept]) / np.sqrt(2.0)
+        differing = white_noise((piece.measurement - simulated_rows(problem, len(series), piece) - mean)[kept]) / np.sqrt(2.0)
         series.append(without_noise(mean, np.fmin(repeating, differing)))
         differences += [without_zero((error - errors[0])[kept])[0] for error in errors[1:]]
         zeros.append(usual_zero(np.array([without_zero((error - series[-1])[begin:end])[1] for error in errors])))
         run_to_run += [without_zero((error - errors[0])[kept])[0] / np.sqrt(2.0) for error in errors[1:]]
         if len(errors) == 1:
-            differences += _between_periods(piece.command[begin:end], errors[0][begin:end], settings)
-            run_to_run += _beside_periods(piece.command[begin:end], errors[0][begin:end], begin + found[0].shift, settings)
+            differences += between_periods(piece.command[begin:end], errors[0][begin:end], settings)
+            run_to_run += beside_periods(piece.command[begin:end], errors[0][begin:end], begin + found[0].shift, settings)
     repeatability = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if differences else np.zeros(len(spans))
     usual = np.fmin(np.max(zeros, axis=0), np.array(settings.usual_share) * spans[:, None])
     # Both records of a difference have noise, and the mean of n clean ones a part of it; what is carried has none.
@@ -398,48 +325,17 @@ def _carried(
         problem,
         model=model,
         pieces=tuple(pieces),
-        slowest=_slowest(problem),
+        slowest=lowest_frequency(problem),
         own_error=alone if differences else None,
         own_correlation=max((correlation_length(rows) for rows in differences), default=1.0),
-        own_spectrum=ErrorSpectrum.of(run_to_run, problem.sample_time, longest, _slowest(problem), both**2) if run_to_run else None,
+        own_spectrum=ErrorSpectrum.of(run_to_run, problem.sample_time, longest, lowest_frequency(problem), both**2)
+        if run_to_run
+        else None,
     )
     own = np.concatenate([without_zero(rows)[0] for rows in series])
     error = np.sqrt(np.mean(own**2, axis=0))
     floor = settings.same_floor * repeatability
     return Baseline(beside, True, repeatability, usual, floor, clean, error, mean_zero=np.zeros(usual.shape))
-
-
-def as_clean_command(problem: Problem, clean: Problem, settings: BaselineSettings) -> Problem:
-    """Put the command of a clean record in the place of one whose roughness the plant did not receive, where both are the same.
-
-    What smoothing leaves of a roughness is slow, as an effect is; a clean record of the same command has none of it.
-
-    Parameters
-    ----------
-    problem : Problem
-        The new records; those whose commands were smoothed have the recorded ones beside.
-    clean : Problem
-        Clean records of the same axes.
-    settings : BaselineSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    Problem
-    """
-    pieces = []
-    for piece in problem.pieces:
-        if piece.recorded is not None:
-            rough = float(np.sqrt(np.mean((piece.recorded - piece.command) ** 2))) / float(np.ptp(piece.command))
-            same = min(max(settings.same_command, rough), settings.similar_command)
-            found = matching(piece.command, clean.pieces, same, settings.overlap)
-            if found:
-                command, match = piece.command.copy(), found[0]
-                rows = slice(match.begin, match.end)
-                command[rows] = match.clean.command[match.begin + match.shift : match.end + match.shift]
-                piece = replace(piece, command=command)
-        pieces.append(piece)
-    return replace(problem, pieces=tuple(pieces))
 
 
 def _fills_memory(
@@ -458,129 +354,6 @@ def _fills_memory(
     new_ground = np.zeros(len(command), dtype=bool)
     new_ground[begin:end] = is_new_ground(command[begin:end, 0])
     return new_ground if np.count_nonzero(new_ground) <= most else np.zeros(len(command), dtype=bool)
-
-
-def without_noise(error: Array, most: Array | float = np.inf) -> Array:
-    """Take the white noise off a carried error, frequency by frequency as far as it is noise (Wiener filter).
-
-    The noise of the clean records is not that of the new one. Carried along, it would be noise that a low-pass at the sensor takes off.
-
-    Parameters
-    ----------
-    error : ndarray, shape (N, A)
-        Measured minus simulated, measurement unit.
-    most : ndarray, shape (A,), or float
-        Noise that it has at most, rms, where periods of the command tell; infinite otherwise. A model's error may be as rough as noise.
-
-    Returns
-    -------
-    ndarray, shape (N, A)
-        Measurement unit.
-    """
-    rest, _ = without_zero(error)
-    spectrum, smooth, floor = _floor_of(rest)
-    floor = np.minimum(floor, 2 * len(rest) * most**2)
-    kept = np.clip(1.0 - floor / np.maximum(smooth, 1e-300), 0.0, 1.0)
-    return np.asarray(error - rest + np.fft.irfft(kept * spectrum, 2 * len(rest), axis=0)[: len(rest)], dtype=np.float64)
-
-
-def white_noise(rows: Array) -> Array:
-    """Estimate the white part of rows from the quietest bins of the upper half of their spectrum.
-
-    Parameters
-    ----------
-    rows : ndarray, shape (N, A)
-        Of any unit.
-
-    Returns
-    -------
-    ndarray, shape (A,)
-        Its rms; infinite for fewer rows than the spectrum is averaged over.
-    """
-    if len(rows) <= 2 * NOISE_REACH:
-        return np.full(rows.shape[1], np.inf)
-    return np.asarray(np.sqrt(_floor_of(without_zero(rows)[0])[2] / (2 * len(rows))), dtype=np.float64)
-
-
-def _floor_of(rest: Array) -> tuple[NDArray[np.complex128], Array, Array]:
-    """Spectrum (F, A) of rows and their mirror image, its smoothed power, and the power (A,) of its quietest bins above the middle."""
-    spectrum = np.fft.rfft(np.concatenate([rest, rest[::-1]]), axis=0)
-    power = np.abs(spectrum) ** 2
-    window = np.ones(2 * NOISE_REACH + 1) / (2 * NOISE_REACH + 1)
-    smooth = np.stack([np.convolve(np.pad(column, NOISE_REACH, mode="reflect"), window, "valid") for column in power.T], axis=1)
-    quiet = np.asarray(np.quantile(smooth[len(smooth) // 2 :], 0.2, axis=0), dtype=np.float64)
-    return np.asarray(spectrum, dtype=np.complex128), smooth, quiet
-
-
-def matching(command: Array, clean: Sequence[Piece], same: float, overlap: float) -> list[Match]:
-    """Find the clean records that have the same command up to a shift.
-
-    Parameters
-    ----------
-    command : ndarray, shape (N, A)
-        Command of the new record, V.
-    clean : sequence of Piece
-        Clean records to search.
-    same : float
-        Difference up to which two commands are the same, rms, as a share of the range.
-    overlap : float
-        Least share of the new record in which they are.
-
-    Returns
-    -------
-    list of Match
-    """
-    found = []
-    for piece in clean:
-        other = piece.command
-        if len(other) >= len(command) and is_same(command, other[: len(command)], same):
-            shift = 0
-        else:
-            shift = _shift(command, other, int(np.ceil(overlap * len(command))))
-        begin, end = max(0, -shift), min(len(command), len(other) - shift)
-        if end - begin >= overlap * len(command) and is_same(command[begin:end], other[begin + shift : end + shift], same):
-            found.append(Match(piece, shift, begin, end))
-    return found
-
-
-def _shift(command: Array, other: Array, least: int) -> int:
-    """Shift with the least mean square difference between two commands; the overlap has at least `least` rows."""
-    rows, shifts = len(command), np.arange(-(len(command) - 1), len(other))
-    begin, end = np.maximum(0, -shifts), np.minimum(rows, len(other) - shifts)
-    squares = [np.concatenate([[0.0], np.cumsum(np.sum(values**2, axis=1))]) for values in (command, other)]
-    products = np.sum(
-        [correlate(other[:, axis], command[:, axis], mode="full", method="fft") for axis in range(command.shape[1])], axis=0
-    )
-    energy = squares[0][end] - squares[0][begin] + squares[1][end + shifts] - squares[1][begin + shifts]
-    difference = (energy - 2.0 * products) / np.maximum(end - begin, 1)
-    return int(shifts[np.argmin(np.where(end - begin >= least, difference, np.inf))])
-
-
-def _between_periods(command: Array, error: Array, settings: BaselineSettings) -> list[Array]:
-    """Differences (N, A) of the error between successive periods of a periodic command; empty if it is not periodic."""
-    period = period_of(command, settings.same_command)
-    if period is None:
-        return []
-    count = len(command) // period
-    whole = error[: count * period].reshape(count, period, -1)
-    return [without_zero(later - earlier)[0] for earlier, later in zip(whole[:-1], whole[1:], strict=True)]
-
-
-def _beside_periods(command: Array, error: Array, before: int, settings: BaselineSettings) -> list[Array]:
-    """The error (N, A) without its mean over the periods of a periodic command; empty if it is not periodic.
-
-    before: rows of the clean record before these. Where they are no whole period, of three and more the first is left out: what is left
-    of the memory fills in it. Behind them it is as good as the others, and few periods tell little of what sessions differ by.
-    """
-    period = period_of(command, settings.same_command)
-    if period is None:
-        return []
-    if len(command) >= 3 * period and before < period:
-        error = error[period:]
-    count = len(error) // period
-    whole = error[: count * period].reshape(count, period, -1)
-    beside = (whole - whole.mean(axis=0)) / np.sqrt(1.0 - 1.0 / count)
-    return [without_zero(beside.reshape(count * period, -1))[0]]
 
 
 def _first_counted(piece: Piece) -> int:
@@ -606,24 +379,6 @@ def _from_wiped_memory(clean: Problem, problem: Problem) -> Problem:
     return replace(clean, pieces=tuple(pieces))
 
 
-def _simulated(problem: Problem, index: int, piece: Piece) -> Array:
-    """Simulated measurement (N, A) of all rows of a record, measurement unit."""
-    alone = replace(problem, pieces=(replace(piece, keep=None),), sigma=np.ones(len(problem.sigma)))
-    return alone.rows(alone.simulate([stage.for_record(index) for stage in problem.model.chain.stages]))
-
-
-def _slowest(problem: Problem) -> float:
-    """Lowest frequency (Hz) of the commands; the share `LOW_SHARE` of their power lies below it."""
-    found = []
-    for piece in problem.pieces:
-        rows = (piece.command - piece.command.mean(axis=0)) * np.hanning(len(piece.command))[:, None]
-        power = np.sum(np.abs(np.fft.rfft(rows, axis=0)) ** 2, axis=1)
-        share = np.cumsum(power) / max(float(power.sum()), 1e-300)
-        lowest = max(int(np.argmax(share >= LOW_SHARE)), 1)
-        found.append(lowest / (len(rows) * problem.sample_time))
-    return min(found)
-
-
 def _memory(problem: Problem, settings: BaselineSettings) -> tuple[LearnedError, ...]:
     found = initial_memory(problem, settings.memory_share)
     return () if found is None else (found,)
@@ -632,7 +387,7 @@ def _memory(problem: Problem, settings: BaselineSettings) -> tuple[LearnedError,
 def _zero(problem: Problem, spans: Array, settings: BaselineSettings) -> SessionZero:
     """Zero of every record, free about 0: as wide as it lies off, since a sensor's zero is arbitrary, and says nothing of an effect."""
     durations = np.array([len(piece.command) for piece in problem.pieces]) * problem.sample_time
-    off = [np.abs(np.mean(piece.measurement - _simulated(problem, i, piece), axis=0)) for i, piece in enumerate(problem.pieces)]
+    off = [np.abs(np.mean(piece.measurement - simulated_rows(problem, i, piece), axis=0)) for i, piece in enumerate(problem.pieces)]
     scale = np.repeat((settings.zero_share * spans)[:, None], len(SHAPES), axis=1)
     scale[:, 0] = np.maximum(scale[:, 0], np.max(off, axis=0))
     return SessionZero.absent(scale, durations)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hyst_control.chain.stage import Array
-from hyst_control.diagnose.baseline import Baseline, as_clean_command, no_model, with_baseline, with_discrepancy
+from hyst_control.diagnose.baseline import Baseline, no_model, with_baseline, with_discrepancy
 from hyst_control.diagnose.command_roughness import as_recorded, roughness_evidence, with_commands
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.distortion import distortions
@@ -31,6 +31,7 @@ from hyst_control.diagnose.prepared_axis import clean_rows, is_used, nominal_res
 from hyst_control.diagnose.problem import Piece, Problem, check_command, check_units, split
 from hyst_control.diagnose.record_checks import held_at_one_value
 from hyst_control.diagnose.record_findings import not_received
+from hyst_control.diagnose.same_command import as_clean_command
 from hyst_control.diagnose.seen_in_clean import CleanRecords
 from hyst_control.diagnose.verdict import Decision
 from hyst_control.effects.effect import RecordCheck

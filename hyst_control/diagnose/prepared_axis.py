@@ -24,8 +24,9 @@ from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, fit
 from hyst_control.diagnose.parameter_uncertainty import pinned, scatter_of, within_own_error
 from hyst_control.diagnose.policy import practical_floor
 from hyst_control.diagnose.problem import Problem
-from hyst_control.diagnose.record_checks import effect_found_by, lattice_of, lines, record_evidence
+from hyst_control.diagnose.record_checks import effect_found_by, lattice_of, record_evidence
 from hyst_control.diagnose.record_findings import detected
+from hyst_control.diagnose.spectral_lines import lines
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import PLACES, RecordCheck
 

@@ -19,6 +19,8 @@ from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal
 
+pytestmark = pytest.mark.long_file
+
 FREQUENCIES = (300.0, 1200.0)
 
 

@@ -15,11 +15,12 @@ from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear import TransferFunction
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.prandtl_ishlinskii import PrandtlIshlinskii
-from hyst_control.diagnose.baseline import matching, without_noise
+from hyst_control.diagnose.carried_noise import without_noise
 from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.gap_report import sentence
 from hyst_control.diagnose.predictability import predictable_share
 from hyst_control.diagnose.problem import Piece
+from hyst_control.diagnose.same_command import matching
 from hyst_control.diagnose.session import CarriedError, SessionZero
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS

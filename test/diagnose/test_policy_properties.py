@@ -8,10 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyst_control.diagnose.evidence import (
-    Evidence,
-    ResidualEvidence,
-)
+from hyst_control.diagnose.evidence import Evidence, ResidualEvidence
 from hyst_control.diagnose.policy import contenders, decide, join
 from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects.effect import RecordCheck

@@ -20,6 +20,8 @@ from hyst_control.model_file import load_model, simulate
 from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
 
+pytestmark = pytest.mark.long_file
+
 MODEL = Path(__file__).resolve().parents[2] / "config" / "models" / "pea_hampi.yaml"
 TS = 1e-4
 

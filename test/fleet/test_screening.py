@@ -11,6 +11,7 @@ pytest.importorskip("pyarrow")
 import pyarrow.parquet
 
 from hyst_control.blind_test import simulated_fleet
+from hyst_control.effects import EFFECTS
 from hyst_control.fleet.manifest import read_manifest
 from hyst_control.fleet.record_jobs import GAPS, ONSETS, RecordJob, compute
 from hyst_control.fleet.study import run_study
@@ -18,6 +19,9 @@ from hyst_control.model_file import load_model, save_model
 from hyst_control.parallel import Workers
 
 pytestmark = pytest.mark.long_file
+
+WITHOUT = {"without": tuple(name for name in EFFECTS if name not in simulated_fleet.EFFECTS)}
+"""Effects that no unit of a fleet gets: whatever the diagnosis looks for, the screening must agree with it, and every other costs time."""
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +37,7 @@ def made(tmp_path_factory):
 
 def row(folder, tmp_path, bag, only):
     [entry] = [entry for entry in read_manifest([str(folder / "manifest.csv")]) if entry.bag.endswith(bag)]
-    return compute(RecordJob("diagnose", entry, {} if only is None else {"only": only}, str(tmp_path)))
+    return compute(RecordJob("diagnose", entry, WITHOUT if only is None else {**WITHOUT, "only": only}, str(tmp_path)))
 
 
 def test_screening_changes_no_verdict(made, tmp_path):
@@ -57,7 +61,7 @@ def test_a_model_that_states_its_own_error_needs_no_search(made, tmp_path):
     def computed(unit, night, only):
         [entry] = [entry for entry in entries if entry.bag.endswith(f"{unit}_{night:03d}")]
         entry = replace(entry, baseline=(), model=str(tmp_path / "model.yaml"))
-        return compute(RecordJob("diagnose", entry, {} if only is None else {"only": only}, str(tmp_path)))
+        return compute(RecordJob("diagnose", entry, WITHOUT if only is None else {**WITHOUT, "only": only}, str(tmp_path)))
 
     healthy = next(f"u{index:04d}" for index in range(3) if f"u{index:04d}" != changed)
     whole, screened = computed(healthy, 3, None), computed(healthy, 3, GAPS)
@@ -69,7 +73,7 @@ def test_a_model_that_states_its_own_error_needs_no_search(made, tmp_path):
 def test_only_the_clearest_record_of_a_unit_that_changed_is_diagnosed_and_as_ever(made, tmp_path):
     folder, changed, begins = made
     entries = read_manifest([str(folder / "manifest.csv")])
-    study = run_study("diagnose", entries, tmp_path / "study", {"only": ONSETS}, Workers(1))
+    study = run_study("diagnose", entries, tmp_path / "study", {**WITHOUT, "only": ONSETS}, Workers(1))
     assert study.failed == {} and study.computed == len(entries)
     document = json.loads((tmp_path / "study" / "fleet.json").read_text())
     named = {claim["unit"]: claim["moment"] for claim in document["onsets"]}
@@ -79,7 +83,7 @@ def test_only_the_clearest_record_of_a_unit_that_changed_is_diagnosed_and_as_eve
     [diagnosed] = [each for each in own if each["verdict"] != "not_diagnosed"]
     assert diagnosed["bag"] == max(own, key=lambda each: each["gap_rms"])["bag"]
     assert sum(each["verdict"] != "not_diagnosed" for each in rows) <= 3, "one record a unit at most"
-    assert run_study("diagnose", entries, tmp_path / "study", {"only": ONSETS}, Workers(1)).computed == 0
+    assert run_study("diagnose", entries, tmp_path / "study", {**WITHOUT, "only": ONSETS}, Workers(1)).computed == 0
     whole = row(folder, tmp_path, diagnosed["bag"], None)
     short = row(folder, tmp_path, diagnosed["bag"], ONSETS)
     for name in ("verdict", "reasons"):

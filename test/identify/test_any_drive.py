@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -32,6 +33,16 @@ FAMILIES = sorted(set(PLANTS) - {"duhem_oscillator"})
 
 def test_every_family_has_a_round_trip():
     assert set(PLANTS) == set(estimators())
+
+
+@pytest.fixture(scope="module", autouse=True)
+def brief() -> Iterator[None]:
+    """Records half as long as those of `hyst bench`; not of oscillators, whose memory fades slower."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, plant in PLANTS.items():
+            if plant.pace > 1.0 and name not in OSCILLATORS:
+                patch.setitem(PLANTS, name, replace(plant, seconds=0.5 * plant.seconds))
+        yield
 
 
 @pytest.fixture(scope="module")

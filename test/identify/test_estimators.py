@@ -78,7 +78,7 @@ MODE = TransferFunction([W * W], [1.0, 0.6 * W, W * W])
 SLOW = loops(1e-3, (1.0, 50.0), (2.0, 35.0), (2.0, 45.0), (4.0, 20.0), (4.0, 50.0))
 FAST = loops(1e-4, (5.0, 50.0), (40.0, 50.0), (150.0, 40.0), (400.0, 45.0), (80.0, 25.0), (20.0, 35.0))
 BRIEF = loops(1e-4, (20.0, 50.0), (40.0, 50.0), (150.0, 40.0), (400.0, 45.0), (80.0, 25.0), (20.0, 35.0), seconds=0.03)
-"""For oscillators, whose equations are integrated sample by sample: every amplitude and rate of `FAST`, fewer loops."""
+"""For differential equations, which are integrated sample by sample: every amplitude and rate of `FAST`, fewer loops."""
 CURVES = Madelung([0.2, 0.5, 0.3], [-0.3, -0.2, 1.5], 50.0, 2.0)
 WEIGHT_ROWS = {f"weights[{i}]": weight for i, weight in enumerate(WEIGHTS)}
 GIVEN = {"thresholds": THRESHOLDS, "nuisance": "none"}
@@ -148,7 +148,7 @@ EXAMPLES = {
     ),
     "duhem": Example(
         (Delay(1.3e-4), Duhem(0.1, -0.03, 0.03, -0.008, 1.3, 4e-3), MODE),
-        FAST,
+        BRIEF,
         1e-4,
         {"slope": 0.1, "alpha": -0.03, "beta": 0.03, "gamma": -0.008, "exponent": 1.3, "growth": 4e-3, "tau": 1.3e-4, **MECHANICS},
         {"structure": "modes=1,delay", "creep": False, "nuisance": "offset"},

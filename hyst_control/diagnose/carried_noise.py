@@ -1,0 +1,64 @@
+"""Noise of a carried error: told by the quietest part of its spectrum, and taken off before the error is carried to another record."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.chain.parameter import Array
+from hyst_control.records.session_zero import without_zero
+
+NOISE_REACH = 20
+"""Bins of the spectrum to either side over which the power of a carried error is averaged to tell its noise."""
+
+
+def without_noise(error: Array, most: Array | float = np.inf) -> Array:
+    """Take the white noise off a carried error, frequency by frequency as far as it is noise (Wiener filter).
+
+    The noise of the clean records is not that of the new one. Carried along, it would be noise that a low-pass at the sensor takes off.
+
+    Parameters
+    ----------
+    error : ndarray, shape (N, A)
+        Measured minus simulated, measurement unit.
+    most : ndarray, shape (A,), or float
+        Noise that it has at most, rms, where periods of the command tell; infinite otherwise. A model's error may be as rough as noise.
+
+    Returns
+    -------
+    ndarray, shape (N, A)
+        Measurement unit.
+    """
+    rest, _ = without_zero(error)
+    spectrum, smooth, floor = _floor_of(rest)
+    floor = np.minimum(floor, 2 * len(rest) * most**2)
+    kept = np.clip(1.0 - floor / np.maximum(smooth, 1e-300), 0.0, 1.0)
+    return np.asarray(error - rest + np.fft.irfft(kept * spectrum, 2 * len(rest), axis=0)[: len(rest)], dtype=np.float64)
+
+
+def white_noise(rows: Array) -> Array:
+    """Estimate the white part of rows from the quietest bins of the upper half of their spectrum.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (N, A)
+        Of any unit.
+
+    Returns
+    -------
+    ndarray, shape (A,)
+        Its rms; infinite for fewer rows than the spectrum is averaged over.
+    """
+    if len(rows) <= 2 * NOISE_REACH:
+        return np.full(rows.shape[1], np.inf)
+    return np.asarray(np.sqrt(_floor_of(without_zero(rows)[0])[2] / (2 * len(rows))), dtype=np.float64)
+
+
+def _floor_of(rest: Array) -> tuple[NDArray[np.complex128], Array, Array]:
+    """Spectrum (F, A) of rows and their mirror image, its smoothed power, and the power (A,) of its quietest bins above the middle."""
+    spectrum = np.fft.rfft(np.concatenate([rest, rest[::-1]]), axis=0)
+    power = np.abs(spectrum) ** 2
+    window = np.ones(2 * NOISE_REACH + 1) / (2 * NOISE_REACH + 1)
+    smooth = np.stack([np.convolve(np.pad(column, NOISE_REACH, mode="reflect"), window, "valid") for column in power.T], axis=1)
+    quiet = np.asarray(np.quantile(smooth[len(smooth) // 2 :], 0.2, axis=0), dtype=np.float64)
+    return np.asarray(spectrum, dtype=np.complex128), smooth, quiet

@@ -1,0 +1,170 @@
+"""Values of a measurement that stand still while the plant moves: repeated samples, stretches on one value, passages through a level.
+
+Counting alone tells them, no fit: held samples stand on a value each, a sensor that does not follow about a level on that level.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.configuration import CONFIGURATION, CheckSettings
+
+STANDS = 4.0
+"""Noise rms within which a measurement stands on one level."""
+PASSED = 10.0
+"""Times as far as these the simulation must pass it meanwhile."""
+MOST_LEVELS = 1e6
+"""Levels up to which a range is resolved: beyond, the noise is that of a simulation without any."""
+
+
+def repeated_samples(values: Array, step: float, sigma: float, settings: CheckSettings = CONFIGURATION.checks) -> tuple[float, int]:
+    """Share of samples that repeat the one before exactly, beyond what a lattice explains.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+        Measurement.
+    step : float
+        Step of its lattice, 0 without.
+    sigma : float
+        Its noise (rms).
+    settings : CheckSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    share : float
+    count : int
+        Samples that it was counted on.
+
+    """
+    if step > 0:
+        # On a lattice neighbors coincide by chance: only where the signal moves by several steps a sample does a repeat say much.
+        smooth = np.convolve(values, np.ones(settings.repeat_smoothing) / settings.repeat_smoothing, "same")
+        moving = np.abs(np.gradient(smooth)) > settings.repeat_motion * step
+        # Before a step nothing moves yet, though the smoothed signal does.
+        moving = np.convolve(moving, np.ones(settings.repeat_reach), "same") == settings.repeat_reach
+    else:
+        moving = np.ones(len(values), bool)
+    moved = np.diff(values, prepend=np.nan)
+    count = int(moving.sum())
+    if count < settings.repeat_samples:
+        return 0.0, count
+    share = float(np.mean(moved[moving] == 0.0))
+    if step > 0:  # by chance a sample repeats the one before as often as it is one step above, or one below
+        share -= 0.5 * float(np.mean(np.abs(np.abs(moved[moving]) - step) < 0.01 * step))
+        return max(share, 0.0), count
+    if share < settings.repeat_chance * _chance(values, settings.repeat_window):
+        return 0.0, count  # numbers of few digits coincide now and then
+    if sigma < 1e-12 * max(np.ptp(values), 1e-300):
+        return 0.0, count  # a noise-free record at rest repeats itself
+    return share, count
+
+
+def _chance(values: Array, window: int) -> float:
+    """Share of neighbors that coincide by chance in numbers that are rounded to the smallest step that occurs.
+
+    A stretch without a step does not tell how fast the signal moves: many of them are held samples. The stretches around do.
+    """
+    steps = np.abs(np.diff(values))
+    if not steps.any():
+        return 1.0
+    around = np.sqrt(np.convolve(steps**2, np.ones(window) / window, "same"))
+    told = np.flatnonzero(np.convolve(steps > 0.0, np.ones(window), "same") > 0.5)
+    around = np.interp(np.arange(len(steps)), told, around[told])
+    return float(np.mean(np.minimum(steps[steps > 0].min() / np.maximum(around, 1e-300), 1.0)))
+
+
+def stuck_stretches(pieces: Sequence[tuple[Array, Array]], step: float, sigma: float) -> int:
+    """Count stretches that stand on one and the same value while the command moves.
+
+    Samples that are held at random stand on a value each; a sensor that does not follow about some level, or has reached its end,
+    comes back to the same value again and again. No noise does.
+
+    Parameters
+    ----------
+    pieces : sequence of (ndarray, ndarray)
+        Command (N,) and measurement (N,) of each stretch of record.
+    step : float
+        Step of the measurement's lattice, 0 without: on one all values come back.
+    sigma : float
+        Noise of the measurement (rms): values of a simulation without any come back too.
+
+    Returns
+    -------
+    int
+        Stretches of at least two samples on the value that has most of them; 0 if these are not most of all repeated samples.
+    """
+    if step > 0 or sigma < 1e-12 * max((float(np.ptp(values)) for _, values in pieces), default=0.0):
+        return 0
+    stretches: Counter[float] = Counter()
+    repeats: Counter[float] = Counter()
+    for command, values in pieces:
+        same = np.diff(values) == 0.0
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            if np.ptp(command[begin : end + 1]) > 0.0:
+                stretches[float(values[begin])] += 1
+                repeats[float(values[begin])] += int(end - begin)
+    if not repeats:
+        return 0
+    value, count = repeats.most_common(1)[0]
+    return stretches[value] if 2 * count > repeats.total() else 0
+
+
+def level_crossings(pieces: Sequence[tuple[Array, Array]], step: float, sigma: float) -> int:
+    """Count passages through one level on which the measurement stands but for its noise, while the simulation moves on.
+
+    A sensor that does not follow about some level lets go on the other side of it. Play and the end of a range let go on the side that the
+    measurement came from. Friction holds at any level, and what a low-pass takes off is missing at any level: what the next level
+    has is taken off.
+
+    Parameters
+    ----------
+    pieces : sequence of (ndarray, ndarray)
+        Simulation (N,) and measurement (N,) of each stretch of record.
+    step : float
+        Step of the measurement's lattice, 0 without: beside noise below it all values stand on levels.
+    sigma : float
+        Noise of the measurement, rms.
+
+    Returns
+    -------
+    int
+        Passages through the level at which the simulation moves most, less those through the next one; 0 where the noise does not
+        resolve the range, or is none.
+    """
+    reach = STANDS * sigma
+    values = np.concatenate([measured for _, measured in pieces])
+    lowest, span = float(values.min()), float(np.ptp(values))
+    if step > sigma or not PASSED * reach < span < MOST_LEVELS * reach:
+        return 0
+    moved = np.concatenate([np.abs(np.diff(simulated, prepend=simulated[:1])) for simulated, _ in pieces])
+    bins = ((values - lowest) / reach).astype(np.int64)
+    travel = np.bincount(bins, moved)
+    first = int(np.argmax(travel))
+    others = np.where(np.abs(np.arange(len(travel)) - first) > PASSED, travel, 0.0)
+    counts = [_passages(pieces, float(np.median(values[bins == one])), reach) for one in (first, int(np.argmax(others)))]
+    return max(counts[0] - counts[1], 0)
+
+
+def _passages(pieces: Sequence[tuple[Array, Array]], level: float, reach: float) -> int:
+    """Stretches within `reach` of a level, entered on one side and left on the other, over which the simulation moves much further."""
+    found = 0
+    for simulated, measured in pieces:
+        on_it = np.abs(measured - level) <= reach
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], on_it, [False]]).astype(int)))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            if begin == 0 or end == len(measured):
+                continue
+            stands = measured[begin:end]
+            if np.count_nonzero(np.diff(stands) == 0.0) > len(stands) // 2 and float(np.median(stands)) != level:
+                continue  # samples that were held, each stretch at a value of its own
+            before, after = measured[begin - 1] - level, measured[end] - level
+            passed = (simulated[end - 1] - simulated[begin]) * np.sign(after)
+            found += bool(before * after < 0.0 and passed > 2.0 * PASSED * reach)
+    return found
