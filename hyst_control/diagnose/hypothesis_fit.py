@@ -9,6 +9,9 @@ is known by no more than the order of its size):
 (w: the problem's weight of a sample, 1 where noise alone separates model and record) is minimized by Gauss-Newton steps whose z-columns
 J = ∂ŷ/∂z are those of the nominal model: a scatter of a per cent changes them by a per cent, so a step leaves a per cent of the error, and
 only the effect's few columns are renewed. `refined` renews them all.
+
+Beside a large gap such steps lead astray where the effect is the wrong one: the coefficients would have to leave their tolerance many
+times over. A fit beside linear coefficients takes ŷ(z, x) = ŷ(0, x) + J z instead, and has the best z for every x.
 """
 
 from __future__ import annotations
