@@ -244,15 +244,12 @@ class SearchSettings:
         "fits", "fits beside linear coefficients that are finished first: others while they may come near the best"
     )
     slack: float = _setting("share of what the best takes off", "most that a fit beside linear coefficients may be off")
+    near: float = _setting("nats", "the same, at least")
     screened: int = _setting("starts", "starts of an effect that are looked at on top of another effect")
     scanned: int = _setting("values", "values of a parameter that are tried, and then as many between the best and its neighbors")
     realizations: int = _setting(
         "realizations", "realizations without a number to fit that go on: those that come closest to the record"
     )
-    siblings: int = _setting("fits", "realizations of one effect among the best that go on with columns of their own")
-    refined: int = _setting("fits", "best single effects that go on with columns of their own; of combinations half as many")
-    reach: float = _setting("share of what the best takes off", "distance behind the best fit up to which another goes on")
-    near: float = _setting("nats", "the same, at least")
     promising: int = _setting("effects", "effects that a linear step makes most of, added to an explanation")
     promise: float = _setting("share of the threshold", "least that such a step must gain")
     joint_pairs: int = _setting(
@@ -261,7 +258,6 @@ class SearchSettings:
     joint_starts: int = _setting("starts", "starts of an effect that are laid beside those of another for that")
     spent: float = _setting("share of the noise's energy", "energy beyond the noise's under which no further effect is looked for")
     spent_floor: float = _setting("practical sizes squared", "the same, of what is too small to be named")
-    kept_beams: int = _setting("beams", "combinations kept of every size")
     own_error_parameter: float = _setting(
         "nats", "cost of every parameter of an effect beyond the first, where the model states an error of its own"
     )
