@@ -82,13 +82,24 @@ def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bo
         # A broken pool ends its workers itself, but not one that is being started meanwhile, for which it would then wait.
         for worker in set(multiprocessing.active_children()) - others:
             worker.kill()
-        if isinstance(error, BrokenProcessPool):
+        # Work that is given to a pool in the moment in which it breaks meets a pipe that is closed already.
+        if isinstance(error, BrokenProcessPool) or (isinstance(error, OSError) and _is_broken(pool)):
             raise WorkerLost(
                 "a worker process was killed, possibly for lack of memory: free memory and run the command again"
             ) from None
         raise
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def _is_broken(pool: ProcessPoolExecutor) -> bool:
+    try:
+        pool.submit(int)
+    except BrokenProcessPool:
+        return True
+    except (OSError, RuntimeError):
+        pass
+    return False
 
 
 def map_forked(work: Callable[[int], Result], count: int) -> Iterator[Result]:

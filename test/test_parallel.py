@@ -137,6 +137,29 @@ def test_workers_end_with_their_parent(tmp_path, each, ending):
     assert begun.returncode == -ending and told.count("Traceback") == (ending == signal.SIGINT)
 
 
+BREAKING = """
+with executor(2) as pool:
+    lost = [pool.submit(os.getpid).result(), pool.submit(killed_at_three, 3)]
+    lost[1].exception()
+    raise OSError("handle is closed")
+"""
+INTACT = """
+with executor(2) as pool:
+    pool.submit(os.getpid).result()
+    raise OSError("the disk is full")
+"""
+
+
+@pytest.mark.parametrize(
+    ("program", "told"), [(BREAKING, "WorkerLost: a worker process was killed"), (INTACT, "OSError: the disk is full")]
+)
+def test_a_pipe_that_a_lost_worker_leaves_closed_is_told_as_that(tmp_path, program, told):
+    """A race within the pool: work that is given to it in the moment in which it breaks."""
+    indented = program.replace("\n", "\n    ")
+    done = run(f"if __name__ == '__main__':{indented}\n", tmp_path)
+    assert done.returncode == 1 and told in done.stderr.splitlines()[-1]
+
+
 def workers_of(process: int) -> Iterator[int]:
     """Processes that compute for a process, without those that only clean up after it."""
     try:
