@@ -43,7 +43,7 @@ LEAST_APPROACH = 0.05
 """Share of the distance to a better fit under which a step is not worth taking either: such a fit will not reach it."""
 
 ROUGHLY = 50.0
-"""How much more a step must gain where the output is taken as linear in the coefficients, which is true to a per cent at best."""
+"""Factor on the least gain of a step beside linear coefficients: they are right to about a per cent, so finer steps say nothing."""
 
 LENGTHS = (1.0, 0.5, 0.25, 0.1)
 """Lengths of a step that are tried, in full steps."""

@@ -268,7 +268,7 @@ def _leading(found: Sequence[Begun]) -> list[Begun]:
 
 
 def _rest(begun: Sequence[Begun], finished: Sequence[tuple[Candidate, Solution]]) -> list[Begun]:
-    """What was begun and not finished."""
+    """Candidates that were begun, without those that are finished."""
     done = {id(candidate) for candidate, _ in finished}
     return [one for one in begun if id(one.candidate) not in done]
 

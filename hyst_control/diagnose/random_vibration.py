@@ -19,7 +19,7 @@ NORMAL_95 = 1.645
 OUTSIDE = 1e300
 """Misfit outside the range: finite, since the simplex subtracts misfits."""
 SHAPES = ("tone", "mode")
-"""What makes a hump: a tone whose phase wanders, or a mode that is shaken at random."""
+"""Sources of a hump: a tone whose phase wanders, or a mode excited by white noise."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def _windowed(values: Array) -> Array:
 
 
 def _starts(power: Array, at: Array, settings: HumpSettings) -> list[Hump]:
-    """Where running means of several widths stand out most; none where chance explains them."""
+    """Humps to begin fits at: where a running mean exceeds the white noise most, for several widths; none if chance explains it."""
     floor = float(np.median(power)) / np.log(2.0)
     found: list[tuple[float, Hump]] = []
     half_width = settings.least_half_width

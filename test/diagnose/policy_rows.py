@@ -1,4 +1,4 @@
-"""Row of the policy's table: one rule, with the numbers that it is about and what is due."""
+"""Rows of the policy's table: each states a rule, evidence, and the decision that is expected."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hyst_control.effects.effect import RecordCheck
 
 @dataclass(frozen=True)
 class Row:
-    """One rule: evidence, and the verdict, reasons, names listed and checks that found something that are due."""
+    """One rule: evidence, and the expected verdict, reasons, listed names and findings of checks."""
 
     rule: str
     evidence: Evidence
