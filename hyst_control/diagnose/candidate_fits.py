@@ -80,7 +80,7 @@ def finish(linearised: Linearised, begun: Sequence[Begun], rival: float) -> list
         The best fit of each.
 
     """
-    found = map_forked(lambda i: _finished(linearised, begun[i], rival), len(begun))
+    found = map_forked(lambda i: _gone_on(linearised, begun[i], rival), len(begun))
     return [(one.candidate, solution) for one, solution in zip(begun, found, strict=True)]
 
 
@@ -115,7 +115,7 @@ def _begun(linearised: Linearised, candidate: Candidate, starts: Sequence[Array]
     return sorted(tried, key=lambda one: one.misfit)[: settings.followed]
 
 
-def _finished(linearised: Linearised, begun: Begun, rival: float) -> Solution:
+def _gone_on(linearised: Linearised, begun: Begun, rival: float) -> Solution:
     """The best of the fits that were begun, each gone on with while it may reach the best other one."""
     unknowns = begun.candidate.unknowns()
     ends: list[Solution] = []

@@ -83,8 +83,6 @@ class Solution:
     covariance: Array
     information: Array
     """(P, P): of x, z marginalized."""
-    promised: float = 0.0
-    """Misfit that a step would take off by the columns at hand, where no length of it did: columns of the fit's end may."""
 
 
 class Linearised:
@@ -257,7 +255,6 @@ def fit(
     residual, z = residual_of(z, x)
     misfit = misfit_of(residual, z, x)
     normal = np.eye(count + size)
-    promised = 0.0
     for _ in range(rounds):
         enough = max((ROUGHLY if linear else 1.0) * (LEAST_GAIN + 1e-5 * misfit), LEAST_APPROACH * (misfit - rival))
         if fitted is None:
@@ -275,7 +272,6 @@ def fit(
             step = _within(normal, right, step, x, fitted, count)
         promise = float(right @ step - 0.5 * step @ normal @ step)
         if promise < enough:
-            promised = promise
             break  # a linear step would gain next to nothing
         better = False
         for shorter in LENGTHS:
@@ -293,12 +289,10 @@ def fit(
                 better = True
                 break
         if not better:
-            promised = promise
             break
         gained = misfit - new
         z, x, residual, misfit = new_z, new_x, new_residual, new
         if gained < enough:
-            promised = max(promise - gained, 0.0)
             break
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     information = np.zeros((0, 0))
@@ -306,7 +300,7 @@ def fit(
         # Of the parameters' evidence the prior's part is that of its middle: 1.
         beyond = 1.0 - _prior_weight(x - fitted.centre)
         information = np.asarray(np.linalg.inv(covariance[count:, count:]), dtype=np.float64) + np.diag(beyond)
-    return Solution(misfit, z, x, residual, covariance, information, promised)
+    return Solution(misfit, z, x, residual, covariance, information)
 
 
 def effect_columns(

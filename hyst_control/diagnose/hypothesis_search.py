@@ -200,7 +200,7 @@ def search(
             break
         leading = _leading(grown)
         waiting = waiting + grown
-    finished = _finished(linearised, waiting, without, threshold, configuration)
+    finished = _contenders(linearised, waiting, without, threshold, configuration)
     fits = [item for item in finished if len(item[0].members) == 1]
     combinations = [item for item in finished if len(item[0].members) > 1]
     for candidate, solution in _pruned(linearised, combinations):
@@ -273,7 +273,7 @@ def _rest(begun: Sequence[Begun], finished: Sequence[tuple[Candidate, Solution]]
     return [one for one in begun if id(one.candidate) not in done]
 
 
-def _finished(
+def _contenders(
     linearised: Linearised, begun: Sequence[Begun], without: float, threshold: float, configuration: Configuration
 ) -> list[tuple[Candidate, Solution]]:
     """Fits of the chain as it is, of the best candidate and of those that might come near it: some at a time, the best first."""
@@ -287,7 +287,10 @@ def _finished(
         if not near:
             break
         ends = _freed(linearised, finish(linearised, near, best), without, configuration)
-        found += _refined(linearised, ends, best if found else within, configuration.policy)
+        # A fit by columns of the nominal coefficients may stop far from its minimum: what it was begun with says where that is.
+        limit = best if found else within
+        hopeful = [min(one.misfit, solution.misfit) <= limit for one, (_, solution) in zip(near, ends, strict=True)]
+        found += _refined(linearised, ends, hopeful, configuration.policy)
         best = min([best, *(solution.misfit for _, solution in found)])
         begun = begun[len(near) :]
     return found
@@ -425,13 +428,12 @@ def settled(linearised: Linearised, z: Array | None = None) -> Solution:
 
 
 def _refined(
-    linearised: Linearised, found: Sequence[tuple[Candidate, Solution]], within: float, thresholds: Thresholds
+    linearised: Linearised, found: Sequence[tuple[Candidate, Solution]], hopeful: Sequence[bool], thresholds: Thresholds
 ) -> list[tuple[Candidate, Solution]]:
-    """The fits, those gone on with that may come within this misfit."""
-    # A fit that got stuck may be far from its minimum: what counts is how far it says that it might come.
-    near = [i for i, (_, solution) in enumerate(found) if solution.misfit - solution.promised <= within]
-    better = map_forked(lambda i: _settled(linearised, *found[near[i]], thresholds), len(near))
-    gone_on = dict(zip(near, better, strict=True))
+    """The fits, the hopeful ones gone on with."""
+    chosen = np.flatnonzero(hopeful)
+    better = map_forked(lambda i: _settled(linearised, *found[chosen[i]], thresholds), len(chosen))
+    gone_on = dict(zip(chosen, better, strict=True))
     return [(candidate, gone_on.get(i, solution)) for i, (candidate, solution) in enumerate(found)]
 
 

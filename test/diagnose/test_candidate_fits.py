@@ -10,6 +10,7 @@ from hyst_control.blind_test.plant_setups import scatter
 from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.diagnosis import with_clean
 from hyst_control.diagnose.hypothesis import catalogue
+from hyst_control.diagnose.hypothesis_fit import fit
 from hyst_control.diagnose.hypothesis_search import search
 from hyst_control.diagnose.prepared_axis import prepare
 from test.diagnose.conftest import nominal, record_of
@@ -39,6 +40,22 @@ def test_a_second_order_low_pass_and_a_gain():
     found = search(prepared.linearised, members, 10.0, prepared.floor, prepared.leaves)
     best = max((*found.singles, *found.combinations), key=lambda one: one.score)
     assert best.names == ("amplifier_lowpass", "gain")
+
+
+def test_a_fit_that_stops_far_from_its_minimum_is_gone_on_with(monkeypatch):
+    """Columns of the nominal coefficients may lead nowhere: a fit that was begun near the record is not given up for that."""
+    record = record_of("pea_published", [{"name": "delay", "tau": 1e-4}], duration=0.5)
+    problem, clean = with_clean([record], nominal("pea_published"), 0.0, CONFIGURATION, ())[3][0][:2]
+    prepared = prepare(problem, clean, (), CONFIGURATION)
+    members = [member for member in prepared.members(False) if member.name in ("delay", "gain")]
+
+    def stopped(linearised, begun, rival):
+        return [(one.candidate, fit(linearised, one.candidate.unknowns(), 0.7 * one.ends[0].x, rounds=0)) for one in begun]
+
+    monkeypatch.setattr("hyst_control.diagnose.hypothesis_search.finish", stopped)
+    best = search(prepared.linearised, members, 10.0, prepared.floor, prepared.leaves).singles[0]
+    assert best.names == ("delay",)
+    assert best.candidate.members[0].values(best.solution.x)["tau"] == pytest.approx(1e-4, rel=0.02)
 
 
 def test_an_effect_that_is_hardly_there_is_not_beyond_its_range():
