@@ -16,7 +16,7 @@ discrepancy in the model file, taught; where these predict nothing, its size and
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -62,8 +62,8 @@ class Baseline:
         Rms difference between clean records of the same command, or between periods of one, measurement unit; rms of the model's
         error if no clean record has that command; 0 if there is only one clean record and its command has no period.
     usual_zero : ndarray, shape (A, 3)
-        Departure from `mean_zero` up to which a session is usual, measurement unit: what the clean records predict for the next one,
-        and a share of the range at most, which is all that is known beside a single one.
+        Departure from the clean sessions' mean up to which a session is usual, measurement unit: what the clean records predict for
+        the next one, and a share of the range at most, which is all that is known beside a single one.
     floor : ndarray, shape (A,)
         Rms that an effect must remove from the residual to be named at all, measurement unit.
     clean : Problem or None
@@ -72,8 +72,6 @@ class Baseline:
         Rms of the model's own error on the clean records without their zeros, measurement unit.
     learned : LearnedDiscrepancy or None
         What predicts this error on other commands; None where that is not known, or of axes that the model mixes.
-    mean_zero : ndarray, shape (A, 3)
-        Zero, drift and curvature of the clean sessions, their mean, measurement unit: a sensor's zero is arbitrary.
     error_rows : Problem or None
         The clean records with the rows on which the error was measured: those that say nothing of the time before the record, where the
         new records have no others. None where the error is carried over, or a model file states it.
@@ -87,7 +85,6 @@ class Baseline:
     clean: Problem | None
     error: Array
     learned: LearnedDiscrepancy | None = None
-    mean_zero: Array = field(default_factory=lambda: np.zeros((1, len(SHAPES))))
     error_rows: Problem | None = None
 
     def error_energy(self, command: Array, sample_time: float) -> float:
@@ -251,7 +248,7 @@ def _beside_own_error(
         rest, seconds = settings.unseen * np.array([learned[0].rest]), learned[0].correlation
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     noise = np.broadcast_to(np.atleast_1d(np.asarray(problem.model.noise.get("sigma", 0.0), dtype=float)), error.shape)
-    model = problem.model.with_stages((*problem.model.chain.stages, *predicted, _zero(problem, spans, settings)))
+    model = problem.model.with_stages((*problem.model.chain.stages, *predicted, _zero(problem, spans, mean, settings)))
     excess = np.sqrt(np.maximum(error**2 - noise**2, 0.0))
     usual = np.fmin(usual, np.array(settings.usual_share) * spans[:, None])
     length = max(seconds / problem.sample_time, 1.0)
@@ -271,7 +268,7 @@ def _beside_own_error(
     beside = replace(
         problem, model=model, slowest=lowest_frequency(problem), own_error=rest, own_correlation=length, own_spectrum=spectrum
     )
-    return Baseline(beside, False, error, usual, floor, clean, excess, known, mean)
+    return Baseline(beside, False, error, usual, floor, clean, excess, known)
 
 
 def _carried(
@@ -319,7 +316,7 @@ def _carried(
     longest = max(len(piece.counted(piece.command)) for piece in pieces)
     memory = _memory(replace(problem, pieces=tuple(pieces)), settings)
     stages = (*problem.model.chain.stages, CarriedError(tuple(series)), *memory)
-    zero = _zero(replace(problem, model=problem.model.with_stages(stages)), spans, settings)
+    zero = _zero(replace(problem, model=problem.model.with_stages(stages)), spans, np.zeros((len(spans), len(SHAPES))), settings)
     model = replace(problem.model.with_stages((*stages, zero)), tolerance={}, uncertainty={}, noise={"sigma": alone.tolist()})
     beside = replace(
         problem,
@@ -335,7 +332,7 @@ def _carried(
     own = np.concatenate([without_zero(rows)[0] for rows in series])
     error = np.sqrt(np.mean(own**2, axis=0))
     floor = settings.same_floor * repeatability
-    return Baseline(beside, True, repeatability, usual, floor, clean, error, mean_zero=np.zeros(usual.shape))
+    return Baseline(beside, True, repeatability, usual, floor, clean, error)
 
 
 def _fills_memory(
@@ -384,10 +381,13 @@ def _memory(problem: Problem, settings: BaselineSettings) -> tuple[LearnedError,
     return () if found is None else (found,)
 
 
-def _zero(problem: Problem, spans: Array, settings: BaselineSettings) -> SessionZero:
-    """Zero of every record, free about 0: as wide as it lies off, since a sensor's zero is arbitrary, and says nothing of an effect."""
+def _zero(problem: Problem, spans: Array, mean: Array, settings: BaselineSettings) -> SessionZero:
+    """Zero of every record, free about that of the clean sessions, mean (A, 3): as wide as it lies off, since a sensor's zero is
+    arbitrary, and says nothing of an effect. A record may have had its zero taken off."""
     durations = np.array([len(piece.command) for piece in problem.pieces]) * problem.sample_time
-    off = [np.abs(np.mean(piece.measurement - simulated_rows(problem, i, piece), axis=0)) for i, piece in enumerate(problem.pieces)]
+    gaps = [piece.measurement - simulated_rows(problem, i, piece) for i, piece in enumerate(problem.pieces)]
+    zeros = np.array([without_zero(rows)[1] for rows in gaps])
+    known = np.where(np.abs(zeros - mean) < np.abs(zeros), mean, 0.0)
     scale = np.repeat((settings.zero_share * spans)[:, None], len(SHAPES), axis=1)
-    scale[:, 0] = np.maximum(scale[:, 0], np.max(off, axis=0))
-    return SessionZero.absent(scale, durations)
+    scale[:, 0] = np.maximum(scale[:, 0], np.max(np.abs(zeros - known)[:, :, 0], axis=0))
+    return SessionZero.usual(scale, durations, known)

@@ -383,9 +383,7 @@ def _axis(
                     findings,
                     checks,
                     configuration,
-                    companions(linearised, collected.hypotheses[index], baseline.usual_zero, baseline.mean_zero, found.temper)
-                    if baseline
-                    else (),
+                    companions(linearised, collected.hypotheses[index], baseline.usual_zero, found.temper) if baseline else (),
                     distortions(linearised, collected.hypotheses[index], found.temper),
                     passed_error(linearised, collected.hypotheses[index]),
                 )

@@ -191,7 +191,7 @@ def residual_evidence(
     )
 
 
-def companions(linearised: Linearised, scored: Scored, usual: Array, mean: Array, temper: float) -> tuple[CompanionEvidence, ...]:
+def companions(linearised: Linearised, scored: Scored, usual: Array, temper: float) -> tuple[CompanionEvidence, ...]:
     """Measure the zero and the drift of a session as a hypothesis has them.
 
     Parameters
@@ -201,9 +201,7 @@ def companions(linearised: Linearised, scored: Scored, usual: Array, mean: Array
     scored : Scored
         Fit of the hypothesis.
     usual : ndarray, shape (A, 3)
-        Departure from the clean sessions up to which one is usual, measurement unit; NaN where nothing says what is.
-    mean : ndarray, shape (A, 3)
-        Zero, drift and curvature of the clean sessions, measurement unit.
+        Departure from the known zero up to which one is usual, measurement unit; NaN where nothing says what is.
     temper : float
         Weight of a sample.
 
@@ -223,8 +221,7 @@ def companions(linearised: Linearised, scored: Scored, usual: Array, mean: Array
         companion = effects[degree].companion
         assert companion is not None
         size = linearised.scatter.size(coefficient)
-        # From the clean sessions, or from the model itself: a record may have had its zero taken off.
-        departure = min(size * float(z), size * float(z) - float(mean[axis, degree]), key=abs)
+        departure = size * float(z)
         found.append(
             CompanionEvidence(
                 effects[degree].name,

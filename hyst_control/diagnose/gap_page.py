@@ -7,7 +7,7 @@ is how much less energy beyond the noise floor is left on samples that did not f
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from hyst_control.diagnose.coefficient_changes import coefficient_changes
 from hyst_control.diagnose.diagnosis import AxisDiagnosis, Diagnosis
 from hyst_control.diagnose.gap_report import sentence
 from hyst_control.diagnose.rejected_hypotheses import Rejected, rejected
+from hyst_control.diagnose.session import SessionZero
 from hyst_control.diagnose.slow_loops import slow_loops
 from hyst_control.model_file import Model
 from hyst_control.reporting.html_page import BAND, Palette, figure_markup
@@ -135,18 +136,28 @@ def _traces(diagnosis: Diagnosis, better: Model | None) -> list[Traces]:
         whole = type(problem)(
             problem.model, (type(piece)(piece.command, piece.measurement),), problem.sample_time, problem.hold, problem.sigma
         )
-        augmented = None if better is None else whole.rows(whole.simulate(better.chain.stages))
+        usual = np.concatenate([_usual_zero(part, index, len(piece.command)) for part in diagnosis.parts], axis=1)
+        augmented = None if better is None else whole.rows(whole.simulate(better.chain.stages)) + usual
         found.append(
             Traces(
                 np.arange(len(piece.command), dtype=np.float64) * problem.sample_time,
                 piece.command,
                 piece.measurement,
-                whole.rows(whole.simulate(diagnosis.model.chain.stages)),
+                whole.rows(whole.simulate(diagnosis.model.chain.stages)) + usual,
                 augmented,
                 np.concatenate([_band(part, index, len(piece.command)) for part in diagnosis.parts], axis=1),
             )
         )
     return found
+
+
+def _usual_zero(part: AxisDiagnosis, index: int, rows: int) -> Array:
+    """Zero and drift (N, A) that a session of the unit usually has, measurement unit."""
+    time, zero = part.problem.sample_time * np.arange(rows, dtype=np.float64)[:, None], np.zeros((rows, len(part.axes)))
+    for stage in part.problem.model.chain.stages:
+        if isinstance(stage, SessionZero):
+            zero = replace(stage, record=index).function(len(part.axes))(zero, time)
+    return zero
 
 
 def _band(part: AxisDiagnosis, index: int, rows: int) -> Array:

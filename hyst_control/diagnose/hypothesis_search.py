@@ -431,7 +431,7 @@ def _refined(
     linearised: Linearised, found: Sequence[tuple[Candidate, Solution]], hopeful: Sequence[bool], thresholds: Thresholds
 ) -> list[tuple[Candidate, Solution]]:
     """The fits, the hopeful ones gone on with."""
-    chosen = np.flatnonzero(hopeful)
+    chosen = [i for i, one in enumerate(hopeful) if one]
     better = map_forked(lambda i: _settled(linearised, *found[chosen[i]], thresholds), len(chosen))
     gone_on = dict(zip(chosen, better, strict=True))
     return [(candidate, gone_on.get(i, solution)) for i, (candidate, solution) in enumerate(found)]

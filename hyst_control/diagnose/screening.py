@@ -136,7 +136,7 @@ def _is_clear(prepared: Prepared, beside: Baseline | None, sensor_side: bool, co
     if _coefficients_may_claim(linearised, none, configuration):
         return False
     found = Found(linearised, none, none, (), (), 1.0)
-    zero = () if beside is None else companions(linearised, none, beside.usual_zero, beside.mean_zero, 1.0)
+    zero = () if beside is None else companions(linearised, none, beside.usual_zero, 1.0)
     left = residual_evidence(prepared.problem, none, prepared.findings, prepared.checks, configuration, zero)
 
     def passes(null: float) -> bool:

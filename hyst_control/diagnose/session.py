@@ -29,9 +29,10 @@ from hyst_control.records.session_zero import SHAPES
 
 @dataclass(frozen=True)
 class SessionZero(TimedStage):
-    """Zero, drift and curvature of each record: adds Σ scale[axis][k] · shares[record][axis][k] P_k(2 t / duration - 1).
+    """Zero, drift and curvature of each record: adds Σ (known + scale[axis][k] · shares)[record][axis][k] P_k(2 t / duration - 1).
 
     P_k is the Legendre polynomial of degree k = 0, 1, 2 (zero, drift, curvature), t the time since the record's start.
+    What a unit's sessions usually have is known, and no part of a gap: a sensor's zero is arbitrary.
     """
 
     FIELD: ClassVar[str] = "shares"
@@ -40,11 +41,12 @@ class SessionZero(TimedStage):
     shares: AllAxes = all_axes("", "of the scale, by record, axis and Legendre polynomial", 3, scatter=Scattering.COMPANION)
     scale: AllAxes = all_axes("unit", "size by axis and Legendre polynomial", 2, scatter=Scattering.NONE)
     durations: AllAxes = all_axes("s", "length of the records", 1, scatter=Scattering.NONE)
+    known: AllAxes = all_axes("unit", "usual size, by record, axis and Legendre polynomial", 3, scatter=Scattering.NONE)
     record: int = count("index of the record", default=0)
 
     @classmethod
-    def absent(cls, scale: Array, durations: Array) -> SessionZero:
-        """Make a stage whose zero, drift and curvature are 0 in every record.
+    def usual(cls, scale: Array, durations: Array, known: Array) -> SessionZero:
+        """Make a stage whose zero, drift and curvature are the known ones in every record.
 
         Parameters
         ----------
@@ -52,16 +54,19 @@ class SessionZero(TimedStage):
             Standard deviation of every share, measurement unit.
         durations : ndarray, shape (R,)
             Durations of the records, s.
+        known : ndarray, shape (R, A, 3)
+            Zero, drift and curvature that are known, measurement unit.
 
         Returns
         -------
         SessionZero
         """
-        return cls(np.zeros((len(durations), len(scale), len(SHAPES))), scale, durations)
+        return cls(np.zeros((len(durations), len(scale), len(SHAPES))), scale, durations, known)
 
     def for_record(self, index: int | None) -> Stage:
         if index is None:
-            return SessionZero.absent(np.asarray(self.scale, dtype=float), np.ones(1))
+            scale = np.asarray(self.scale, dtype=float)
+            return SessionZero.usual(scale, np.ones(1), np.zeros((1, *scale.shape)))
         return replace(self, record=index)
 
     def companion_size(self, index: tuple[int, ...]) -> float:
@@ -70,9 +75,10 @@ class SessionZero(TimedStage):
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
         shares, scale = np.asarray(self.shares, dtype=float)[self.record], np.asarray(self.scale, dtype=float)
         duration = float(np.asarray(self.durations, dtype=float)[self.record])
-        if not shares.any():
+        sizes = np.asarray(self.known, dtype=float)[self.record] + scale * shares
+        if not sizes.any():
             return lambda u, t: u
-        return lambda u, t: u + np.polynomial.legendre.legval(2.0 * t[:, 0] / duration - 1.0, (scale * shares).T).T
+        return lambda u, t: u + np.polynomial.legendre.legval(2.0 * t[:, 0] / duration - 1.0, sizes.T).T
 
 
 class CarriedError(Stage):

@@ -185,15 +185,11 @@ def test_a_sensor_may_have_its_zero_anywhere(change, names, taken_off):
     assert report["verdict"] in (("effect", "ambiguous") if names else ("no_gap",))
     zero = next(row for row in report["companions"] if row["name"] == "offset")
     assert abs(zero["value"]) < zero["usual"] < 2.0
-    if taken_off == 0.0:  # nearly all of the difference is that zero: no coefficient's, and what is beside it is told
-        largest = max(report["where"]["stage"], key=lambda row: row["share"])
-        assert largest["name"] == "session" and largest["share"] > 0.99
+    if taken_off == 0.0:  # what the clean sessions have is no part of the gap; what this session has besides is told
+        assert report["gap"]["rms"] < 0.05 * away
         told = re.search(r" ([\d.]+) um rms .*; ([\d.]+) um with the session's zero", sentence(report))
-        assert (
-            told
-            and float(told[1]) < 0.05 * report["gap"]["rms"]
-            and float(told[2]) == pytest.approx(report["gap"]["rms"], rel=0.01)
-        )
+        if not names:
+            assert told and float(told[1]) < float(told[2]) == pytest.approx(report["gap"]["rms"], rel=0.01)
 
 
 @pytest.mark.parametrize("frequencies", [(50.0, 50.0), (40.0, 50.0)])
@@ -245,7 +241,8 @@ def test_the_same_command_is_found_up_to_a_shift(shift, length):
 def test_stages_of_a_session_change_no_bit_when_a_signal_is_cut(cuts, hold, record_index):
     random = np.random.default_rng(0)
     signal = random.standard_normal((100, 2))
-    zero = SessionZero(random.standard_normal((2, 2, 3)), ((1.0, 1.0, 1.0), (2.0, 3.0, 2.0)), (0.1, 0.2))
+    sizes = ((1.0, 1.0, 1.0), (2.0, 3.0, 2.0))
+    zero = SessionZero(random.standard_normal((2, 2, 3)), sizes, (0.1, 0.2), random.standard_normal((2, 2, 3)))
     carried = CarriedError((random.standard_normal((100, 2)), random.standard_normal((60, 2))))
     for stage in (zero.for_record(record_index), carried.for_record(record_index)):
         whole, parts = stage.filter(Sampling(1e-3, 2, hold)), stage.filter(Sampling(1e-3, 2, hold))
