@@ -393,11 +393,14 @@ class Member:
         return [(2 * i * self.line.swells, harmonic) for i, harmonic in enumerate(self.line.harmonics)]
 
     def _bases(self, x: Array) -> list[tuple[Array, Array]]:
-        """Of every piece the times (N,) and the signals (N, P - 1) that the line is put together from: sines, then cosines."""
+        """Of every piece the times (N,) and the signals (N, P - 1) that the line is put together from: sines, then cosines.
+
+        Harmonics are expected to fall with their order: where the sampling folds several onto one frequency, most is the fundamental.
+        """
         frequency, found = self._line_frequency(x), []
         for time, shapes in self._shapes:
-            angles = [2 * np.pi * frequency * harmonic * time[:, None] for _, harmonic in self._harmonics()]
-            found.append((time, np.hstack([shapes * wave(angle) for angle in angles for wave in (np.sin, np.cos)])))
+            angles = [(harmonic, 2 * np.pi * frequency * harmonic * time[:, None]) for _, harmonic in self._harmonics()]
+            found.append((time, np.hstack([shapes * wave(angle) / k for k, angle in angles for wave in (np.sin, np.cos)])))
         return found
 
     @cached_property
