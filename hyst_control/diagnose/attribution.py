@@ -12,8 +12,10 @@ from hyst_control.diagnose.configuration import AttributionSettings
 from hyst_control.diagnose.diagnosis import AxisDiagnosis, Diagnosis
 from hyst_control.diagnose.gap_reduction import HeldOut, held_out, shares, shrink
 from hyst_control.diagnose.hypothesis_search import Scored
+from hyst_control.diagnose.problem import Problem
 from hyst_control.diagnose.record_checks import effect_found_by
 from hyst_control.effects import EFFECTS
+from hyst_control.records.repeated_periods import period_of
 
 Value = tuple[float, tuple[float, float], str]
 """Value of a parameter, its 90 % interval and its unit."""
@@ -215,15 +217,17 @@ def _rms_unit(diagnosis: Diagnosis, chosen: Mapping[Axes, HeldOut], none: Mappin
 
 
 def _values(part: AxisDiagnosis, scored: Scored, index: int, settings: AttributionSettings) -> dict[str, Value]:
-    """Parameter values of one effect with 90 % intervals: from draws of the fit's covariance, wider where more than noise is left."""
+    """Parameter values of one effect with 90 % intervals: from draws of the fit's covariance, wider where more than noise is left, or one
+    clean record or period tells no more than another."""
     assert scored.candidate is not None
     member = scored.candidate.members[index]
     where = scored.candidate.slices()[index]
     begin = part.linearised.count + where.start
     covariance = scored.solution.covariance[begin : begin + member.size, begin : begin + member.size] / part.found.temper
+    covariance = covariance * _repeats(part.problem)
     centre = scored.solution.x[where]
     lower, upper, _ = member.bounds()
-    freedom = settings.freedom if part.problem.weighs_own_error else np.inf
+    freedom = _freedom(part, settings)
     draws = np.clip(centre + deviations(covariance, settings.draws, freedom), lower, upper)
     drawn = [member.values(x) for x in draws]
     found = {}
@@ -238,6 +242,23 @@ def _values(part: AxisDiagnosis, scored: Scored, index: int, settings: Attributi
             member.units().get(name, ""),
         )
     return found
+
+
+def _repeats(problem: Problem) -> float:
+    """Times that a record repeats its command, where the model's own error has a size alone: it comes again in every period, which tells
+    no more of it than one. By its spectrum, where that is known, it is weighed with all periods."""
+    if problem.own_spectrum is not None or not problem.weighs_own_error:
+        return 1.0
+    commands = [piece.counted(piece.command) for piece in problem.pieces]
+    return min(len(command) / (period_of(command) or len(command)) for command in commands)
+
+
+def _freedom(part: AxisDiagnosis, settings: AttributionSettings) -> float:
+    """Degrees of freedom of the own error's size: a line of the spectrum has two, a sine and a cosine, on every clean record."""
+    if not part.problem.weighs_own_error:
+        return np.inf
+    clean = part.baseline.clean if part.baseline is not None else None
+    return settings.freedom if clean is None else 2.0 * len(clean.pieces)
 
 
 def deviations(covariance: Array, count: int, freedom: float) -> Array:

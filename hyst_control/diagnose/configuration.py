@@ -293,7 +293,7 @@ class AttributionSettings:
     draws: int = _setting("draws", "draws of the fit's covariance for an interval")
     interval: float = _setting("share of the value", "least width of an interval on either side: a stage is not the physics")
     freedom: float = _setting(
-        "degrees", "of Student's t for intervals where a few clean records tell the size of the model's own error"
+        "degrees", "of Student's t for intervals where the model's file alone states its own error: clean records have two each"
     )
     coefficient_deviations: float = _setting("tolerances", "distance from the nominal value from which a coefficient is listed")
     candidate_probability: float = _setting("1", "least probability of a candidate that is listed")

@@ -21,7 +21,7 @@ EFFECT = Effect(
     lambda around: (
         Parameter("gain", "", 0.0, (0.01,), -0.2, 0.2, 0.03)
         if around.slowest is None
-        else Parameter("gain", "", 0.0, (0.01,), -0.8, 1.0, 0.1),
+        else Parameter("gain", "", 0.0, (0.01,), -0.8, 4.0, 0.1),
     ),
     lambda values, around: Gain(factor(values["gain"])),
     also_at=("drive",),
