@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, minimize
 from scipy.signal import butter, sosfiltfilt
 
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, FlickerSettings
 from hyst_control.diagnose.evidence import FlickerEvidence
+from hyst_control.records.repeated_periods import period_of
+
+LINE_BINS = 1.5
+"""Bins to either side of a line that Hann's window spreads it over."""
+LEAST_APART = 4.0
+"""Bins between lines from which those in between tell the noise."""
 
 
 def flicker(residual: Array, command: Array, settings: FlickerSettings = CONFIGURATION.flicker) -> FlickerEvidence:
     """Fit a + b/f^p to the periodogram of a residual by Whittle's likelihood over bands; a the white part, b the flicker.
 
-    Every band counts with its median, which lines in it do not move.
+    Every band counts with its median, which few lines in it do not move; where the command repeats, bins at its harmonics are left out.
 
     Parameters
     ----------
     residual : ndarray, shape (N,)
         Any unit.
     command : ndarray, shape (N,)
-        Tells rest from motion.
+        Tells rest from motion, and the harmonics from the rest.
     settings : FlickerSettings
         Values of the configuration.
 
@@ -32,12 +39,14 @@ def flicker(residual: Array, command: Array, settings: FlickerSettings = CONFIGU
 
     """
     count = len(residual)
-    power = np.abs(np.fft.rfft(residual * np.sqrt(8.0 / 3.0) * np.hanning(count))[2 : count // 2]) ** 2 / count
-    k = np.arange(2, 2 + len(power))
+    k = np.arange(2, count // 2)
+    k = k[~_at_harmonics(k, command)]
+    power = np.abs(np.fft.rfft(residual * np.sqrt(8.0 / 3.0) * np.hanning(count))[k]) ** 2 / count
     edges = np.unique(np.rint(2.0 ** np.arange(1.0, np.log2(k[-1]), 1.0 / settings.bands_per_octave)).astype(int))
-    bands = [(a - 2, b - 2) for a, b in zip(edges[:-1], edges[1:], strict=True) if b - a >= 3]
+    places = np.searchsorted(k, edges)
+    bands = [(int(a), int(b)) for a, b in zip(places[:-1], places[1:], strict=True) if b - a >= 3]
     level = np.array([np.median(power[a:b]) / np.log(2.0) for a, b in bands])
-    bins = np.array([b - a for a, b in bands], dtype=float) / 1.5  # a median knows less than a mean
+    bins = np.array([b - a for a, b in bands], dtype=float) * np.log(2.0) ** 2  # a median knows less than a mean
 
     def misfit(logs: Array, falling: Array) -> float:
         spectrum = np.exp(logs[0]) + np.exp(logs[1]) * falling
@@ -88,6 +97,18 @@ def flicker(residual: Array, command: Array, settings: FlickerSettings = CONFIGU
         has_shape((best, exponent, inverse)) and _stationary(residual, command, settings),
         float(share[-1]),
     )
+
+
+def _at_harmonics(k: NDArray[np.int_], command: Array) -> NDArray[np.bool_]:
+    """True for bins (K,) of the window's lines at the harmonics of a command that repeats: the model's own error is there.
+
+    Where it repeats too seldom for bins in between, none is.
+    """
+    period = period_of(command[:, None])
+    apart = len(command) / period if period is not None else 0.0
+    if apart < LEAST_APART:
+        return np.zeros(len(k), dtype=bool)
+    return np.asarray(np.abs(k - np.rint(k / apart) * apart) < LINE_BINS, dtype=bool)
 
 
 def _stationary(residual: Array, command: Array, settings: FlickerSettings) -> bool:

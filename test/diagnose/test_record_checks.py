@@ -89,6 +89,23 @@ def test_the_sentence_says_why_nothing_known_explains_a_gap():
     assert sentence(report | {"effects": []}).endswith("noise floor 0.1 um).")
 
 
+@pytest.mark.parametrize(("exponent", "least", "most"), [(1.0, 36, 40), (0.0, 0, 1)])
+def test_flicker_noise_is_told_between_the_lines_of_what_the_model_leaves(exponent, least, most):
+    """Of 40 draws beside an error that repeats six times: 1/f noise is found in nearly all, and white noise is none."""
+    rows = 1200
+    angle = 2 * np.pi * 6.0 * np.arange(rows) / rows
+    own = 2.0 * sum(np.sin(k * angle + k) / k**1.5 for k in range(1, 8))
+
+    def noise(seed: int) -> np.ndarray:
+        spectrum = np.fft.rfft(np.random.default_rng(seed).standard_normal(rows))
+        spectrum[1:] /= np.arange(1, len(spectrum)) ** (0.5 * exponent)
+        drawn = np.fft.irfft(spectrum, rows)
+        return drawn / drawn.std()
+
+    seen = [flicker(noise(seed) + own, 50.0 + 20.0 * np.sin(angle)) for seed in range(40)]
+    assert least <= sum(one.plausible and one.gain > 10.0 for one in seen) <= most
+
+
 @pytest.mark.parametrize(("exponent", "size"), [(1.0, 3.0), (0.8, 8.0)])
 def test_flicker_noise_has_its_shape_in_most_draws(exponent, size):
     """1/f^p noise of several times the white noise's rms, made in the spectrum: its few lowest lines scatter widely."""
