@@ -294,6 +294,7 @@ def test_interrupt_and_terminate_end_a_node_without_a_traceback(tmp_path, domain
 
 
 SWALLOWED = """
+import signal
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.run import main
 
