@@ -190,8 +190,12 @@ def run(place: Path, program: str, *words: str) -> subprocess.CompletedProcess[s
     return subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, timeout=250, check=False)
 
 
-def hyst(place: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    done = run(place, "import sys; from hyst_control.cli import main; sys.exit(main())", *words)
+HYST = "import json, sys; from hyst_control.cli import main; sys.exit(max(map(main, json.loads(sys.argv[1]))))"
+
+
+def hyst(place: Path, *commands: list[str]) -> subprocess.CompletedProcess[str]:
+    """Commands one after another in one process, which has to start and to find the plugins once."""
+    done = run(place, HYST, json.dumps(commands))
     assert done.returncode == 0, done.stderr
     return done
 
@@ -199,34 +203,38 @@ def hyst(place: Path, *words: str) -> subprocess.CompletedProcess[str]:
 def test_a_record_is_simulated_and_diagnosed_with_the_stage_and_the_effect_of_a_plugin(place):
     """The gap is the plugin's effect: nothing in this package's catalogue is periodic in the position."""
     excitation = ["--excitation", "diagnostic", "lowest=0", "highest=10", "duration=0.5"]
-    hyst(place, "simulate", "rippled.yaml", *excitation, "--seed", "1", "--output", "record")
-    hyst(place, "diagnose", "record", "--model", "model.yaml", "--json", "gap.json", "--augmented", "better.yaml")
+    hyst(
+        place,
+        ["simulate", "rippled.yaml", *excitation, "--seed", "1", "--output", "record"],
+        ["diagnose", "record", "--model", "model.yaml", "--json", "gap.json", "--augmented", "better.yaml"],
+    )
     found = json.loads((place / "gap.json").read_text())
     assert (found["verdict"], [effect["name"] for effect in found["effects"]]) == ("effect", ["ripple"])
     assert found["effects"][0]["parameters"]["amplitude"]["value"] == pytest.approx(0.05, rel=0.02)
     assert "stage: ripple" in (place / "better.yaml").read_text()
-    hyst(place, "simulate", "better.yaml", "record", "--output", "again")  # the file with the plugin's stage is read back
+    hyst(place, ["simulate", "better.yaml", "record", "--output", "again"])  # the file with the plugin's stage is read back
 
 
 def test_a_model_is_identified_by_the_estimator_of_a_plugin(place):
     """Its option is the command's, its model is read back, and its help says so; another family's option is refused."""
+    excitation = ["--excitation", "diagnostic", "lowest=0", "highest=10", "duration=1"]
     hyst(
-        place, "simulate", "encoder.yaml", "--excitation", "diagnostic", "lowest=0", "highest=10", "duration=1", "--output", "loops"
+        place,
+        ["simulate", "encoder.yaml", *excitation, "--output", "loops"],
+        ["identify", "loops", "--model", "ripple", "--pitch", "2.0", "--output", "found.yaml", "--json", "fit.json"],
+        ["simulate", "found.yaml", "loops", "--output", "replayed"],
     )
-    hyst(place, "identify", "loops", "--model", "ripple", "--pitch", "2.0", "--output", "found.yaml", "--json", "fit.json")
     fit = json.loads((place / "fit.json").read_text())
     assert fit["family"] == "ripple" and fit["parameters"][0]["value"] == pytest.approx(0.05, rel=0.02)
-    hyst(place, "simulate", "found.yaml", "loops", "--output", "replayed")
-    assert "the interpolation error of an encoder" in hyst(place, "identify", "--help").stdout
-    program = "import sys; from hyst_control.cli import main; sys.exit(main())"
-    refused = run(place, program, "identify", "loops", "--model", "ripple", "--operators", "5", "--output", "other.yaml")
+    assert "the interpolation error of an encoder" in hyst(place, ["identify", "--help"]).stdout
+    words = ["identify", "loops", "--model", "ripple", "--operators", "5", "--output", "other.yaml"]
+    refused = run(place, HYST, json.dumps([words]))
     assert refused.returncode == 2 and "operators: ripple has no such option" in refused.stderr
 
 
 def test_feedback_is_tuned_on_a_model_with_the_stage_of_a_plugin(place):
     """The stage says what it is for small signals: nothing, so the tuning is that of the model without it."""
-    for model in ("model", "rippled"):
-        hyst(place, "tune", f"{model}.yaml", "--json", f"{model}.json")
+    hyst(place, *(["tune", f"{model}.yaml", "--json", f"{model}.json"] for model in ("model", "rippled")))
     plain, rippled = (json.loads((place / f"{model}.json").read_text())["rows"] for model in ("model", "rippled"))
     figures = [(row["quantity"], row["value"]) for row in rippled]
     assert figures == [(row["quantity"], row["value"]) for row in plain] and any(value for _, value in figures)
@@ -245,7 +253,7 @@ print("halved" in KINDS, build_compensator(load_model("model.yaml"), "halved").p
 
 @pytest.mark.skipif(not shutil.which("gcc"), reason="gcc is not installed")
 def test_a_model_with_the_stage_of_a_plugin_is_exported_with_its_c(place):
-    hyst(place, "export", "encoder.yaml", "--output", "encoder_c")
+    hyst(place, ["export", "encoder.yaml", "--output", "encoder_c"])
     done = subprocess.run(["make", "-s", "-C", str(place / "encoder_c"), "test", "COMPILERS=gcc"], capture_output=True, text=True)
     assert done.returncode == 0 and done.stdout.count(" 0 wrong") == 2, done.stdout + done.stderr
 

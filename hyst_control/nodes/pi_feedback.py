@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.duration import Duration
 
-from hyst_control.control.pi import PI
+from hyst_control.control.pi import PI, RunningPI
 from hyst_control.control.safe_loop import SafeLoop, Safety
 from hyst_control.control.sensor_watch import MOTION, MeasurementWatch
 from hyst_control.errors import InputError
-from hyst_control.export.backend import CompiledPI
 from hyst_control.nodes.common_parameters import BACKEND, TIMER, C
 from hyst_control.nodes.managed import AUTOSTART, ManagedNode
 from hyst_control.nodes.parameters import Setting
@@ -153,7 +152,7 @@ class PiFeedback(ManagedNode):
         try:
             self.check_change({})
             description = self._described(vars(given))
-            controller = CompiledPI(description, axes) if given.backend == C else description.start(axes)
+            controller = _compiled(description, axes) if given.backend == C else description.start(axes)
         except InputError as error:
             raise InputError(f"{self.get_name()}: parameter {error}") from None
         controller.step(*np.zeros((3, 1, axes)))  # compiled before the first tick
@@ -447,6 +446,12 @@ class PiFeedback(ManagedNode):
         self._takeover.forget()
         if self._waking is not None:
             self._waking.reset()
+
+
+def _compiled(description: PI, axes: int) -> RunningPI:
+    from hyst_control.export.backend import CompiledPI  # imports every stage, for which a feedback in Python would wait
+
+    return CompiledPI(description, axes)
 
 
 def main() -> int:

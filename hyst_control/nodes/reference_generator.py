@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.control.reachable_stroke import check_reachable
 from hyst_control.errors import InputError
-from hyst_control.model_file import load_model
 from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
@@ -203,6 +201,9 @@ class ReferenceGenerator(SignalNode):
                 f"{self.get_name()}: signal: row {row} is beyond {LARGEST_VALUE:g} {self.unit}: give values in {self.unit}"
             )
         if self.settings.model:
+            from hyst_control.control.reachable_stroke import check_reachable  # these import every stage, and numba
+            from hyst_control.model_file import load_model
+
             limits = self.settings.limits
             try:
                 check_reachable(load_model(self.settings.model), rows, limits if limits[0] != limits[-1] else None)

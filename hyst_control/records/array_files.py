@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 from hyst_control.foreign_readers import foreign_reader
 from hyst_control.records.decompression import Budget
 from hyst_control.records.row_store import IN_MEMORY, blocks, empty_rows
+
+Array = NDArray[np.float64]
 
 KINDS = (".npy", ".npz", ".mat")
 PIECE = 2**20

@@ -39,13 +39,13 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def record_of(
     plant: str, effects: Sequence[Mapping[str, Any]], seed: int = 3, duration: float | None = None, **changes: Any
 ) -> Record:
-    """A diagnostic record of `duration` in s (0.4, of a mirror 0.3), and rests.
+    """A diagnostic record of `duration` in s (0.3), and rests.
 
     changes: parameters of the plant that differ from the shipped ones.
     """
     mirror = plant.startswith("fsm")
     step, top, axes = (1e-4, 100.0, ("x", "y")) if mirror else (5e-5, 50.0, ("x",))
-    duration = duration or (0.3 if mirror else 0.4)
+    duration = duration or 0.3
     command = build({"signal": "diagnostic", "lowest": 0.0, "highest": top, "duration": duration}, step, len(axes))
     changes = {**(scatter(plant, seed, 0.0) if mirror else {}), **changes}  # the shipped mirror's axes differ, its model's do not
     truth = load_plant(

@@ -7,11 +7,15 @@ import signal
 import pytest
 from nodes_bench import Bench
 
-from hyst_control.nodes import interrupts
+from hyst_control.nodes import base, interrupts
+
+DIAGNOSTICS_INTERVAL = 0.2
+"""s, instead of 1: what a test waits for most is the next diagnostics of its nodes."""
 
 
 @pytest.fixture
-def bench(ros_context):
+def bench(ros_context, monkeypatch):
+    monkeypatch.setattr(base, "DIAGNOSTICS_INTERVAL", DIAGNOSTICS_INTERVAL)
     bench = Bench(ros_context)
     try:
         yield bench

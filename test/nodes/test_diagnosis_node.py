@@ -65,7 +65,7 @@ def once(rows):
 
 
 def test_silent_beside_a_plant_within_tolerance(bench, tmp_path):
-    model, count = load_model(MODEL), 16000
+    model, count = load_model(MODEL), 8000
     bench.listen("command", "measurement")
     _, gap, residual = run_loop(bench, tmp_path, Noisy(model, 5), count)
     assert len(gap) >= (count / RATE - 0.02) / WINDOW - 1
