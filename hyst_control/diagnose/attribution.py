@@ -15,7 +15,7 @@ from hyst_control.diagnose.hypothesis_search import Scored
 from hyst_control.diagnose.problem import Problem
 from hyst_control.diagnose.record_checks import effect_found_by
 from hyst_control.effects import EFFECTS
-from hyst_control.records.repeated_periods import period_of
+from hyst_control.records.correlation import matching_length
 
 Value = tuple[float, tuple[float, float], str]
 """Value of a parameter, its 90 % interval and its unit."""
@@ -224,7 +224,7 @@ def _values(part: AxisDiagnosis, scored: Scored, index: int, settings: Attributi
     where = scored.candidate.slices()[index]
     begin = part.linearised.count + where.start
     covariance = scored.solution.covariance[begin : begin + member.size, begin : begin + member.size] / part.found.temper
-    covariance = covariance * _repeats(part.problem)
+    covariance = covariance * _repetition(part.problem)
     centre = scored.solution.x[where]
     lower, upper, _ = member.bounds()
     freedom = _freedom(part, settings)
@@ -244,13 +244,16 @@ def _values(part: AxisDiagnosis, scored: Scored, index: int, settings: Attributi
     return found
 
 
-def _repeats(problem: Problem) -> float:
-    """Times that a record repeats its command, where the model's own error has a size alone: it comes again in every period, which tells
-    no more of it than one. By its spectrum, where that is known, it is weighed with all periods."""
+def _repetition(problem: Problem) -> float:
+    """Factor by which a record says less of an effect where the model's own error has a size and a correlation alone.
+
+    That error may follow the command as the effect does, and what comes again tells nothing new: of the samples as many count as are
+    independent of two signals of the command's autocorrelation. Where the spectrum of the error is known, its lines are in that.
+    """
     if problem.own_spectrum is not None or not problem.weighs_own_error:
         return 1.0
-    commands = [piece.counted(piece.command) for piece in problem.pieces]
-    return min(len(command) / (period_of(command) or len(command)) for command in commands)
+    length = max(matching_length(piece.counted(piece.command)) for piece in problem.pieces)
+    return max(length / problem.own_correlation, 1.0)
 
 
 def _freedom(part: AxisDiagnosis, settings: AttributionSettings) -> float:

@@ -34,6 +34,33 @@ def correlation_length(rows: Array) -> float:
     return max([1.0, *(_long_length(values) if len(values) > LONGEST else _length(values) for values in rows.T)])
 
 
+def matching_length(rows: Array) -> float:
+    """Number of samples per independent one where two signals like these are correlated with each other.
+
+    The sum of the squared autocorrelation over all lags (Bartlett, Supplement to the Journal of the Royal Statistical Society 8, 1946): a
+    sine never forgets its phase, so that a record of one has two independent samples, however long it is. Of records beyond `LONGEST`
+    samples the first ones count.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (N, A)
+        A signal, any unit.
+
+    Returns
+    -------
+    float
+        Samples, at least 1; the largest of the axes'.
+
+    """
+    longest = 1.0
+    for values in rows[:LONGEST].T:
+        products = _products(values - values.mean())
+        if products[0] > 0:
+            left = 1.0 - np.arange(len(values)) / len(values)
+            longest = max(longest, 2.0 * float(np.sum((products / products[0]) ** 2 / left)) - 1.0)
+    return longest
+
+
 def _length(values: Array) -> float:
     """Samples per independent one of few `values` (N,); 0 where they do not vary."""
     products = _products(values - values.mean())

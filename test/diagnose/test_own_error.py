@@ -12,7 +12,7 @@ from hyst_control.chain import Chain
 from hyst_control.chain.command_features import CommandFeatures
 from hyst_control.chain.linear import TransferFunction
 from hyst_control.chain.memoryless import Gain
-from hyst_control.diagnose.attribution import _repeats, deviations
+from hyst_control.diagnose.attribution import _repetition, deviations
 from hyst_control.diagnose.baseline import with_discrepancy
 from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.evidence_collection import _has_holes
@@ -136,8 +136,9 @@ def test_an_interval_knows_by_how_many_records_the_own_error_was_estimated(freed
     assert np.quantile(along, [0.05, 0.95], axis=1) == pytest.approx(np.stack([due, due], axis=1), rel=0.03)
 
 
-@pytest.mark.parametrize(("command", "times"), [(COMMAND, 10.0), (np.random.default_rng(3).normal(size=(500, 1)), 1.0)])
-def test_an_error_that_comes_again_in_every_period_is_known_as_one_period_tells(command, times):
-    seen = replace(problem(Chain((Gain(1.0),)), COMMAND), pieces=(Piece(command, command),))
-    assert _repeats(replace(seen, own_error=np.array([100.0]))) == pytest.approx(times)
-    assert _repeats(seen) == 1.0
+def test_an_error_that_follows_the_command_tells_as_little_as_the_command_has_independent_samples():
+    noise = np.random.default_rng(3).normal(size=(500, 1))
+    seen = replace(problem(Chain((Gain(1.0),)), COMMAND), own_error=np.array([100.0]), own_correlation=50.0)
+    assert _repetition(seen) == pytest.approx(len(COMMAND) / 2 / 50.0, rel=0.01)
+    assert _repetition(replace(seen, pieces=(Piece(noise, noise),))) == 1.0
+    assert _repetition(replace(seen, own_error=None)) == 1.0
