@@ -306,8 +306,9 @@ def _carried(
         zeros.append(usual_zero(np.array([without_zero((error - series[-1])[begin:end])[1] for error in errors])))
         run_to_run += [without_zero((error - errors[0])[kept])[0] / np.sqrt(2.0) for error in errors[1:]]
         if len(errors) == 1:
-            differences += between_periods(piece.command[begin:end], errors[0][begin:end], settings)
-            run_to_run += beside_periods(piece.command[begin:end], errors[0][begin:end], begin + found[0].shift, settings)
+            single = piece.command[begin:end], errors[0][begin:end], begin + found[0].shift, settings
+            differences += between_periods(*single)
+            run_to_run += beside_periods(*single)
     repeatability = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if differences else np.zeros(len(spans))
     usual = np.fmin(np.max(zeros, axis=0), np.array(settings.usual_share) * spans[:, None])
     # Both records of a difference have noise, and the mean of n clean ones a part of it; what is carried has none.

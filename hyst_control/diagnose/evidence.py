@@ -359,6 +359,8 @@ class Evidence:
         True where the model's own error is carried over from a clean record of the same command, so that it is in no residual.
     drifts : frozenset of str
         Names of the effects that are a change of the plant with time.
+    carried_share : float
+        Energy of the error that is carried over, as a share of the motion's: so little of an effect's answer the model does not know.
 
     """
 
@@ -380,6 +382,7 @@ class Evidence:
     repeating: frozenset[str] = frozenset()
     carried: bool = False
     drifts: frozenset[str] = frozenset()
+    carried_share: float = 0.0
 
     def without(self, indices: Collection[int]) -> Evidence:
         """Drop hypotheses: they claim nothing, whatever they scored.

@@ -113,6 +113,7 @@ def collect(
         frozenset(name for name, effect in EFFECTS.items() if effect.repeats_values),
         problem.is_carried,
         frozenset(name for name, effect in EFFECTS.items() if effect.drifts),
+        problem.carried_share,
     )
     return Collected(evidence, hypotheses)
 

@@ -351,9 +351,10 @@ def _idle(
     relieved = strained(best.strain, evidence.coefficients, thresholds) and not strained(
         one.strain, evidence.coefficients, thresholds
     )
-    # Beside a clean record of the same command the model's own error is in no residual that a second effect could take off.
+    # Beside a clean record of the same command the model's own error is in no residual that a second effect could take off, but in
+    # the answer to the first effect, of which the model misses as large a share as of the motion.
     alone = evidence.weight == 1.0 and (evidence.carried or not evidence.whitened)
-    share = thresholds.added_share if alone else thresholds.added_share_with_own_error
+    share = max(thresholds.added_share, evidence.carried_share) if alone else thresholds.added_share_with_own_error
     small = better <= share * (evidence.hypotheses[0].misfit - one.misfit) and frozenset(one.names) not in wanted
     return evidence.temper * better <= evidence.null + thresholds.margin or (small and not relieved)
 

@@ -102,7 +102,7 @@ def as_clean_command(problem: Problem, clean: Problem, settings: BaselineSetting
     return replace(problem, pieces=tuple(pieces))
 
 
-def between_periods(command: Array, error: Array, settings: BaselineSettings) -> list[Array]:
+def between_periods(command: Array, error: Array, before: int, settings: BaselineSettings) -> list[Array]:
     """Differences of an error between successive periods of a periodic command.
 
     Parameters
@@ -111,6 +111,8 @@ def between_periods(command: Array, error: Array, settings: BaselineSettings) ->
         V.
     error : ndarray, shape (N, A)
         Measured minus simulated, measurement unit.
+    before : int
+        Rows of the clean record before these.
     settings : BaselineSettings
         Values of the configuration.
 
@@ -119,19 +121,12 @@ def between_periods(command: Array, error: Array, settings: BaselineSettings) ->
     list of ndarray, shape (P, A)
         Without their zeros and drifts; empty if the command is not periodic.
     """
-    period = period_of(command, settings.same_command)
-    if period is None:
-        return []
-    count = len(command) // period
-    whole = error[: count * period].reshape(count, period, -1)
+    whole = _whole_periods(command, error, before, settings)
     return [without_zero(later - earlier)[0] for earlier, later in zip(whole[:-1], whole[1:], strict=True)]
 
 
 def beside_periods(command: Array, error: Array, before: int, settings: BaselineSettings) -> list[Array]:
     """The error without its mean over the periods of a periodic command.
-
-    Where the rows before are no whole period, of three periods and more the first is left out: what is left of the memory fills in it.
-    Behind them it is as good as the others, and few periods tell little of what sessions differ by.
 
     Parameters
     ----------
@@ -149,12 +144,23 @@ def beside_periods(command: Array, error: Array, before: int, settings: Baseline
     list of ndarray, shape (M, A)
         One, without zero and drift; empty if the command is not periodic.
     """
+    whole = _whole_periods(command, error, before, settings)
+    if not len(whole):
+        return []
+    beside = (whole - whole.mean(axis=0)) / np.sqrt(1.0 - 1.0 / len(whole))
+    return [without_zero(beside.reshape(-1, error.shape[1]))[0]]
+
+
+def _whole_periods(command: Array, error: Array, before: int, settings: BaselineSettings) -> Array:
+    """The error's whole periods (n, P, A); none if the command (N, A) is not periodic.
+
+    Where the rows before are no whole period, of three periods and more the first is left out: what is left of the memory fills in it.
+    Behind them it is as good as the others, and few periods tell little of what sessions differ by.
+    """
     period = period_of(command, settings.same_command)
     if period is None:
-        return []
+        return np.empty((0, 0, error.shape[1]))
     if len(command) >= 3 * period and before < period:
         error = error[period:]
     count = len(error) // period
-    whole = error[: count * period].reshape(count, period, -1)
-    beside = (whole - whole.mean(axis=0)) / np.sqrt(1.0 - 1.0 / count)
-    return [without_zero(beside.reshape(count * period, -1))[0]]
+    return error[: count * period].reshape(count, period, -1)

@@ -13,10 +13,11 @@ from hyst_control.identify import gauss_newton
 from hyst_control.identify.bounded_least_squares import cost, solve_bounded
 from hyst_control.identify.gauss_newton import Rules, Trial
 from hyst_control.identify.gram_sums import Grams, Operators, Window, gram_matrices
+from hyst_control.identify.parameter_covariance import PRIOR as KNOWN
 from hyst_control.identify.stable_dynamics import Structure
 
 PRIOR = 1e-7
-"""Weight of the prior on the slopes, relative to the strongest regressor."""
+"""Least weight of the prior on the slopes, relative to the strongest regressor."""
 LEAST_SLOPE = 1e-3
 """Smallest slope of a branch, relative to the mean slope."""
 
@@ -114,8 +115,12 @@ class Solution:
     passes: int
 
 
-def linear_solution(problem: Problem, gram: Array, size: int) -> tuple[Array, Array]:
+def linear_solution(problem: Problem, gram: Array, size: int, blocks: float) -> tuple[Array, Array]:
     """Solve for the linear parameters of the G at which a Gram matrix was formed.
+
+    A slope that the data do not show stays at the mean slope. What a model misses of its machine is alike throughout a block of rows, and
+    a slope that takes off a little of it on a few rows is not shown by them: a block counts as one observation, with the misfit of the
+    best slopes as its variance, against `KNOWN` of the mean slope. Without a misfit the prior is far weaker than any data.
 
     Parameters
     ----------
@@ -125,6 +130,8 @@ def linear_solution(problem: Problem, gram: Array, size: int) -> tuple[Array, Ar
         Gram matrix (K, K).
     size
         Number of its dynamics columns, which are left out.
+    blocks
+        Number of blocks whose Gram matrices it is the sum of.
 
     Returns
     -------
@@ -140,13 +147,17 @@ def linear_solution(problem: Problem, gram: Array, size: int) -> tuple[Array, Ar
     transform[:columns, :columns] = problem.to_weights
     reduced = transform.T @ gram[np.ix_(keep, keep)] @ transform
     target = transform.T @ gram[keep, total]
-    # Slopes that the data do not show stay at the mean slope: a prior far weaker than any data that do show them.
-    count = len(problem.operators.thresholds)
-    strength = PRIOR * float(np.max(np.diag(reduced)[:count]))
-    reduced[np.arange(count), np.arange(count)] += strength
-    target[:count] += strength * problem.mean_slope
-    solution = transform @ solve_bounded(reduced, target, *problem.bounds(len(keep) - columns))
-    return solution[:columns], solution[columns:]
+    bounds = problem.bounds(len(keep) - columns)
+    slopes = np.arange(len(keep)) < len(problem.operators.thresholds)
+
+    def solution(strength: float) -> Array:
+        prior = strength * slopes
+        return transform @ solve_bounded(reduced + np.diag(prior), target + prior * problem.mean_slope, *bounds)
+
+    least = PRIOR * float(np.max(np.diag(reduced)[slopes]))
+    misfit = cost(gram[np.ix_(np.r_[keep, total], np.r_[keep, total])], solution(least)) / blocks
+    found = solution(max(least, misfit / (KNOWN * problem.mean_slope) ** 2))
+    return found[:columns], found[columns:]
 
 
 def solve(
@@ -221,9 +232,10 @@ class _Search:
         problem, structure = self.problem, self.structure
         grams = gram_matrices(problem.windows, problem.operators, structure, parameters, theta, problem.nuisance, problem.groups)
         gram = grams.fitted + grams.held_out if self.everything else grams.fitted
-        found, nuisances = linear_solution(problem, gram, structure.size)
-        vector = np.concatenate([found, np.zeros(structure.size), nuisances])
         rows = sum(grams.rows) if self.everything else grams.rows[0]
+        blocks = max(len(grams.blocks) * rows / sum(grams.rows), 1.0)
+        found, nuisances = linear_solution(problem, gram, structure.size, blocks)
+        vector = np.concatenate([found, np.zeros(structure.size), nuisances])
         return Solution(
             structure,
             parameters,

@@ -182,10 +182,8 @@ def import_table(
                 f"{path}: {column.topic}: row {first_bad} is too large for a number once it is in other units: check the unit"
             )
         if bad:
-            raise InputError(
-                f"{path}: {column.topic}: row {first_bad} and {bad - 1} more hold no finite number: choose rows without them or "
-                "repair the file"
-            )
+            which = f"row {first_bad} holds" if bad == 1 else f"row {first_bad} and {bad - 1} more hold"
+            raise InputError(f"{path}: {column.topic}: {which} no finite number: choose other rows or repair the file")
         return scaled
 
     time = _times(path, times[0], picked(times[0], TIME_UNITS[times[0].unit]), rate, begin) if times else None
@@ -238,7 +236,8 @@ def _missing(path: Path, time: Array) -> list[str]:
     if not gaps:
         return []
     where = f"after {first:.6g} s" if gaps == 1 else f"in {gaps} gaps, the first after {first:.6g} s"
-    return [f"{path}: time: {rows} rows are missing, {where}: what needs equal steps uses the stretches between"]
+    missing = "1 row is missing" if rows == 1 else f"{rows} rows are missing"
+    return [f"{path}: time: {missing}, {where}: what needs equal steps uses the stretches between"]
 
 
 def write_bag(path: str | Path, record: Record) -> None:

@@ -282,4 +282,11 @@ ROWS = (
         (R.ONE_EXPLANATION,),
         ("a+b",),
     ),
+    Row(
+        "the same where the model misses as large a share of the motion as the second effect takes off",
+        evidence(effect("a", left=4.0), effect("a+b", 1010.0), whitened=True, carried=True, carried_share=0.04),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
 )

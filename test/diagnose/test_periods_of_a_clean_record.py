@@ -53,3 +53,10 @@ def test_a_clock_that_slips_in_any_period_behind_the_warm_up_is_known_of(period:
     # One period of six is off: 5/36 of the energy of a session that is off altogether, of two records, over about six bins.
     line = 2 * (PERIODS - 2)
     assert spectrum.power[line, 0] > 0.5 * 2.0 * 5.0 / 36.0 * float(np.sum(late**2)) / 6.0
+
+
+def test_the_memory_that_fills_in_the_first_period_is_nothing_that_periods_differ_by() -> None:
+    """What the time before the record left fades in its first period, and each session has another: the machine repeats to its noise."""
+    fading = 0.3 * np.sin(2 * np.pi * FREQUENCY * TIME) * np.where(TIME * FREQUENCY < 1.2, 1.0, 0.0)
+    repeatability = beside(measured(0, 0.0) + fading, measured(1), 0.0).repeatability
+    assert repeatability == pytest.approx(np.sqrt(2.0) * NOISE, rel=0.2)

@@ -79,7 +79,7 @@ def test_several_axes_and_rows(tmp_path):
         ("command=1[V]", 10.0, "1,2\na,b\n3,4\n5,6", "line 2, column 1: 'a' is no number"),
         ("command=1[V]", 10.0, "u,y\n1,2\na,b\n3,4\n5,6", "line 3, column 1: 'a' is no number"),
         ("command=1[V]", 10.0, "u,y\nx,2\n3,4\n5,6", "line 2, column 1: 'x' is no number"),
-        ("command=1[V]", 10.0, "1,2\nnan,4", "row 1 and 0 more hold no finite number"),
+        ("command=1[V]", 10.0, "1,2\nnan,4", "row 1 holds no finite number"),
         ("command=1[V]", 0.0, "1,2", "rate: 0.0 Hz"),
         ("command=1[V]", 10.0, "", "holds no rows"),
         ("command=1[furlong]", 10.0, "1,2", "unit 'furlong' is not known"),
