@@ -9,7 +9,8 @@ examples:
   hyst import scope.csv --output run.bag --columns "time=1[s],command=2[V],measurement=3[um]"
   hyst import killed.bag --output repaired.bag
 Columns are numbered from 1 (from 0 where a column 0 is named), or named by the header or the file's own arrays; several axes are joined
-with +. A matrix is taken with all its columns as axes, or with one of them: measurement=data(:,2)[um].
+with +. A number before the unit is what one in the file stands for: volts of a sensor of 5 um/V are measurement=pos[5um/V]. A matrix is
+taken with all its columns as axes, or with one of them: measurement=data(:,2)[um].
 """
 
 from __future__ import annotations

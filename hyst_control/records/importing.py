@@ -61,7 +61,7 @@ PREAMBLE_LINES = 100
 """Lines among which the header is looked for, where an instrument writes its settings above it."""
 
 _ASSIGNMENT = re.compile(r"(?P<topic>\w+)=(?P<columns>[^\[\]=]+)\[(?P<unit>[^\]]+)\]")
-
+_SCALED_UNIT = re.compile(r"(?P<scale>[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)\s*\*?\s*(?P<unit>[^\d\s/*]+)(\s*/\s*\w+)?")
 
 _MATRIX_COLUMN = re.compile(r"(?P<name>.+)\(:,(?P<number>\d{1,6})\)")
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
@@ -71,11 +71,12 @@ _DECIMAL_COMMAS = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?(\s+[-+]?\d+,\d+([eE][
 
 @dataclass(frozen=True)
 class Column:
-    """Columns of a topic, by number from 1 or by name, one per axis, and their unit in the file."""
+    """Columns of a topic, by number from 1 or by name, one per axis; one in the file is `scale` of the unit."""
 
     topic: str
     columns: tuple[str, ...]
     unit: str
+    scale: float = 1.0
 
 
 def parse_columns(text: str) -> list[Column]:
@@ -84,7 +85,8 @@ def parse_columns(text: str) -> list[Column]:
     Parameters
     ----------
     text
-        Assignments separated by commas; several axes are joined as in "measurement=5+6[m]".
+        Assignments separated by commas; several axes are joined as in "measurement=5+6[m]". A number before the unit is what one in
+        the file stands for: the volts of a sensor of 5 um/V are "measurement=5[5um/V]".
 
     Returns
     -------
@@ -105,11 +107,18 @@ def parse_columns(text: str) -> list[Column]:
                 f"columns: must be topic=column[unit], separated by commas (command=1[V],measurement=5[um]), got {rest!r}"
             )
         known = TIME_UNITS if match["topic"] == TIME else UNITS
-        if match["unit"] not in known:
-            raise InputError(f"columns: {match['topic']}: unit {match['unit']!r} is not known, must be one of {', '.join(known)}")
+        scaled = _SCALED_UNIT.fullmatch(match["unit"].strip())
+        unit, scale = (scaled["unit"], float(scaled["scale"])) if scaled else (match["unit"].strip(), 1.0)
+        if unit not in known:
+            raise InputError(
+                f"columns: {match['topic']}: unit {match['unit']!r} is not known, must be one of {', '.join(known)}, with a number "
+                "before it where one in the file stands for so much ([5um/V])"
+            )
+        if not (scale and np.isfinite(scale)):
+            raise InputError(f"columns: {match['topic']}: one in the file stands for {match['unit']}: a finite number but 0 is due")
         if match["topic"] in (column.topic for column in found):
             raise InputError(f"columns: {match['topic']} stands twice: join its axes with + (measurement=2+3[um])")
-        found.append(Column(match["topic"], tuple(part.strip() for part in match["columns"].split("+")), match["unit"]))
+        found.append(Column(match["topic"], tuple(part.strip() for part in match["columns"].split("+")), unit, scale))
         rest = rest[match.end() :].lstrip(", ")
     if not found:
         raise InputError("columns: is empty: name command and measurement (command=1[V],measurement=5[um])")
@@ -186,7 +195,7 @@ def import_table(
             raise InputError(f"{path}: {column.topic}: {which} no finite number: choose other rows or repair the file")
         return scaled
 
-    time = _times(path, times[0], picked(times[0], TIME_UNITS[times[0].unit]), rate, begin) if times else None
+    time = _times(path, times[0], picked(times[0], times[0].scale * TIME_UNITS[times[0].unit]), rate, begin) if times else None
     if time is not None:
         notes += _missing(path, time)
     stamps = empty_rows(end - begin) if time is None else time
@@ -196,7 +205,9 @@ def import_table(
     signals = {}
     for column in signal_columns:
         unit, factor = UNITS[column.unit]
-        values = picked(column, factor)
+        values = picked(column, column.scale * factor)
+        if column.topic == "measurement" and unit == "V":
+            notes.append(f"{path}: measurement is in V: with a sensor of 5 um/V, say, write [5um/V] in place of [{column.unit}]")
         check_times(f"{path}: {column.topic}", stamps)
         signals[column.topic] = Signal(stamps, values, axis_names(values.shape[1]), unit)
     return Record(signals, str(path), tuple(notes), hold)

@@ -70,6 +70,24 @@ def test_several_axes_and_rows(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("unit", "due"), [("5um/V", 5.0), ("5 um / V", 5.0), ("-2.5e3 nm/V", -2.5), (".5*um", 0.5), ("1um", 1.0), ("um", 1.0)]
+)
+def test_a_sensitivity_stands_before_the_unit(tmp_path, unit, due):
+    path = tmp_path / "volts.csv"
+    path.write_text("1,2\n3,-4\n")
+    record = import_table(path, parse_columns(f"command=1[V],measurement=2[{unit}]"), 10.0)
+    assert record.signals["measurement"].unit == "um" and not record.notes
+    np.testing.assert_allclose(record.signals["measurement"].values[:, 0], [2 * due, -4 * due], rtol=1e-15)
+
+
+def test_a_measurement_in_volts_is_told(tmp_path):
+    path = tmp_path / "volts.csv"
+    path.write_text("1,2\n3,4\n")
+    record = import_table(path, parse_columns("command=1[V],measurement=2[V]"), 10.0)
+    assert any("[5um/V]" in note for note in record.notes)
+
+
+@pytest.mark.parametrize(
     "columns, rate, text, words",
     [
         ("command=3[V]", 10.0, "1,2\n3,4", "column 3 of 2"),
@@ -83,6 +101,7 @@ def test_several_axes_and_rows(tmp_path):
         ("command=1[V]", 0.0, "1,2", "rate: 0.0 Hz"),
         ("command=1[V]", 10.0, "", "holds no rows"),
         ("command=1[furlong]", 10.0, "1,2", "unit 'furlong' is not known"),
+        ("command=1[0um]", 10.0, "1,2", "a finite number but 0 is due"),
         ("command:1", 10.0, "1,2", "topic=column\\[unit\\]"),
     ],
 )
