@@ -204,7 +204,7 @@ def sentence(report: dict[str, Any]) -> str:
     """
     gap, unit = report["gap"], report["gap"]["unit"]
     # What differs between sessions may be many times the gap that is to be explained: a sensor's zero lies anywhere.
-    whole, beside = gap["rms"], _beside_session(report)
+    whole, beside = gap["rms"], None if _is_of_the_session(report) else _beside_session(report)
     told = whole if beside is None else beside
     range_share = gap["nrmse"] * told / whole if whole else 0.0
     within = "" if beside is None else f"; {whole:.3g} {unit} with the session's zero, drift and initial memory"
@@ -212,7 +212,7 @@ def sentence(report: dict[str, Any]) -> str:
     names = [named(effect) for effect in report["effects"]]
     verdict, reasons = report["verdict"], report.get("reasons", ())
     if verdict == Verdict.NO_GAP.value:
-        return f"No gap beyond the model's tolerances and the noise: simulation and record differ by {size}."
+        return f"No gap beyond the model's tolerances{_known_error(report)} and the noise: simulation and record differ by {size}."
     if verdict == Verdict.PARAMETERS.value:
         worst = ", ".join(f"{row['name']} ({row['z']:+.1f} σ)" for row in report["parameters"][:3])
         return f"The gap of {size} is caused by the model's parameters: re-identify {worst or 'the nominal model'}."
@@ -243,6 +243,22 @@ def sentence(report: dict[str, Any]) -> str:
     if verdict == Verdict.AMBIGUOUS.value:
         return f"The gap of {size} is caused by {' or '.join(names)}: these data cannot tell which.{far}"
     return f"The gap of {size} is caused by {' and '.join(names)}.{far}"
+
+
+def _known_error(report: dict[str, Any]) -> str:
+    """What clean records, or the model's file, say that differs without a gap; empty where there are none."""
+    baseline = report.get("baseline") or {}
+    size = max(baseline.get("repeatability", ()), default=0.0)
+    if not size:
+        return ""
+    what = "clean records differ by" if baseline["same_command"] else "it leaves on clean records"
+    return f", the {size:.3g} {baseline['unit']} rms that {what}"
+
+
+def _is_of_the_session(report: dict[str, Any]) -> bool:
+    """True where all that is named differs from session to session, such as a zero: the gap is that of the session then."""
+    effects = [EFFECTS[effect["name"]] for effect in report["effects"] if effect["name"] in EFFECTS]
+    return bool(effects) and all(effect.companion is not None for effect in effects)
 
 
 def _beside_session(report: dict[str, Any]) -> float | None:

@@ -187,7 +187,7 @@ def test_a_sensor_may_have_its_zero_anywhere(change, names, taken_off):
     assert abs(zero["value"]) < zero["usual"] < 2.0
     if taken_off == 0.0:  # what the clean sessions have is no part of the gap; what this session has besides is told
         assert report["gap"]["rms"] < 0.05 * away
-        told = re.search(r" ([\d.]+) um rms .*; ([\d.]+) um with the session's zero", sentence(report))
+        told = re.search(r" differ by ([\d.]+) um rms .*; ([\d.]+) um with the session's zero", sentence(report))
         if not names:
             assert told and float(told[1]) < float(told[2]) == pytest.approx(report["gap"]["rms"], rel=0.01)
 

@@ -89,6 +89,23 @@ def test_the_sentence_says_why_nothing_known_explains_a_gap():
     assert sentence(report | {"effects": []}).endswith("noise floor 0.1 um).")
 
 
+def test_the_sentence_says_what_is_no_gap_and_what_a_session_has():
+    report = {
+        "verdict": "no_gap",
+        "gap": {"rms": 1.0, "nrmse": 2.0, "unit": "um", "floor_rms": 0.1},
+        "effects": [],
+        "where": {"stage": [{"name": "session", "share": 0.75}]},
+    }
+    left = {"same_command": False, "repeatability": [0.2, 0.3], "unit": "um"}
+    assert "tolerances and the noise" in sentence(report)
+    assert "tolerances, the 0.3 um rms that it leaves on clean records and the noise" in sentence(report | {"baseline": left})
+    differ = sentence(report | {"baseline": left | {"same_command": True}})
+    assert "that clean records differ by" in differ and "differ by 0.5 um rms" in differ and "; 1 um with the session's" in differ
+    offset = {"name": "offset", "shrink": None, "shrink_reidentified": None}
+    named = sentence(report | {"verdict": "effect", "effects": [offset]})
+    assert named.startswith("The gap of 1 um rms") and "with the session's" not in named
+
+
 @pytest.mark.parametrize(("exponent", "least", "most"), [(1.0, 36, 40), (0.0, 0, 1)])
 def test_flicker_noise_is_told_between_the_lines_of_what_the_model_leaves(exponent, least, most):
     """Of 40 draws beside an error that repeats six times: 1/f noise is found in nearly all, and white noise is none."""
