@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from hyst_control import progress
+from hyst_control.chain.parameter import Array
 from hyst_control.errors import InputError
 from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.fit_report import residual
@@ -20,6 +22,32 @@ from hyst_control.records.clock_alignment import aligned_by_reception
 from hyst_control.records.row_store import blocks, largest_size, mean_square
 from hyst_control.records.session_zero import SHAPES, without_zero
 from hyst_control.reporting.tables import Table
+
+MOST_MOTIONS = 24
+"""Motions between rests that are told one by one: a sum of sines has hundreds."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Motion between two rests.
+
+    Parameters
+    ----------
+    frequency, amplitude
+        Of the command, Hz and V.
+    span
+        Range of the measurement, its unit.
+    error
+        Rms, the same unit.
+    rows
+        Their number.
+    """
+
+    frequency: float
+    amplitude: float
+    span: float
+    error: float
+    rows: int
 
 
 def validate_bags(
@@ -94,7 +122,7 @@ def check_pair(name: str, model: Model, data: Dataset) -> None:
 
 
 def add_rows(table: Table, name: str, model: Model, data: Dataset) -> None:
-    """Add the figures of one model on one record: the whole record, then each motion between rests by frequency and height.
+    """Add the figures of one model on one record: the whole record, then each motion between rests by frequency and amplitude.
 
     Parameters
     ----------
@@ -127,21 +155,53 @@ def add_rows(table: Table, name: str, model: Model, data: Dataset) -> None:
         outside = fraction_outside(model, data, axis)
         if outside > 0:
             table.add("validation", where, name, "outside_valid_command", "%", 100 * outside, n=len(e))
-        for stretch in stretches_between_rests(data, 0, axis):
-            rows = slice(max(stretch.begin - skipped, 0), max(stretch.end - skipped, 0))
-            part = data.measurement[stretch.begin : stretch.end, axis]
-            if stretch.kind != "motion" or rows.stop - rows.start < 10 or np.ptp(part) == 0:
-                continue
-            case = f"{where} {stretch.frequency:.4g} Hz, {stretch.amplitude:.4g} V"
-            table.add(
-                "by frequency and amplitude",
-                case,
-                name,
-                "nrmse",
-                "%",
-                100 * float(np.sqrt(mean_square(e[rows])) / np.ptp(part)),
-                n=rows.stop - rows.start,
+        for words, error_share, rows in by_motion(_motions(data, axis, rest[:, axis], skipped)):
+            table.add("by frequency and amplitude", f"{where} {words}", name, "nrmse_own_zero", "%", 100 * error_share, n=rows)
+
+
+def _motions(data: Dataset, axis: int, error: Array, skipped: int) -> list[Motion]:
+    """The motions between rests of one axis; error (N,): of the rows behind the first `skipped` ones, without the record's own zero."""
+    found = []
+    for stretch in stretches_between_rests(data, 0, axis):
+        rows = slice(max(stretch.begin - skipped, 0), max(stretch.end - skipped, 0))
+        span = float(np.ptp(data.measurement[stretch.begin : stretch.end, axis]))
+        if stretch.kind == "motion" and rows.stop - rows.start >= 10 and span > 0:
+            found.append(
+                Motion(stretch.frequency, stretch.amplitude, span, float(np.sqrt(mean_square(error[rows]))), rows.stop - rows.start)
             )
+    return found
+
+
+def by_motion(motions: Sequence[Motion]) -> list[tuple[str, float, int]]:
+    """Errors of motions one by one, or, where there are more than `MOST_MOTIONS`, by octave of frequency and of amplitude.
+
+    Parameters
+    ----------
+    motions
+        In the order of the record.
+
+    Returns
+    -------
+    list of (str, float, int)
+        Frequency and amplitude in words, rms error as a share of the motion's range (the rms of the motions' shares), rows.
+    """
+    if len(motions) <= MOST_MOTIONS:
+        return [(f"{one.frequency:.4g} Hz, {one.amplitude:.4g} V", one.error / one.span, one.rows) for one in motions]
+    groups: dict[tuple[int, int], list[Motion]] = {}
+    for one in motions:
+        groups.setdefault((_octave(one.frequency), _octave(one.amplitude)), []).append(one)
+    found = []
+    for (frequency, amplitude), alike in sorted(groups.items()):
+        rows = np.array([one.rows for one in alike])
+        share = np.sqrt(rows @ np.array([(one.error / one.span) ** 2 for one in alike]) / rows.sum())
+        words = f"{2.0**frequency:.3g}-{2.0 ** (frequency + 1):.3g} Hz, {2.0**amplitude:.3g}-{2.0 ** (amplitude + 1):.3g} V"
+        found.append((f"{words} ({len(alike)} motions)", float(share), int(rows.sum())))
+    return found
+
+
+def _octave(value: float) -> int:
+    """Power of two at or below a size."""
+    return int(np.floor(np.log2(max(value, 1e-300))))
 
 
 def fraction_outside(model: Model, data: Dataset, axis: int) -> float:

@@ -1,0 +1,24 @@
+"""Errors by frequency and amplitude, from motions that are given."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyst_control.identify.validation import MOST_MOTIONS, Motion, by_motion
+
+
+def test_few_motions_are_told_one_by_one():
+    assert by_motion([Motion(1.0, 20.0, 10.0, 0.1, 200)]) == [("1 Hz, 20 V", pytest.approx(0.01), 200)]
+
+
+def test_many_motions_are_told_by_octaves_and_none_is_lost():
+    random = np.random.default_rng(1)
+    motions = [
+        Motion(frequency, amplitude, 2.0 * amplitude, 0.02 * amplitude, 100)
+        for frequency, amplitude in zip(random.uniform(5.0, 40.0, 300), random.uniform(1.0, 60.0, 300), strict=True)
+    ]
+    found = by_motion(motions)
+    assert len(found) <= MOST_MOTIONS and sum(rows for *_, rows in found) == 300 * 100
+    assert all(share == pytest.approx(0.01) for _, share, _ in found)
+    assert found[0][0].startswith("4-8 Hz, ")
