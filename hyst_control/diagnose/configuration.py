@@ -203,6 +203,8 @@ class FlickerSettings:
     least_bands: int = _setting("bands", "fewest bands that count for the shape")
     slow_corner: float = _setting("share of the Nyquist frequency", "corner of the low-pass before rest and motion are compared")
     motion_ratio: float = _setting("1", "most energy in motion over that at rest: more follows the command")
+    jump: float = _setting("standard deviations", "step from one sample to the next from which it is a jump, as noise has none")
+    few_jumps: int = _setting("jumps", "jumps up to which a residual is noise")
 
 
 @dataclass(frozen=True)

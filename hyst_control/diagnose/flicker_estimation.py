@@ -14,6 +14,8 @@ from hyst_control.records.repeated_periods import period_of
 
 LINE_BINS = 1.5
 """Bins to either side of a line that Hann's window spreads it over."""
+NORMAL_MEDIAN = 0.6745
+"""Median of a normal variable's size."""
 LEAST_APART = 4.0
 """Bins between lines from which those in between tell the noise."""
 
@@ -94,7 +96,7 @@ def flicker(residual: Array, command: Array, settings: FlickerSettings = CONFIGU
         (rms * float(np.exp(-spread)), rms * float(np.exp(spread))),
         float(np.sqrt(a)),
         alone - float(best.fun),
-        has_shape((best, exponent, inverse)) and _stationary(residual, command, settings),
+        has_shape((best, exponent, inverse)) and not _jumps(residual, settings) and _stationary(residual, command, settings),
         float(share[-1]),
     )
 
@@ -109,6 +111,13 @@ def _at_harmonics(k: NDArray[np.int_], command: Array) -> NDArray[np.bool_]:
     if apart < LEAST_APART:
         return np.zeros(len(k), dtype=bool)
     return np.asarray(np.abs(k - np.rint(k / apart) * apart) < LINE_BINS, dtype=bool)
+
+
+def _jumps(residual: Array, settings: FlickerSettings) -> bool:
+    """True where a residual steps further from sample to sample than normal noise does: something is switched."""
+    steps = np.abs(np.diff(residual))
+    usual = float(np.median(steps)) / NORMAL_MEDIAN
+    return bool(np.count_nonzero(steps > settings.jump * usual) > settings.few_jumps) if usual > 0 else False
 
 
 def _stationary(residual: Array, command: Array, settings: FlickerSettings) -> bool:

@@ -18,6 +18,8 @@ NORMAL_95 = 1.645
 """95 % quantile of the normal distribution: half a 90 % interval."""
 OUTSIDE = 1e300
 """Misfit outside the range: finite, since the simplex subtracts misfits."""
+MOST_LOG = 300.0
+"""Logarithm up to which the floor, height and width of a trial are taken: their products are finite."""
 SHAPES = ("tone", "mode")
 """Sources of a hump: a tone whose phase wanders, or a mode excited by white noise."""
 
@@ -159,12 +161,13 @@ def _fitted(start: Hump, power: Array, at: Array, settings: HumpSettings) -> Hum
     most = settings.most_half_width
 
     def of(x: Array) -> Hump:
-        return Hump(float(np.exp(x[0])), float(np.exp(x[1])), float(x[2]), float(np.exp(x[3])), start.shape)
+        floor, height, half_width = np.exp(np.clip(x[[0, 1, 3]], -MOST_LOG, MOST_LOG))  # a search may try any number
+        return Hump(float(floor), float(height), float(x[2]), float(half_width), start.shape)
 
     def misfit(x: Array) -> float:
-        half_width = float(np.exp(min(x[3], 50.0)))
-        inside = at[0] <= x[2] <= at[-1] and settings.least_half_width <= half_width <= most * x[2]
-        return of(x).misfit(power, at) if inside else OUTSIDE
+        hump = of(x)
+        inside = at[0] <= x[2] <= at[-1] and settings.least_half_width <= hump.half_width <= most * x[2]
+        return hump.misfit(power, at) if inside else OUTSIDE
 
     half_width = float(np.clip(start.half_width, 1.05 * settings.least_half_width, 0.95 * most * start.frequency))
     first = np.array([np.log(start.floor), np.log(start.height), start.frequency, np.log(half_width)])

@@ -106,6 +106,18 @@ def test_the_sentence_says_what_is_no_gap_and_what_a_session_has():
     assert named.startswith("The gap of 1 um rms") and "with the session's" not in named
 
 
+def test_a_gain_that_comes_and_goes_is_no_flicker_noise():
+    """Between the lines of the command its spectrum falls as that of 1/f noise does, but it jumps."""
+    rows = np.arange(1200)
+    angle = 2 * np.pi * 6.0 * rows / 1200
+    switched = 3.0 * (1.0 + np.sin(angle)) * (np.sin(40.0 * (rows + 400) / 1600) > 0)
+    found = []
+    for seed in range(20):
+        seen = flicker(switched + 0.1 * np.random.default_rng(seed).standard_normal(1200), 50.0 + 20.0 * np.sin(angle))
+        found.append(seen.plausible and seen.gain > 10.0)
+    assert not any(found)
+
+
 @pytest.mark.parametrize(("exponent", "least", "most"), [(1.0, 36, 40), (0.0, 0, 1)])
 def test_flicker_noise_is_told_between_the_lines_of_what_the_model_leaves(exponent, least, most):
     """Of 40 draws beside an error that repeats six times: 1/f noise is found in nearly all, and white noise is none."""
