@@ -162,7 +162,7 @@ def lowpass_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Cutoff, order, and the damping of one of second order, as a record shows them.
 
     The cutoff goes from what the record is just long enough to show up to what its sampling hardly does; beside clean records from a
-    tenth of the lowest excited frequency up to where what it delays slow signals by is a small part of a sample.
+    tenth of the lowest excited frequency.
 
     Parameters
     ----------
@@ -172,12 +172,12 @@ def lowpass_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     nyquist = 0.5 / around.sample_time
     if around.slowest is not None:
         starts = tuple(np.geomspace(0.3 * around.slowest, nyquist, 6).tolist())
-        lower, upper = 0.1 * around.slowest, 5.0 * nyquist
+        lower = 0.1 * around.slowest
     else:
         starts = tuple(share * nyquist for share in (0.03, 0.2, 0.7))
-        lower, upper = min(3.0 / around.duration, 0.01 * nyquist), nyquist
+        lower = min(3.0 / around.duration, 0.01 * nyquist)
     return (
-        Parameter("cutoff", "Hz", np.inf, starts, lower, upper, 1.5, logarithmic=True),
+        Parameter("cutoff", "Hz", np.inf, starts, lower, nyquist, 1.5, logarithmic=True),
         Parameter("order", "", 1.0, (1.0, 2.0), 1.0, 2.0, 1.0),
         Parameter("damping", "", 1.0, (0.9,), 0.4, 1.1, 0.3, told=False),
     )
