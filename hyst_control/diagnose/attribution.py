@@ -217,8 +217,7 @@ def _rms_unit(diagnosis: Diagnosis, chosen: Mapping[Axes, HeldOut], none: Mappin
 
 
 def _values(part: AxisDiagnosis, scored: Scored, index: int, settings: AttributionSettings) -> dict[str, Value]:
-    """Parameter values of one effect with 90 % intervals: from draws of the fit's covariance, wider where more than noise is left, or one
-    clean record or period tells no more than another."""
+    """Parameter values of one effect with 90 % intervals, from draws of the fit's covariance: wider beside a model's own error."""
     assert scored.candidate is not None
     member = scored.candidate.members[index]
     where = scored.candidate.slices()[index]

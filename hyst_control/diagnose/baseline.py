@@ -383,8 +383,10 @@ def _memory(problem: Problem, settings: BaselineSettings) -> tuple[LearnedError,
 
 
 def _zero(problem: Problem, spans: Array, mean: Array, settings: BaselineSettings) -> SessionZero:
-    """Zero of every record, free about that of the clean sessions, mean (A, 3): as wide as it lies off, since a sensor's zero is
-    arbitrary, and says nothing of an effect. A record may have had its zero taken off."""
+    """Zero of every record, free about the clean sessions' mean (A, 3), or about 0 where that is nearer: its zero may be taken off.
+
+    It is as free as it lies off: a sensor's zero is arbitrary, and says nothing of an effect.
+    """
     durations = np.array([len(piece.command) for piece in problem.pieces]) * problem.sample_time
     gaps = [piece.measurement - simulated_rows(problem, i, piece) for i, piece in enumerate(problem.pieces)]
     zeros = np.array([without_zero(rows)[1] for rows in gaps])

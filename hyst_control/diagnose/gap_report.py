@@ -246,13 +246,13 @@ def sentence(report: dict[str, Any]) -> str:
 
 
 def _known_error(report: dict[str, Any]) -> str:
-    """What clean records, or the model's file, say that differs without a gap; empty where there are none."""
+    """Phrase on the size of the error that is known without a gap; empty where none is known."""
     baseline = report.get("baseline") or {}
     size = max(baseline.get("repeatability", ()), default=0.0)
     if not size:
         return ""
-    what = "clean records differ by" if baseline["same_command"] else "it leaves on clean records"
-    return f", the {size:.3g} {baseline['unit']} rms that {what}"
+    what = "clean records differ by" if baseline["same_command"] else "the model leaves on clean records"
+    return f", the {size:.3g} {baseline['unit']} rms that {what},"
 
 
 def _is_of_the_session(report: dict[str, Any]) -> bool:

@@ -393,10 +393,7 @@ class Member:
         return [(2 * i * self.line.swells, harmonic) for i, harmonic in enumerate(self.line.harmonics)]
 
     def _bases(self, x: Array) -> list[tuple[Array, Array]]:
-        """Of every piece the times (N,) and the signals (N, P - 1) that the line is put together from: sines, then cosines.
-
-        Harmonics are expected to fall with their order: where the sampling folds several onto one frequency, most is the fundamental.
-        """
+        """Of every piece the times (N,) and the signals (N, P - 1) of the line: sines, then cosines, their size falling with the order."""
         frequency, found = self._line_frequency(x), []
         for time, shapes in self._shapes:
             angles = [(harmonic, 2 * np.pi * frequency * harmonic * time[:, None]) for _, harmonic in self._harmonics()]

@@ -115,7 +115,7 @@ def parse_columns(text: str) -> list[Column]:
                 "before it where one in the file stands for so much ([5um/V])"
             )
         if not (scale and np.isfinite(scale)):
-            raise InputError(f"columns: {match['topic']}: one in the file stands for {match['unit']}: a finite number but 0 is due")
+            raise InputError(f"columns: {match['topic']}: the number in {match['unit']!r} must be finite and not 0")
         if match["topic"] in (column.topic for column in found):
             raise InputError(f"columns: {match['topic']} stands twice: join its axes with + (measurement=2+3[um])")
         found.append(Column(match["topic"], tuple(part.strip() for part in match["columns"].split("+")), unit, scale))

@@ -56,7 +56,7 @@ def test_a_clock_that_slips_in_any_period_behind_the_warm_up_is_known_of(period:
 
 
 def test_the_memory_that_fills_in_the_first_period_is_nothing_that_periods_differ_by() -> None:
-    """What the time before the record left fades in its first period, and each session has another: the machine repeats to its noise."""
+    """The memory of the time before a record fades in its first period; behind it the machine repeats up to its noise."""
     fading = 0.3 * np.sin(2 * np.pi * FREQUENCY * TIME) * np.where(TIME * FREQUENCY < 1.2, 1.0, 0.0)
     repeatability = beside(measured(0, 0.0) + fading, measured(1), 0.0).repeatability
     assert repeatability == pytest.approx(np.sqrt(2.0) * NOISE, rel=0.2)

@@ -98,7 +98,9 @@ def test_the_sentence_says_what_is_no_gap_and_what_a_session_has():
     }
     left = {"same_command": False, "repeatability": [0.2, 0.3], "unit": "um"}
     assert "tolerances and the noise" in sentence(report)
-    assert "tolerances, the 0.3 um rms that it leaves on clean records and the noise" in sentence(report | {"baseline": left})
+    assert "tolerances, the 0.3 um rms that the model leaves on clean records, and the noise" in sentence(
+        report | {"baseline": left}
+    )
     differ = sentence(report | {"baseline": left | {"same_command": True}})
     assert "that clean records differ by" in differ and "differ by 0.5 um rms" in differ and "; 1 um with the session's" in differ
     offset = {"name": "offset", "shrink": None, "shrink_reidentified": None}

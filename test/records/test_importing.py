@@ -101,7 +101,7 @@ def test_a_measurement_in_volts_is_told(tmp_path):
         ("command=1[V]", 0.0, "1,2", "rate: 0.0 Hz"),
         ("command=1[V]", 10.0, "", "holds no rows"),
         ("command=1[furlong]", 10.0, "1,2", "unit 'furlong' is not known"),
-        ("command=1[0um]", 10.0, "1,2", "a finite number but 0 is due"),
+        ("command=1[0um]", 10.0, "1,2", "must be finite and not 0"),
         ("command:1", 10.0, "1,2", "topic=column\\[unit\\]"),
     ],
 )
