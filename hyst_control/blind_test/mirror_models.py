@@ -108,7 +108,8 @@ def own_error(model: Model, level: mirror.Level, realization: int) -> dict[str, 
         See `Model.discrepancy`.
     """
     commands = list(level.command[:, :, realization].transpose(2, 0, 1))
-    return discrepancy_of(commands, residuals(model, level, realization), mirror.SAMPLE_TIME)
+    measurements = list(level.measurement[:, :, realization].transpose(2, 0, 1))
+    return discrepancy_of(commands, residuals(model, level, realization), mirror.SAMPLE_TIME, measurements)
 
 
 def record_of(level: mirror.Level, realization: int) -> Record:

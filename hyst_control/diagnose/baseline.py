@@ -34,14 +34,15 @@ from hyst_control.diagnose.error_on_other_commands import (
     predicted_error,
     simulated_rows,
 )
-from hyst_control.diagnose.error_spectrum import ErrorSpectrum
 from hyst_control.diagnose.initial_memory import has_whole_loop, initial_memory, is_new_ground, wiped_out
 from hyst_control.diagnose.noise_floor import noise_between_periods
 from hyst_control.diagnose.problem import Piece, Problem, check_units
 from hyst_control.diagnose.same_command import Match, beside_periods, between_periods, matching
 from hyst_control.diagnose.session import CarriedError, LearnedError, SessionZero
 from hyst_control.errors import InputError
+from hyst_control.identify.error_spectrum import ErrorSpectrum
 from hyst_control.identify.learned_discrepancy import LearnedDiscrepancy, discrepancy_of, session_zeros
+from hyst_control.identify.stated_spectrum import StatedSpectrum, spectrum_on_new_records
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.correlation import correlation_length
 from hyst_control.records.record import Record
@@ -265,10 +266,23 @@ def _beside_own_error(
         spectrum = own_error_spectrum(left, everything, clean, max(len(piece.counted(piece.command)) for piece in problem.pieces))
         spectrum = on_new_ground(spectrum, problem, clean, error, settings)
         floor = np.zeros_like(excess)
+    elif "spectrum" in stated:
+        spectrum = _stated_spectrum(problem, stated["spectrum"], error, known is not None, settings)
+        floor = np.zeros_like(excess)
     beside = replace(
         problem, model=model, slowest=lowest_frequency(problem), own_error=rest, own_correlation=length, own_spectrum=spectrum
     )
     return Baseline(beside, False, error, usual, floor, clean, excess, known)
+
+
+def _stated_spectrum(
+    problem: Problem, documents: Sequence[Any], error: Array, with_learned: bool, settings: BaselineSettings
+) -> ErrorSpectrum:
+    """The own error's spectrum on new records as the model's file states it, raised where their commands drive the model more."""
+    stated = [StatedSpectrum.from_document(one) for one in documents]
+    outputs = [without_zero(piece.counted(simulated_rows(problem, i, piece)))[0] for i, piece in enumerate(problem.pieces)]
+    relative = settings.unseen * error / np.maximum([one.output_rms for one in stated], 1e-300)
+    return spectrum_on_new_records(stated, outputs, problem.sample_time, lowest_frequency(problem), relative, with_learned)
 
 
 def _carried(

@@ -9,9 +9,10 @@ import numpy as np
 
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.configuration import BaselineSettings
-from hyst_control.diagnose.error_spectrum import ErrorSpectrum
 from hyst_control.diagnose.problem import Piece, Problem
 from hyst_control.diagnose.session import ErrorBasis, LearnedError
+from hyst_control.identify.error_spectrum import ErrorSpectrum
+from hyst_control.identify.excited_band import lowest_frequency as frequency_of
 from hyst_control.identify.learned_discrepancy import LearnedDiscrepancy
 from hyst_control.records.session_zero import without_zero
 
@@ -19,8 +20,6 @@ LEAST_DIRECTION = 0.1
 """Least rms of a direction of the learned error, in the rms of what it leaves, that is free in a diagnosis."""
 UNEXCITED = 1e-6
 """Power of a command, as a share of its largest, below which it excites nothing."""
-LOW_SHARE = 0.02
-"""Share of a command's power that lies below what counts as its lowest frequency."""
 
 
 def own_error_spectrum(errors: Sequence[Array], everything: Sequence[Array], clean: Problem, count: int) -> ErrorSpectrum:
@@ -166,7 +165,7 @@ def simulated_rows(problem: Problem, index: int, piece: Piece) -> Array:
 
 
 def lowest_frequency(problem: Problem) -> float:
-    """Lowest frequency of the commands: the share `LOW_SHARE` of their power lies below it.
+    """Lowest frequency that the commands excite.
 
     Parameters
     ----------
@@ -178,11 +177,4 @@ def lowest_frequency(problem: Problem) -> float:
     float
         Hz; the least of all records.
     """
-    found = []
-    for piece in problem.pieces:
-        rows = (piece.command - piece.command.mean(axis=0)) * np.hanning(len(piece.command))[:, None]
-        power = np.sum(np.abs(np.fft.rfft(rows, axis=0)) ** 2, axis=1)
-        share = np.cumsum(power) / max(float(power.sum()), 1e-300)
-        lowest = max(int(np.argmax(share >= LOW_SHARE)), 1)
-        found.append(lowest / (len(rows) * problem.sample_time))
-    return min(found)
+    return frequency_of([piece.command for piece in problem.pieces], problem.sample_time)

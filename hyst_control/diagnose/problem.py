@@ -12,13 +12,13 @@ import numpy as np
 from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.linear import LinearStage
 from hyst_control.chain.parameter import Array
-from hyst_control.diagnose.error_spectrum import ErrorSpectrum, filtered
 from hyst_control.diagnose.evidence import RoughnessEvidence
 from hyst_control.diagnose.known_links import MOST_BYTES, KnownLinks
 from hyst_control.diagnose.session import CarriedError
 from hyst_control.effects.effect import Surroundings
 from hyst_control.effects.placement import mechanics_index
 from hyst_control.errors import InputError
+from hyst_control.identify.error_spectrum import ErrorSpectrum, filtered
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 from hyst_control.records.session_zero import without_zero

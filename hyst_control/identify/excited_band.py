@@ -23,6 +23,8 @@ LEAST_SHARE = 0.005
 """The same as a share of the segment's whole motion: what hysteresis models leave is rarely less."""
 QUIETEST = 0.05
 """Share of the spectrum that is taken for noise alone."""
+LOW_SHARE = 0.02
+"""Share of a command's power that lies below what counts as its lowest frequency."""
 REACH = 6.0
 """Multiple of the band's end up to which a pole is fitted: a lag there still turns the phase at the end by 10 degrees, one further beyond
 is not distinguished from a delay. Nor may a nearer bound stop the search on its way: at 3 the lag of the tour's record was lost, whose
@@ -44,6 +46,32 @@ def excited_band(windows: Sequence[Window]) -> float:
     """
     slope = max(np.ptp(window.measurement) for window in windows) / max(np.ptp(window.command) for window in windows)
     return max(_band(window, float(slope)) for window in windows)
+
+
+def lowest_frequency(commands: Sequence[Array], sample_time: float) -> float:
+    """Lowest frequency of commands: the share `LOW_SHARE` of their power lies below it.
+
+    Parameters
+    ----------
+    commands
+        By record, (N,) or (N, A), any unit.
+    sample_time
+        Sample time, s.
+
+    Returns
+    -------
+    float
+        Hz; the least of all records.
+    """
+    found = []
+    for command in commands:
+        columns = command.reshape(len(command), -1)
+        rows = (columns - columns.mean(axis=0)) * np.hanning(len(columns))[:, None]
+        power = np.sum(np.abs(np.fft.rfft(rows, axis=0)) ** 2, axis=1)
+        share = np.cumsum(power) / max(float(power.sum()), 1e-300)
+        lowest = max(int(np.argmax(share >= LOW_SHARE)), 1)
+        found.append(lowest / (len(rows) * sample_time))
+    return min(found)
 
 
 def measurement_noise(values: Array, sample_time: float) -> float:

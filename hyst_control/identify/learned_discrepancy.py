@@ -22,6 +22,7 @@ from scipy.linalg import eigh
 
 from hyst_control.chain.command_features import Array, CommandFeatures, rate_quantile
 from hyst_control.errors import InputError
+from hyst_control.identify.stated_spectrum import StatedSpectrum
 from hyst_control.model_file import DISCREPANCY_VERSION
 from hyst_control.records.correlation import correlation_length
 from hyst_control.records.row_store import mean_square, spread_parts
@@ -76,6 +77,23 @@ class LearnedDiscrepancy:
             "rest": _rounded(self.rest),
             "correlation": _rounded(self.correlation),
         }
+
+    def predicted(self, command: Array, sample_time: float) -> Array:
+        """Predict the error on a command.
+
+        Parameters
+        ----------
+        command : ndarray, shape (N,)
+            V.
+        sample_time : float
+            s.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Mean, measurement unit.
+        """
+        return np.concatenate([block @ self.mean for _, block in self.features.blocks(command, sample_time)])
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> LearnedDiscrepancy:
@@ -174,7 +192,9 @@ def learn(commands: Sequence[Array], errors: Sequence[Array], sample_time: float
     return replace(found, factor=found.factor[:, np.argsort(-values)])
 
 
-def discrepancy_of(commands: Sequence[Array], errors: Sequence[Array], sample_time: float) -> dict[str, Any]:
+def discrepancy_of(
+    commands: Sequence[Array], errors: Sequence[Array], sample_time: float, measurements: Sequence[Array] | None = None
+) -> dict[str, Any]:
     """Describe a model's errors on clean records, in the form of a model file.
 
     Parameters
@@ -185,6 +205,8 @@ def discrepancy_of(commands: Sequence[Array], errors: Sequence[Array], sample_ti
         Measured minus simulated at the last M rows of each command, measurement unit.
     sample_time : float
         Sample time, s.
+    measurements : sequence of ndarray, shape (M, A), optional
+        At the same rows, measurement unit; without them no spectrum is stated.
 
     Returns
     -------
@@ -204,7 +226,26 @@ def discrepancy_of(commands: Sequence[Array], errors: Sequence[Array], sample_ti
     found |= session_zeros(errors)
     if any(learned):
         found["learned"] = [None if one is None else one.document() for one in learned]
+    if measurements is not None:
+        found["spectrum"] = [
+            _spectrum(*[[rows[:, axis] for rows in series] for series in (commands, errors, measurements)], one, sample_time)
+            for axis, one in enumerate(learned)
+        ]
     return found
+
+
+def _spectrum(
+    commands: Sequence[Array],
+    errors: Sequence[Array],
+    measurements: Sequence[Array],
+    learned: LearnedDiscrepancy | None,
+    sample_time: float,
+) -> dict[str, Any]:
+    """Spectrum of one axis' errors (M,), and of what the learned part leaves of them, in the form of a model file."""
+    rests = errors
+    if learned is not None:
+        rests = [error - learned.predicted(u, sample_time)[-len(error) :] for u, error in zip(commands, errors, strict=True)]
+    return StatedSpectrum.of(commands, errors, rests, measurements, sample_time).document()
 
 
 def session_zeros(errors: Sequence[Array]) -> dict[str, Any]:

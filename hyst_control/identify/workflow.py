@@ -248,7 +248,8 @@ def discrepancy(model: Model, datasets: Sequence[Dataset]) -> dict[str, Any]:
         As in the model file: see `Model`.
     """
     left = [residual(model, data) for data in datasets]
-    return discrepancy_of([data.command for data in datasets], left, datasets[0].sample_time)
+    measured = [data.measurement[-len(rows) :] for data, rows in zip(datasets, left, strict=True)]
+    return discrepancy_of([data.command for data in datasets], left, datasets[0].sample_time, measured)
 
 
 def chosen_families(family: str | None, method: str, options: Mapping[str, object]) -> list[str]:
