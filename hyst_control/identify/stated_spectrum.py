@@ -172,8 +172,8 @@ def band_edges(rows: int) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
     ndarray of int, shape (F,)
         Ascending from 0.
     """
-    count = int(BANDS * np.log2(rows)) + 1
-    return np.unique(np.concatenate([[0], np.rint(2.0 ** (np.arange(count) / BANDS)).astype(np.int64)]))
+    edges = np.rint(2.0 ** (np.arange(int(BANDS * np.log2(rows)) + 1) / BANDS)).astype(np.int64)
+    return np.unique(np.concatenate([[0], edges[edges < rows]]))
 
 
 def spectrum_on_new_records(
