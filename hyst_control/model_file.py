@@ -74,7 +74,8 @@ class Model:
         What the model leaves on the records it was identified from: {"version": 1, "rms": by axis, on the worst record, measurement
         unit, each record's own zero and drift taken off, "correlation": time of that error per independent sample, s, "zero": zero, drift
         and curvature up to which a session is usual, by axis, absent for one record, "zero_mean": their means, "learned": by axis, the
-        error as a function of the command (`identify.learned_discrepancy`), absent where the command does not predict it}.
+        error as a function of the command (`identify.learned_discrepancy`), absent where the command does not predict it, "spectrum":
+        by axis, the power of the error and of the output in bands of frequency (`identify.stated_spectrum`)}.
     """
 
     name: str
@@ -475,6 +476,10 @@ def _discrepancy(discrepancy: Any, axes: int) -> dict[str, Any]:
     correlation = discrepancy.get("correlation", 1.0)
     if not _numeric(correlation) or np.ndim(correlation) or not correlation > 0:
         raise InputError(f"discrepancy.correlation: must be a time > 0 s, got {correlation!r}")
+    for key in ("learned", "spectrum"):
+        each: Any = discrepancy.get(key)
+        if each is not None and (not isinstance(each, list) or len(each) != axes):
+            raise InputError(f"discrepancy.{key}: must be a list with one entry for each of the {axes} axes: identify the model again")
     return dict(discrepancy)
 
 

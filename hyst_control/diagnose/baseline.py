@@ -205,7 +205,7 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
     return replace(_beside_own_error(problem, stated, clean, settings, left, errors), error_rows=known)
 
 
-def with_discrepancy(problem: Problem, settings: BaselineSettings) -> Baseline:
+def with_discrepancy(problem: Problem, settings: BaselineSettings, by_spectrum: bool = False) -> Baseline:
     """Make the baseline of a problem from the discrepancy that its model file states, instead of from clean records.
 
     Parameters
@@ -214,12 +214,19 @@ def with_discrepancy(problem: Problem, settings: BaselineSettings) -> Baseline:
         The new records; their model states a discrepancy.
     settings : BaselineSettings
         Values of the configuration.
+    by_spectrum : bool
+        Whether the own error is weighed by the spectrum that the file states, rather than by its size and its correlation.
 
     Returns
     -------
     Baseline
     """
-    return _beside_own_error(problem, problem.model.discrepancy, None, settings)
+    found = _beside_own_error(problem, problem.model.discrepancy, None, settings)
+    if not by_spectrum:
+        return found
+    error, with_learned = found.repeatability, found.learned is not None
+    spectrum = _stated_spectrum(problem, problem.model.discrepancy["spectrum"], error, with_learned, settings)
+    return replace(found, problem=replace(found.problem, own_spectrum=spectrum), floor=np.zeros_like(found.floor))
 
 
 def _beside_own_error(
@@ -266,9 +273,6 @@ def _beside_own_error(
         spectrum = own_error_spectrum(left, everything, clean, max(len(piece.counted(piece.command)) for piece in problem.pieces))
         spectrum = on_new_ground(spectrum, problem, clean, error, settings)
         floor = np.zeros_like(excess)
-    elif "spectrum" in stated:
-        spectrum = _stated_spectrum(problem, stated["spectrum"], error, known is not None, settings)
-        floor = np.zeros_like(excess)
     beside = replace(
         problem, model=model, slowest=lowest_frequency(problem), own_error=rest, own_correlation=length, own_spectrum=spectrum
     )
@@ -282,7 +286,8 @@ def _stated_spectrum(
     stated = [StatedSpectrum.from_document(one) for one in documents]
     outputs = [without_zero(piece.counted(simulated_rows(problem, i, piece)))[0] for i, piece in enumerate(problem.pieces)]
     relative = settings.unseen * error / np.maximum([one.output_rms for one in stated], 1e-300)
-    return spectrum_on_new_records(stated, outputs, problem.sample_time, lowest_frequency(problem), relative, with_learned)
+    found = spectrum_on_new_records(stated, outputs, problem.sample_time, lowest_frequency(problem), relative, with_learned)
+    return replace(found, power=settings.unseen**2 * found.power)
 
 
 def _carried(

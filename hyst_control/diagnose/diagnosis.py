@@ -29,11 +29,12 @@ from hyst_control.diagnose.passed_error import passed_error
 from hyst_control.diagnose.policy import contenders, decide
 from hyst_control.diagnose.prepared_axis import clean_rows, is_used, nominal_residuals, prepare, with_noise
 from hyst_control.diagnose.problem import Piece, Problem, check_command, check_units, split
-from hyst_control.diagnose.record_checks import held_at_one_value
+from hyst_control.diagnose.record_checks import effect_found_by, held_at_one_value
 from hyst_control.diagnose.record_findings import not_received
 from hyst_control.diagnose.same_command import as_clean_command
 from hyst_control.diagnose.seen_in_clean import CleanRecords
-from hyst_control.diagnose.verdict import Decision
+from hyst_control.diagnose.spectral_lines import lines
+from hyst_control.diagnose.verdict import Decision, Verdict
 from hyst_control.effects.effect import RecordCheck
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
@@ -186,7 +187,12 @@ def diagnose(
     axis = 0
     for part, known, bare in beside:
         axes = tuple(range(axis, axis + len(part.model.axes)))
-        parts.append(_axis(part, known, bare, axes, seed, without, cache, progress, configuration))
+        found = _axis(part, known, bare, axes, seed, without, cache, progress, configuration)
+        if _may_hide_a_line(found, configuration):
+            by_spectrum = with_discrepancy(part, configuration.baseline, by_spectrum=True)
+            again = _axis(part, by_spectrum, bare, axes, seed, without, cache, progress, configuration)
+            found = again if _is_a_line(again) else found
+        parts.append(found)
         axis += len(axes)
     notes += [note for part in parts for note in _outlier_notes(part)]
     problem = replace(problem, slowest=parts[0].problem.slowest)
@@ -414,6 +420,31 @@ def _axis(
         evidence = tested(evidence.without(dropped))
         decision = decide(evidence, thresholds)
     return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decision, baseline)
+
+
+def _may_hide_a_line(found: AxisDiagnosis, configuration: Configuration) -> bool:
+    """True where a line stands out of what the model leaves, and is no gap beside the size of the error that its file states.
+
+    That size says nothing of the frequency: slow errors would hide a hum of many times what the model leaves there.
+    """
+    baseline = found.baseline
+    if found.decision.verdict is not Verdict.NO_GAP or baseline is None or baseline.clean is not None:
+        return False
+    left = found.linearised.unexplained(found.found.none.solution.residual)
+    return "spectrum" in found.problem.model.discrepancy and any(
+        lines(found.problem, left, configuration.checks).get(name) for name in _line_effects()
+    )
+
+
+def _is_a_line(found: AxisDiagnosis) -> bool:
+    """True where effects that have lines are the sure explanation. Of others a spectrum from other records tells too little."""
+    names = frozenset() if found.chosen.candidate is None else frozenset(found.chosen.candidate.names)
+    return found.decision.verdict is Verdict.EFFECT and bool(names) and names <= _line_effects()
+
+
+def _line_effects() -> frozenset[str]:
+    effects = (effect_found_by(RecordCheck.MAINS_LINE), effect_found_by(RecordCheck.SPECTRAL_LINE))
+    return frozenset(effect.name for effect in effects if effect is not None)
 
 
 def _without_roughness(problem: Problem, configuration: Configuration) -> Problem:
