@@ -479,7 +479,9 @@ def _discrepancy(discrepancy: Any, axes: int) -> dict[str, Any]:
     for key in ("learned", "spectrum"):
         each: Any = discrepancy.get(key)
         if each is not None and (not isinstance(each, list) or len(each) != axes):
-            raise InputError(f"discrepancy.{key}: must be a list with one entry for each of the {axes} axes: identify the model again")
+            raise InputError(
+                f"discrepancy.{key}: must be a list with one entry for each of the {axes} axes: identify the model again"
+            )
     return dict(discrepancy)
 
 

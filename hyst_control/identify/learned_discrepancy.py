@@ -228,10 +228,14 @@ def discrepancy_of(
         found["learned"] = [None if one is None else one.document() for one in learned]
     if measurements is not None:
         found["spectrum"] = [
-            _spectrum(*[[rows[:, axis] for rows in series] for series in (commands, errors, measurements)], one, sample_time)
+            _spectrum(_column(commands, axis), _column(errors, axis), _column(measurements, axis), one, sample_time)
             for axis, one in enumerate(learned)
         ]
     return found
+
+
+def _column(series: Sequence[Array], axis: int) -> list[Array]:
+    return [rows[:, axis] for rows in series]
 
 
 def _spectrum(
