@@ -116,12 +116,16 @@ def _begun(linearised: Linearised, candidate: Candidate, starts: Sequence[Array]
 
 
 def _gone_on(linearised: Linearised, begun: Begun, rival: float) -> Solution:
-    """The best of the fits that were begun, each gone on with while it may reach the best other one."""
+    """The best of the fits that were begun, each gone on with while it may reach the best other one.
+
+    One that promises less than the other leaves is not stopped on its way, however far behind its coefficients begin.
+    """
     unknowns = begun.candidate.unknowns()
     ends: list[Solution] = []
     for solution in begun.ends:
+        behind = rival if solution.misfit > rival else np.inf
         try:
-            ends.append(fit(linearised, unknowns, solution.x, _possible(linearised, unknowns, solution), rival=rival))
+            ends.append(fit(linearised, unknowns, solution.x, _possible(linearised, unknowns, solution), rival=behind))
         except InputError:
             continue  # next to the nominal coefficients it could be simulated, but not at these
         rival = min(rival, ends[-1].misfit)

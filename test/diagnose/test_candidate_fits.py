@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from hyst_control.blind_test.plant_setups import scatter
+from hyst_control.diagnose import candidate_fits
+from hyst_control.diagnose.candidate_fits import begin
 from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.diagnosis import with_clean
-from hyst_control.diagnose.hypothesis import catalogue
+from hyst_control.diagnose.hypothesis import Candidate, catalogue
 from hyst_control.diagnose.hypothesis_fit import fit
 from hyst_control.diagnose.hypothesis_search import search
 from hyst_control.diagnose.prepared_axis import prepare
@@ -56,6 +59,24 @@ def test_a_fit_that_stops_far_from_its_minimum_is_gone_on_with(monkeypatch):
     best = search(prepared.linearised, members, 10.0, prepared.floor, prepared.leaves).singles[0]
     assert best.names == ("delay",)
     assert best.candidate.members[0].values(best.solution.x)["tau"] == pytest.approx(1e-4, rel=0.02)
+
+
+def test_only_a_fit_that_promises_less_than_its_rival_is_stopped_on_its_way(monkeypatch):
+    """Where coefficients begin many tolerances away, the first steps leave far more than the fit ends with."""
+    record = record_of("pea_published", [{"name": "delay", "tau": 1e-4}], duration=0.5)
+    prepared = prepare(*with_clean([record], nominal("pea_published"), 0.0, CONFIGURATION, ())[3][0][:2], (), CONFIGURATION)
+    delay = next(member for member in prepared.members(False) if member.name == "delay")
+    begun = begin(prepared.linearised, [(Candidate((delay,)), delay.starts())], CONFIGURATION.search)[0]
+    rivals: list[float] = []
+
+    def told(*given, rival):
+        rivals.append(rival)
+        return fit(*given, rival=rival)
+
+    monkeypatch.setattr(candidate_fits, "fit", told)
+    for other in (1.01 * begun.misfit, 0.99 * begun.misfit):
+        candidate_fits._gone_on(prepared.linearised, replace(begun, ends=begun.ends[:1]), other)
+    assert rivals == [np.inf, 0.99 * begun.misfit]
 
 
 def test_an_effect_that_is_hardly_there_is_not_beyond_its_range():
