@@ -114,7 +114,7 @@ def command_lattice(
     Returns
     -------
     list of float
-        V, the most likely first; none where no line stands out.
+        V, the most likely first, and then the doubles of these; none where no line stands out.
     """
     low, span = float(command.min()), float(np.ptp(command))
     bins, padded = settings.lattice_bins, 4
@@ -135,7 +135,11 @@ def command_lattice(
     for top in np.argsort(ratio)[::-1][: 4 * padded * settings.lattice_steps]:
         if ratio[top] > settings.lattice_ratio and all(abs(cycles[top] - other) > 1.0 for other in found):
             found.append(_peak(cycles, power, int(top)))
-    return [span / one for one in found[: settings.lattice_steps]]
+    found = found[: settings.lattice_steps]
+    # The error of a coarse lattice is no sine over the command, and of its line the second harmonic may stand out alone.
+    halves = [0.5 * one for one in found if 0.5 * one >= settings.lattice_least]
+    found += [half for half in halves if all(abs(half - other) > 1.0 for other in found)]
+    return [span / one for one in found]
 
 
 def background(power: Array, reach: int) -> Array:

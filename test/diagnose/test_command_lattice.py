@@ -29,6 +29,16 @@ def test_the_step_is_found_however_it_was_rounded_to(step, rounded):
     assert found and found[0] == pytest.approx(step, rel=0.5 * step / 50.0)
 
 
+def test_the_double_is_tried_too():
+    """Rounded to 4, of which the spectrum shows the second harmonic alone: the line at 2 would be taken for the step."""
+    command, left = record(4.0, np.floor)
+    _, half = record(2.0, np.floor)
+    found = command_lattice(command, half, RESPONSE)
+    assert found[0] == pytest.approx(2.0, rel=0.02)
+    assert any(step == pytest.approx(4.0, rel=0.02) for step in found)
+    assert command_lattice(command, left, RESPONSE)[0] == pytest.approx(4.0, rel=0.05)
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_no_step_is_found_where_nothing_was_rounded(seed):
     assert command_lattice(*record(0.0, np.round, seed, disturbance=1.0), RESPONSE) == []
