@@ -43,14 +43,20 @@ def sines(frequency: float, cycles: int = 5) -> np.ndarray:
     return np.concatenate([rest, envelope * np.sin(2 * np.pi * frequency * time), rest])
 
 
-def machine(command: np.ndarray, seed: int, drive=lambda u: u, sensor=lambda y: y) -> np.ndarray:
-    """Bouc-Wen hysteresis, creep, a mode of 430 Hz, a zero and a slow drift of each session, noise; written for this test alone."""
-    random, z, u = np.random.default_rng(seed), 0.0, drive(command)
-    hysteresis = np.empty(len(u))
+def bouc_wen(u: np.ndarray) -> np.ndarray:
+    """Bouc-Wen hysteresis of commands (N,) in V: displacements, um."""
+    z, found = 0.0, np.empty(len(u))
     for k in range(len(u)):
         step = u[k] - u[k - 1] if k else 0.0
         z += 0.35 * step - 0.018 * abs(step) * z - 0.006 * step * abs(z)
-        hysteresis[k] = 0.03 * u[k] - 0.03 * z + 2e-5 * u[k] ** 2
+        found[k] = 0.03 * u[k] - 0.03 * z + 2e-5 * u[k] ** 2
+    return found
+
+
+def machine(command: np.ndarray, seed: int, drive=lambda u: u, sensor=lambda y: y) -> np.ndarray:
+    """Bouc-Wen hysteresis, creep, a mode of 430 Hz, a zero and a slow drift of each session, noise; written for this test alone."""
+    random, u = np.random.default_rng(seed), drive(command)
+    hysteresis = bouc_wen(u)
     keep = np.exp(-1.0 / RATE / 0.1)
     creeping = hysteresis + 0.02 * lfilter([1.0 - keep], [1.0, -keep], hysteresis)
     mode = bilinear([(2 * np.pi * 430.0) ** 2], [1.0, 0.06 * 2 * np.pi * 430.0, (2 * np.pi * 430.0) ** 2], RATE)

@@ -62,7 +62,7 @@ def test_a_fit_that_stops_far_from_its_minimum_is_gone_on_with(monkeypatch):
 
 
 def test_only_a_fit_that_promises_less_than_its_rival_is_stopped_on_its_way(monkeypatch):
-    """Where coefficients begin many tolerances away, the first steps leave far more than the fit ends with."""
+    """One that promises more may still lie behind in its first steps, and must not be stopped there."""
     record = record_of("pea_published", [{"name": "delay", "tau": 1e-4}], duration=0.5)
     prepared = prepare(*with_clean([record], nominal("pea_published"), 0.0, CONFIGURATION, ())[3][0][:2], (), CONFIGURATION)
     delay = next(member for member in prepared.members(False) if member.name == "delay")

@@ -29,14 +29,16 @@ def test_the_step_is_found_however_it_was_rounded_to(step, rounded):
     assert found and found[0] == pytest.approx(step, rel=0.5 * step / 50.0)
 
 
-def test_the_double_is_tried_too():
-    """Rounded to 4, of which the spectrum shows the second harmonic alone: the line at 2 would be taken for the step."""
-    command, left = record(4.0, np.floor)
-    _, half = record(2.0, np.floor)
-    found = command_lattice(command, half, RESPONSE)
-    assert found[0] == pytest.approx(2.0, rel=0.02)
-    assert any(step == pytest.approx(4.0, rel=0.02) for step in found)
-    assert command_lattice(command, left, RESPONSE)[0] == pytest.approx(4.0, rel=0.05)
+@pytest.mark.parametrize(("loops", "step"), [(3, 3.27), (6, 4.0)])
+def test_the_step_of_a_coarse_lattice_is_suggested_where_a_harmonic_stands_out_more(loops, step):
+    """Shrinking triangles, rounded down: the line at half the step is the largest in the spectrum."""
+    turns = np.linspace(0.0, loops, COUNT)
+    command = 50.0 * (1.0 - 0.8 * np.floor(turns) / loops) * (1.0 - np.abs(1.0 - 2.0 * (turns % 1.0)))
+    error = step * np.floor(command / step) - command
+    noise = 0.05 * np.random.default_rng(4).standard_normal(COUNT)
+    found = command_lattice(command, np.append(0.0, lfilter(RESPONSE, 1.0, error)[:-1]) + noise, RESPONSE)
+    assert found[0] == pytest.approx(0.5 * step, rel=0.02)
+    assert min(abs(one - step) for one in found) < 0.01 * step
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -13,6 +13,7 @@ from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.workflow import identified
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal
+from test.diagnose.test_baseline import bouc_wen
 
 RATE, SECONDS, NOISE = 1000.0, 4.0, 0.004
 TIME = np.arange(int(RATE * SECONDS)) / RATE
@@ -20,11 +21,7 @@ TIME = np.arange(int(RATE * SECONDS)) / RATE
 
 def machine(command: np.ndarray, seed: int) -> np.ndarray:
     """Bouc-Wen hysteresis with a creep of 0.3 s: a play model leaves slow errors of some hundredths of a micrometre."""
-    z, hysteresis = 0.0, np.empty(len(command))
-    for k in range(len(command)):
-        step = command[k] - command[k - 1] if k else 0.0
-        z += 0.35 * step - 0.018 * abs(step) * z - 0.006 * step * abs(z)
-        hysteresis[k] = 0.03 * command[k] - 0.03 * z + 2e-5 * command[k] ** 2
+    hysteresis = bouc_wen(command)
     keep = np.exp(-1.0 / RATE / 0.3)
     creeping = hysteresis + 0.03 * lfilter([1.0 - keep], [1.0, -keep], hysteresis)
     return creeping + NOISE * np.random.default_rng(seed).standard_normal(len(command))
@@ -75,7 +72,7 @@ def test_it_is_named_with_its_size(model, frequency, name):
 
 
 def test_the_size_alone_hides_it(model):
-    """What the spectrum in the file is worth."""
+    """The same record beside the same model, whose file does not state the spectrum."""
     without = {name: value for name, value in model.discrepancy.items() if name != "spectrum"}
     assert report(replace(model, discrepancy=without), line(model, 50.0)[1])["verdict"] == "no_gap"
 
