@@ -352,6 +352,9 @@ def _carried(
     own = np.concatenate([without_zero(rows)[0] for rows in series])
     error = np.sqrt(np.mean(own**2, axis=0))
     floor = settings.same_floor * repeatability
+    if not differences:  # one record tells nothing of the next one
+        motion = np.concatenate([without_zero(piece.counted(piece.measurement))[0] for piece in pieces])
+        floor = settings.usual_repeatability * np.sqrt(np.mean(motion**2, axis=0))
     return Baseline(beside, True, repeatability, usual, floor, clean, error)
 
 

@@ -359,6 +359,9 @@ class BaselineSettings:
         "share of the range", "zero, drift and curvature that are usual where few clean records are at hand"
     )
     same_floor: float = _setting("own error and noise, rms", "least that an effect must take off")
+    usual_repeatability: float = _setting(
+        "share of the motion, rms", "what sessions differ by where a single clean record without a period does not tell"
+    )
     other_command: float = _setting("own errors", "size of an effect that is named where no clean record has the same command")
     blocks: int = _setting("blocks", "blocks of a record that a remainder is predicted on, each from the others")
 

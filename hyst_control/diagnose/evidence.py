@@ -302,6 +302,10 @@ class HypothesisEvidence:
     local : float
         Energy that "no effect" leaves at the frequencies at which this one differs from it, in units of the model's own error and the
         noise there; infinite where the error's spectrum is unknown.
+    beyond : float
+        What it leaves beyond the model's own error, octave by octave, nats; 0 where the error's spectrum is unknown.
+    taken_up : float
+        Energy that its coefficients take off by what of their distance is not believed, noise energies.
 
     """
 
@@ -315,6 +319,8 @@ class HypothesisEvidence:
     farthest: float = 0.0
     at_bound: bool = False
     local: float = np.inf
+    beyond: float = 0.0
+    taken_up: float = np.inf
 
 
 @dataclass(frozen=True)

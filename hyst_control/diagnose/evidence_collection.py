@@ -25,6 +25,7 @@ from hyst_control.diagnose.flicker_estimation import flicker
 from hyst_control.diagnose.hypothesis_fit import Linearised
 from hyst_control.diagnose.hypothesis_search import Found, Scored, strain
 from hyst_control.diagnose.noise_floor import noise_between_periods, noise_of
+from hyst_control.diagnose.own_error_bands import beyond_own_error
 from hyst_control.diagnose.predictability import predictable_share
 from hyst_control.diagnose.problem import Piece, Problem
 from hyst_control.diagnose.random_vibration import random_vibration
@@ -92,7 +93,7 @@ def collect(
     rows = size // len(problem.model.axes)
     lower, upper = configuration.noise.band
     evidence = Evidence(
-        tuple(replace(_hypothesis(scored, size), local=_local_energy(problem, found.none, scored)) for scored in hypotheses),
+        tuple(_hypothesis(found, scored, configuration.policy.many_tolerances) for scored in hypotheses),
         found.temper,
         found.linearised.count,
         null,
@@ -344,10 +345,16 @@ def _between_periods(problem: Problem, left: Sequence[Array], axis: int, setting
     return noise_between_periods(left, [piece.counted(piece.command) for piece in pieces], settings)
 
 
-def _hypothesis(scored: Scored, size: int) -> HypothesisEvidence:
-    solution = scored.solution
+def _hypothesis(found: Found, scored: Scored, believed: float) -> HypothesisEvidence:
+    solution, problem = scored.solution, found.linearised.problem
+    size = len(solution.residual)
     energy = float(solution.residual @ solution.residual) / size
     farthest = float(np.max(np.abs(solution.z), initial=0.0)) * scored.tolerances
+    taken_up = float("inf")
+    if not scored.inflated:
+        columns, scatter = found.linearised.columns, found.linearised.scatter
+        far = np.where(scatter.companions > 0.0, 0.0, solution.z) * max(1.0 - believed / max(farthest, 1e-300), 0.0)
+        taken_up = float(np.mean((solution.residual + columns @ far) ** 2)) - energy
     return HypothesisEvidence(
         scored.names,
         scored.inflated,
@@ -357,6 +364,9 @@ def _hypothesis(scored: Scored, size: int) -> HypothesisEvidence:
         strain(solution),
         farthest=farthest,
         at_bound=scored.candidate is not None and scored.candidate.is_at_bound(solution.x),
+        local=_local_energy(problem, found.none, scored),
+        beyond=0.0 if problem.own_spectrum is None else beyond_own_error(problem, solution.residual),
+        taken_up=taken_up,
     )
 
 

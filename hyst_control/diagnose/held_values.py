@@ -17,6 +17,8 @@ STANDS = 4.0
 """Noise rms within which a measurement stands on one level."""
 PASSED = 10.0
 """Times as far as these the simulation must pass it meanwhile."""
+STANDING = 1.0 / 3.0
+"""Least share of all passages through the level: where a hum cancels the motion now and then, most pass."""
 MOST_LEVELS = 1e6
 """Levels up to which a range is resolved: beyond, the noise is that of a simulation without any."""
 
@@ -154,8 +156,10 @@ def level_crossings(pieces: Sequence[tuple[Array, Array]], step: float, sigma: f
 
 def _passages(pieces: Sequence[tuple[Array, Array]], level: float, reach: float) -> int:
     """Stretches within `reach` of a level, entered on one side and left on the other, over which the simulation moves much further."""
-    found = 0
+    found, crossed = 0, 0
     for simulated, measured in pieces:
+        beside = measured[np.abs(measured - level) > reach] > level
+        crossed += int(np.count_nonzero(np.diff(beside.astype(int))))
         on_it = np.abs(measured - level) <= reach
         edges = np.flatnonzero(np.diff(np.concatenate([[False], on_it, [False]]).astype(int)))
         for begin, end in zip(edges[::2], edges[1::2], strict=True):
@@ -165,6 +169,7 @@ def _passages(pieces: Sequence[tuple[Array, Array]], level: float, reach: float)
             if np.count_nonzero(np.diff(stands) == 0.0) > len(stands) // 2 and float(np.median(stands)) != level:
                 continue  # samples that were held, each stretch at a value of its own
             before, after = measured[begin - 1] - level, measured[end] - level
-            passed = (simulated[end - 1] - simulated[begin]) * np.sign(after)
-            found += bool(before * after < 0.0 and passed > 2.0 * PASSED * reach)
-    return found
+            # Before a step both rest: what stands there lets go with the simulation, not after it has passed.
+            moved = (simulated[[(begin + end) // 2, end - 1]] - simulated[begin]) * np.sign(after)
+            found += bool(before * after < 0.0 and moved[0] > 0.5 * PASSED * reach and moved[1] > 2.0 * PASSED * reach)
+    return found if found >= STANDING * crossed else 0

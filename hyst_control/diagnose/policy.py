@@ -31,6 +31,8 @@ from hyst_control.diagnose.record_findings import findings, flicker_found, is_st
 from hyst_control.diagnose.verdict import Decision, JointDecision, Reason, Verdict
 from hyst_control.diagnose.vibration_finding import vibration, vibration_found, without_vibration
 
+UNDER_OWN_ERROR = 0.05
+"""Weight of what stays under the model's own error: one shape, of which the bins of a record are hardly independent."""
 PARAMETERS = ("parameters",)
 """Key of the coefficients alone in `Decision.probability`."""
 
@@ -231,7 +233,7 @@ def _claims(evidence: Evidence, thresholds: Thresholds, with_effects: bool = Tru
         and _worth_naming(one, evidence, thresholds)
         and _explains(one, evidence, thresholds)
     ]
-    found.sort(key=lambda index: -evidence.hypotheses[index].score)
+    found.sort(key=lambda index: -_merit(evidence.hypotheses[index], evidence, thresholds))
 
     def kept(wanted: frozenset[frozenset[str]] = frozenset()) -> tuple[int, ...]:
         return tuple(
@@ -242,9 +244,31 @@ def _claims(evidence: Evidence, thresholds: Thresholds, with_effects: bool = Tru
 
     claims = kept()
     wanted = _wanted(evidence, _first(claims), thresholds)
-    with_wanted = kept(wanted) if wanted else claims
+    with_wanted = claims
+    if wanted:  # what a test asks for goes before what fails it
+        with_wanted = tuple(sorted(kept(wanted), key=lambda index: frozenset(evidence.hypotheses[index].names) not in wanted))
     # Where the added effect is no cure, the explanation without it is the nearest one.
-    return claims if _changes(evidence, _first(with_wanted), thresholds) else with_wanted
+    claims = claims if _changes(evidence, _first(with_wanted), thresholds) else with_wanted
+    simpler = _without_detail(evidence, _first(claims), found, thresholds)
+    return claims if simpler is None else (simpler, *(index for index in claims[1:] if index != simpler))
+
+
+def _without_detail(evidence: Evidence, first: int, found: Sequence[int], thresholds: Thresholds) -> int | None:
+    """Of a combination whose effects are not themselves, the part that explains nearly all and whose effects are; None without one.
+
+    The tests tell a second effect that only makes up for what the first one's stage, or the model, answers a little wrong.
+    """
+    if not _changes(evidence, first, thresholds):
+        return None
+    before = evidence.hypotheses[0].energy - evidence.stated
+    parts = [
+        index
+        for index in found
+        if set(evidence.hypotheses[index].names) < set(evidence.hypotheses[first].names)
+        and evidence.hypotheses[index].energy - evidence.stated <= thresholds.unknown_share * before
+        and not _changes(evidence, index, thresholds)
+    ]
+    return parts[0] if parts else None
 
 
 def _changes(evidence: Evidence, index: int, thresholds: Thresholds) -> tuple[DistortionEvidence, ...]:
@@ -287,7 +311,8 @@ def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thres
     # A model that states an error of its own leaves all kinds of it: an effect has to take off what goes beyond, unless the weight of
     # the samples has that error in it already.
     unweighted = evidence.weight == 1.0
-    if one.local <= thresholds.own_error_local * evidence.stated:
+    within = one.local <= thresholds.own_error_local * evidence.stated
+    if within and (one.coefficients_alone or not _stands_out(evidence.hypotheses[0], one, evidence, thresholds)):
         return False
     least = max(evidence.floor**2, thresholds.own_error_share * (evidence.stated - 1.0) if unweighted else 0.0)
     before = evidence.hypotheses[0].energy
@@ -298,6 +323,28 @@ def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thres
         return False
     relief = evidence.temper * (evidence.hypotheses[0].strain - one.strain)
     return (unweighted and one.coefficients_alone) or relief > evidence.null + thresholds.margin
+
+
+def _has_own_error(evidence: Evidence) -> bool:
+    """True where what is left has the model's own error in it, whose spectrum is known; beside the same command it is carried over."""
+    return evidence.whitened and not evidence.carried
+
+
+def _merit(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> float:
+    """Evidence over "no effect", nats, by which claims are compared: what stays under the model's own error tells little."""
+    if not _has_own_error(evidence):
+        return one.score
+    none = evidence.hypotheses[0]
+    spent = evidence.temper * (none.misfit - one.misfit) - one.score
+    merit = none.beyond + none.strain - one.beyond - one.strain - spent + UNDER_OWN_ERROR * one.score
+    # What needs a size at the end of its range has to be better than another by as much as a claim.
+    return merit - (evidence.null + thresholds.margin if one.at_bound else 0.0)
+
+
+def _stands_out(without: HypothesisEvidence, one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
+    """True where a hypothesis is better by what exceeds the model's own error, or by coefficients that need not move as far."""
+    better = without.beyond + without.strain - one.beyond - one.strain
+    return better > evidence.null + thresholds.margin
 
 
 def _explains(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
@@ -325,7 +372,11 @@ def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thre
     taken_off = size * (evidence.hypotheses[0].energy - one.energy)
     return any(
         len(other.names) == 1
-        and size * (other.energy - one.energy) <= max(thresholds.added_share * taken_off, evidence.null + thresholds.margin)
+        and (
+            not _stands_out(other, one, evidence, thresholds)
+            if _has_own_error(evidence)
+            else size * (other.energy - one.energy) <= max(thresholds.added_share * taken_off, evidence.null + thresholds.margin)
+        )
         and not strained(other.strain, evidence.coefficients, thresholds)
         for other in (evidence.hypotheses[i] for i in claims)
     )
@@ -346,6 +397,9 @@ def _idle(
     parts = [other for other in (evidence.hypotheses[i] for i in claims) if set(other.names) < set(one.names)]
     if not parts:
         return False
+    asked_for = frozenset(one.names) in wanted
+    if _has_own_error(evidence) and not asked_for and not all(_stands_out(part, one, evidence, thresholds) for part in parts):
+        return True
     best = min(parts, key=lambda part: part.misfit)
     better = best.misfit - one.misfit
     relieved = strained(best.strain, evidence.coefficients, thresholds) and not strained(
@@ -355,7 +409,7 @@ def _idle(
     # the answer to the first effect, of which the model misses as large a share as of the motion.
     alone = evidence.weight == 1.0 and (evidence.carried or not evidence.whitened)
     share = max(thresholds.added_share, evidence.carried_share) if alone else thresholds.added_share_with_own_error
-    small = better <= share * (evidence.hypotheses[0].misfit - one.misfit) and frozenset(one.names) not in wanted
+    small = better <= share * (evidence.hypotheses[0].misfit - one.misfit) and not asked_for
     return evidence.temper * better <= evidence.null + thresholds.margin or (small and not relieved)
 
 
@@ -365,7 +419,7 @@ def _probabilities(evidence: Evidence, claims: Sequence[int], thresholds: Thresh
     # Of an effect's realizations the best one counts: several that are alike make the effect no likelier.
     best: dict[tuple[str, ...], float] = {}
     for one in hypotheses:
-        best[key(one)] = max(best.get(key(one), -np.inf), one.score)
+        best[key(one)] = max(best.get(key(one), -np.inf), _merit(one, evidence, thresholds))
     weights = np.exp(sharpness * (np.array(list(best.values())) - max(best.values())))
     return dict(zip(best, (weights / weights.sum()).tolist(), strict=True))
 
@@ -426,6 +480,8 @@ def _unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> flo
     beyond = (1.0 - min(thresholds.many_tolerances / max(one.farthest, 1e-300), 1.0)) ** 2
     if before <= thresholds.least_excess * evidence.stated:
         return beyond  # coefficients took all of it
+    if one.names:
+        beyond = min(beyond, one.taken_up / before)
     return max(beyond, float(np.clip((residual_of(evidence, chosen).energy - _due(evidence, chosen)) / before, 0.0, 1.0)))
 
 

@@ -156,15 +156,18 @@ class Problem:
         """Make the model's own error and the noise of a flat vector (M,) in units of the noise white, where its spectrum is known."""
         if self.own_spectrum is None or not np.isfinite(flat).all():
             return flat
-        rows = np.split(flat.reshape(-1, len(self.model.axes)), self._edges)
-        return np.concatenate([filtered(one, gain).reshape(-1) for one, gain in zip(rows, self._gains, strict=True)])
+        return np.concatenate([filtered(one, gain).reshape(-1) for one, gain in zip(self.by_piece(flat), self._gains, strict=True)])
 
     def in_noise(self, flat: Array) -> Array:
         """Take a flat vector (M,) back to units of the noise: the inverse of `whitened`."""
         if self.own_spectrum is None or not np.isfinite(flat).all():
             return flat
-        rows = np.split(flat.reshape(-1, len(self.model.axes)), self._edges)
-        return np.concatenate([filtered(one, 1.0 / gain).reshape(-1) for one, gain in zip(rows, self._gains, strict=True)])
+        parts = zip(self.by_piece(flat), self._gains, strict=True)
+        return np.concatenate([filtered(one, 1.0 / gain).reshape(-1) for one, gain in parts])
+
+    def by_piece(self, flat: Array) -> list[Array]:
+        """Cut a flat vector (M,) into the rows (N, A) of each record."""
+        return np.split(flat.reshape(-1, len(self.model.axes)), self._edges)
 
     @cached_property
     def _links(self) -> list[KnownLinks]:

@@ -19,6 +19,7 @@ from hyst_control.nodes.common_parameters import BACKEND, C
 from hyst_control.nodes.feedforward_learning import FeedforwardLearning
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.signal_ports import Input
+from hyst_control.records.foreign_rows import LARGEST_VALUE
 
 
 def settings_of(kind: str) -> tuple[Setting, ...]:
@@ -133,7 +134,8 @@ class Feedforward(SignalNode):
         if first is None:
             self._due, first = start, start - self._compensator.preview
             self._compensator.settle(rows[0])
-        output = self._compensator.process(rows)
+        # No node takes a greater value: in lockstep the loop would wait for ever for the row that was dropped.
+        output = np.clip(self._compensator.process(rows), -LARGEST_VALUE, LARGEST_VALUE)
         self._next = first + len(output)
         if self._next > self._due:  # rows before the first reference are the compensator's filling
             start = max(first, self._due)

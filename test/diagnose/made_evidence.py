@@ -56,12 +56,13 @@ ALL = frozenset(RecordCheck)
 
 def none(**changes) -> HypothesisEvidence:
     """No effect: it leaves a hundred noise energies beyond the noise's."""
-    return replace(HypothesisEvidence((), False, 0.0, MISFIT, BEFORE, 0.0, replace(QUIET, energy=BEFORE)), **changes)
+    return replace(HypothesisEvidence((), False, 0.0, MISFIT, BEFORE, 0.0, replace(QUIET, energy=BEFORE), beyond=MISFIT), **changes)
 
 
 def effect(name: str, score: float = 1000.0, left: float = 1.0, **changes) -> HypothesisEvidence:
     """Effects by their names joined with "+", which leave so much energy."""
-    found = HypothesisEvidence(tuple(name.split("+")), False, score, 0.5 * SAMPLES * left, left, 0.0, replace(QUIET, energy=left))
+    misfit, residual = 0.5 * SAMPLES * left, replace(QUIET, energy=left)
+    found = HypothesisEvidence(tuple(name.split("+")), False, score, misfit, left, 0.0, residual, beyond=misfit)
     return replace(found, **changes)
 
 

@@ -262,6 +262,63 @@ ROWS = (
         (R.BELOW_PRACTICAL_SIZE,),
     ),
     Row(
+        "an effect without which coefficients leave their tolerances, though with them nothing exceeds the model's own error",
+        evidence(
+            replace(effect("a"), local=2.9, beyond=0.0, strain=2.0), base=none(energy=0.9, beyond=0.0, strain=500.0), whitened=True
+        ),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
+        "a second effect that only takes off what stays under the model's own error",
+        evidence(replace(effect("a", left=4.0), beyond=0.0), effect("a+b", 5000.0, beyond=0.0), whitened=True, stated=4.0),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
+        "coefficients far away that take up next to nothing beside a great gap",
+        evidence(effect("a", farthest=40.0, taken_up=0.5)),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
+        "coefficients far away that take up a good part of it",
+        evidence(effect("a", farthest=40.0, taken_up=50.0)),
+        V.UNKNOWN,
+        (R.UNEXPLAINED_SHARE,),
+        ("a",),
+    ),
+    Row(
+        "a size at the end of its range, nearly as good with another effect, beside the model's own error",
+        evidence(effect("a", 1005.0, at_bound=True), effect("b", 1000.0), whitened=True),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("b",),
+    ),
+    Row(
+        "a combination whose effects are not themselves, and a part of it that explains nearly all and is",
+        evidence(
+            effect("a", 900.0, left=3.0),
+            replace(effect("a+b"), residual=replace(changing(0.8).residual, energy=1.5)),
+        ),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
+        "the same of a part that leaves a tenth of the gap",
+        evidence(
+            effect("a", 900.0, left=11.0),
+            replace(effect("a+b"), residual=replace(changing(0.8).residual, energy=1.5)),
+        ),
+        V.UNKNOWN,
+        (R.DISTORTION_LEVEL,),
+        ("a+b",),
+    ),
+    Row(
         "an effect that exceeds the model's own error at its frequencies",
         evidence(replace(effect("a"), local=3.1), whitened=True),
         V.EFFECT,

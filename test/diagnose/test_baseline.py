@@ -147,6 +147,19 @@ def test_a_clean_record_shows_its_session_at_most():
     assert zero["value"] == pytest.approx(true[0] - true[1], abs=0.005)
 
 
+@pytest.mark.parametrize("gain", [1.002, 1.01])
+def test_what_sessions_usually_differ_by_is_no_effect_beside_a_single_clean_record(gain):
+    """A gain of two thousandths: one clean record without a period does not tell whether the next one has it too."""
+    command = sines(50.0)
+    new, clean = (
+        record(command, machine(command, 1, sensor=lambda y: gain * y), "new"),
+        record(command, machine(command, 2), "clean"),
+    )
+    report, *_ = diagnosed([new], MODEL, cache=False, baseline=[clean])
+    names = [effect["name"] for effect in report["effects"]]
+    assert (report["verdict"] == "no_gap" and not names) if gain < 1.005 else names[0] == "gain"
+
+
 def test_a_usual_session_is_no_effect():
     command = sines(50.0)
     clean = [record(command, machine(command, seed), "clean") for seed in range(10, 15)]

@@ -104,3 +104,20 @@ def test_a_dead_band_under_the_noise_is_told_by_the_level_that_it_is_passed_on()
     for seed in range(20):
         seen, kept = few + 0.02 * random.normal(size=len(few)), np.random.default_rng(seed).random(len(few)) > 0.9
         assert passed(seen[np.maximum.accumulate(np.where(kept, np.arange(len(few)), 0))], few, noise=0.0) < 2
+
+
+def test_a_hum_that_now_and_then_cancels_the_motion_is_no_dead_band():
+    """A triangle of 10 Hz and a hum of 50 Hz keep step: at one level the sum stands once a period, on few of all passages."""
+    time = np.arange(8000) / 2000
+    triangle = 20.0 * np.abs(2.0 * ((10.0 * time) % 1.0) - 1.0)
+    hum = 1.27 * np.sin(2 * np.pi * 50.0 * time)
+    noise = 0.02 * np.random.default_rng(4).normal(size=len(time))
+    assert level_crossings([(triangle, triangle + hum + noise)], 0.0, 0.02) < 2
+
+
+def test_a_step_out_of_rest_is_no_dead_band():
+    """The simulation jumps one sample before the measurement, which stood before because nothing but a hum moved."""
+    level = np.repeat([0.0, 9.0, 0.0, 12.0, 0.0, 7.0, 0.0, 11.0], 200)
+    noise = 0.02 * np.random.default_rng(5).normal(size=len(level))
+    hum = 0.3 * np.sin(2 * np.pi * 50.0 * np.arange(len(level)) / 2000)
+    assert level_crossings([(np.roll(level, -1), level + hum + noise)], 0.0, 0.02) < 2

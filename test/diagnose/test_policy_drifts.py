@@ -24,7 +24,7 @@ def drifting(adds: float, statistic: float = 100.0, variable: str = "time", left
     """An effect that changes with time, and the same with a drift, which takes `adds` of the noise's energy off besides."""
     tested = replace(QUIET, energy=2.0 - adds, distortions=tuple(left))
     return evidence(
-        replace(changing(0.8, statistic, variable=variable), misfit=0.5 * SAMPLES * 2.0, energy=2.0),
+        replace(changing(0.8, statistic, variable=variable), misfit=SAMPLES, beyond=SAMPLES, energy=2.0),
         effect("a+drift", 1400.0, left=2.0 - adds, residual=tested),
         whitened=True,
         drifts=frozenset({"drift"}),

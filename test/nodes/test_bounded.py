@@ -19,6 +19,7 @@ from hyst_control.nodes.pipeline import DEFAULT, node_class
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_control.nodes.signal_ports import REPEATED_ROWS, Output
+from hyst_control.records.foreign_rows import LARGEST_VALUE
 from hyst_control.records.row_repetition import KEPT_ROWS, REPEAT_INTERVAL
 from hyst_plant_sim.node import PlantNode
 
@@ -255,3 +256,16 @@ def test_the_loop_allocates_nothing_that_stays(bench, tmp_path):
     bench.until(nodes["plant"].finished.done, timeout=60)
     before, after = plant.blocks
     assert after - before < 1000, f"{after - before} memory blocks more after 10000 rounds"
+
+
+def test_a_feedforward_publishes_no_row_that_others_would_drop(bench, domain):
+    """In lockstep they would wait for it for ever: a reference within the bounds may lead beyond them."""
+    node = bench.add(lambda **options: Feedforward("feedforward", **options), gain=[8.0], schedule="lockstep")
+    sent = []
+    node.feedforward.send = lambda tick, rows: sent.append(rows.copy())
+    bring(node.reference, range(1), 9.9e11)
+    bring(node.reference, range(1, 2), -9.9e11)
+    bring(node.reference, range(2, 3), 5.0)
+    for _ in range(3):
+        node.advance()
+    assert np.concatenate(sent).ravel().tolist() == [LARGEST_VALUE, -LARGEST_VALUE, 40.0]
