@@ -1,4 +1,4 @@
-"""What a residual has beyond the model's own error, octave by octave.
+"""Excess of a residual over the model's own error, octave by octave.
 
 The spectrum of the own error is an upper envelope, and the error is one shape, not noise: what is left under it is no evidence, however
 many samples it has. Beyond it an octave counts as much as it exceeds it, and slower the further it does, for the envelope of an octave is
