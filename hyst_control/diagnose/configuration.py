@@ -71,6 +71,9 @@ class Thresholds:
     noise_own_share: float = _setting(
         "share of the own error's energy", "least excess noise that is named beside an error whose spectrum is unknown"
     )
+    under_own_error: float = _setting(
+        "1", "weight of what stays under the model's own error: one shape, of which the bins of a record are hardly independent"
+    )
     own_error_local: float = _setting(
         "energies of own error and noise",
         "what no effect must leave at an explanation's frequencies: fits follow the largest bins, of normal ones the mean is 3",

@@ -31,8 +31,6 @@ from hyst_control.diagnose.record_findings import findings, flicker_found, is_st
 from hyst_control.diagnose.verdict import Decision, JointDecision, Reason, Verdict
 from hyst_control.diagnose.vibration_finding import vibration, vibration_found, without_vibration
 
-UNDER_OWN_ERROR = 0.05
-"""Weight of what stays under the model's own error: one shape, of which the bins of a record are hardly independent."""
 PARAMETERS = ("parameters",)
 """Key of the coefficients alone in `Decision.probability`."""
 
@@ -336,7 +334,7 @@ def _merit(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) 
         return one.score
     none = evidence.hypotheses[0]
     spent = evidence.temper * (none.misfit - one.misfit) - one.score
-    merit = none.beyond + none.strain - one.beyond - one.strain - spent + UNDER_OWN_ERROR * one.score
+    merit = none.beyond + none.strain - one.beyond - one.strain - spent + thresholds.under_own_error * one.score
     # What needs a size at the end of its range has to be better than another by as much as a claim.
     return merit - (evidence.null + thresholds.margin if one.at_bound else 0.0)
 

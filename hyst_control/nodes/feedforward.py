@@ -6,6 +6,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from hyst_control.chain.stage import Array
 from hyst_control.control.feedforward import KINDS, RATE_FILTER, build_compensator
 from hyst_control.control.loop import Compensator
 from hyst_control.control.static_gain import Proportional
@@ -116,7 +117,7 @@ class Feedforward(SignalNode):
             learner = feedforward_learning.described_learner(self.settings, len(self.axes), self.period)
         except InputError as error:
             raise InputError(f"{self.get_name()}: parameter {error}") from None
-        self._learning = FeedforwardLearning(self, learner, self.feedforward.send) if learner else None
+        self._learning = FeedforwardLearning(self, learner, self._publish) if learner else None
         self.start_timer(0.3)
 
     def advance(self) -> None:
@@ -134,8 +135,7 @@ class Feedforward(SignalNode):
         if first is None:
             self._due, first = start, start - self._compensator.preview
             self._compensator.settle(rows[0])
-        # No node takes a greater value: in lockstep the loop would wait for ever for the row that was dropped.
-        output = np.clip(self._compensator.process(rows), -LARGEST_VALUE, LARGEST_VALUE)
+        output = self._compensator.process(rows)
         self._next = first + len(output)
         if self._next > self._due:  # rows before the first reference are the compensator's filling
             start = max(first, self._due)
@@ -143,7 +143,11 @@ class Feedforward(SignalNode):
             if self._learning:
                 self._learning.add(start, output)
             else:
-                self.feedforward.send(start, output)
+                self._publish(start, output)
+
+    def _publish(self, start: int, rows: Array) -> None:
+        """Send rows within what other nodes take: in lockstep they would wait for ever for one that they dropped."""
+        self.feedforward.send(start, np.clip(rows, -LARGEST_VALUE, LARGEST_VALUE))
 
     def tick(self, tick: int) -> None:
         if self.enabled:

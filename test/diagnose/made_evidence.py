@@ -33,6 +33,7 @@ LIMITS = replace(
     own_error_energy=1.5,
     noise_own_share=0.01,
     own_error_local=3.0,
+    under_own_error=0.05,
     run_to_run=4.0,
     distortion_change=0.5,
     distortion_share=0.01,

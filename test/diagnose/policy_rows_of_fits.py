@@ -21,6 +21,9 @@ from test.diagnose.made_evidence import (
 )
 from test.diagnose.policy_rows import R, Row, V
 
+CHANGING_PAIR = replace(effect("a+b"), residual=replace(changing(0.8).residual, energy=1.5))
+"""Two effects of which the size of one would have to change with the level."""
+
 ROWS = (
     Row(
         "an effect at the end of its range, alone",
@@ -300,20 +303,14 @@ ROWS = (
     ),
     Row(
         "a combination whose effects are not themselves, and a part of it that explains nearly all and is",
-        evidence(
-            effect("a", 900.0, left=3.0),
-            replace(effect("a+b"), residual=replace(changing(0.8).residual, energy=1.5)),
-        ),
+        evidence(effect("a", 900.0, left=3.0), CHANGING_PAIR),
         V.EFFECT,
         (R.ONE_EXPLANATION,),
         ("a",),
     ),
     Row(
         "the same of a part that leaves a tenth of the gap",
-        evidence(
-            effect("a", 900.0, left=11.0),
-            replace(effect("a+b"), residual=replace(changing(0.8).residual, energy=1.5)),
-        ),
+        evidence(effect("a", 900.0, left=11.0), CHANGING_PAIR),
         V.UNKNOWN,
         (R.DISTORTION_LEVEL,),
         ("a+b",),

@@ -1,4 +1,4 @@
-"""What a residual has beyond the model's own error: nothing under it, and little more than its logarithm far beyond it."""
+"""Excess of a residual over the model's own error: none under it, and far beyond it hardly more than the logarithm."""
 
 from __future__ import annotations
 
