@@ -37,7 +37,7 @@ from hyst_control.diagnose.error_on_other_commands import (
 from hyst_control.diagnose.initial_memory import has_whole_loop, initial_memory, is_new_ground, wiped_out
 from hyst_control.diagnose.noise_floor import noise_between_periods
 from hyst_control.diagnose.problem import Piece, Problem, check_units
-from hyst_control.diagnose.same_command import Match, beside_periods, between_periods, matching
+from hyst_control.diagnose.same_command import Match, beside_periods, between_periods, matching, repeating_rows
 from hyst_control.diagnose.session import CarriedError, LearnedError, SessionZero
 from hyst_control.errors import InputError
 from hyst_control.identify.error_spectrum import ErrorSpectrum
@@ -311,11 +311,12 @@ def _carried(
         begin = int(np.argmax(kept))
         whole = kept.all() and piece.keep is None
         pieces.append(replace(piece, keep=None if whole else kept if piece.keep is None else kept & piece.keep))
-        errors = []
+        errors, clean_errors = [], []
         for match in found:
-            rows = np.clip(np.arange(len(piece.command)) + match.shift, 0, len(match.clean.command) - 1)
+            matched = np.clip(np.arange(len(piece.command)) + match.shift, 0, len(match.clean.command) - 1)
             index = next(i for i, one in enumerate(clean.pieces) if one is match.clean)
-            errors.append((match.clean.measurement - simulated_rows(clean, index, match.clean))[rows])
+            clean_errors.append(match.clean.measurement - simulated_rows(clean, index, match.clean))
+            errors.append(clean_errors[-1][matched])
         mean = np.mean(errors, axis=0)
         repeating = [noise_between_periods([column], [piece.command]) for column in mean.T]
         # What the new record has too is no noise of the clean one, however rough.
@@ -325,7 +326,9 @@ def _carried(
         zeros.append(usual_zero(np.array([without_zero((error - series[-1])[begin:end])[1] for error in errors])))
         run_to_run += [without_zero((error - errors[0])[kept])[0] / np.sqrt(2.0) for error in errors[1:]]
         if len(errors) == 1:
-            single = piece.command[begin:end], errors[0][begin:end], begin + found[0].shift, settings
+            clean_piece, shift = found[0].clean, found[0].shift
+            rows = repeating_rows(clean_piece.command, begin + shift, end + shift, settings)
+            single = clean_piece.command[rows], clean_errors[0][rows], rows.start, settings
             differences += between_periods(*single)
             run_to_run += beside_periods(*single)
     repeatability = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if differences else np.zeros(len(spans))
@@ -337,24 +340,24 @@ def _carried(
     memory = _memory(replace(problem, pieces=tuple(pieces)), settings)
     stages = (*problem.model.chain.stages, CarriedError(tuple(series)), *memory)
     zero = _zero(replace(problem, model=problem.model.with_stages(stages)), spans, np.zeros((len(spans), len(SHAPES))), settings)
+    floor, motions = settings.same_floor * repeatability, []
+    if not differences:  # one record tells nothing of the next one
+        motions = [without_zero(piece.counted(piece.measurement))[0] for piece in pieces]
+        floor = settings.usual_repeatability * np.sqrt(np.mean(np.concatenate(motions) ** 2, axis=0))
     model = replace(problem.model.with_stages((*stages, zero)), tolerance={}, uncertainty={}, noise={"sigma": alone.tolist()})
     beside = replace(
         problem,
         model=model,
         pieces=tuple(pieces),
         slowest=lowest_frequency(problem),
-        own_error=alone if differences else None,
-        own_correlation=max((correlation_length(rows) for rows in differences), default=1.0),
+        own_error=alone if differences else floor,
+        own_correlation=max((correlation_length(rows) for rows in differences or motions), default=1.0),
         own_spectrum=ErrorSpectrum.of(run_to_run, problem.sample_time, longest, lowest_frequency(problem), both**2)
         if run_to_run
         else None,
     )
     own = np.concatenate([without_zero(rows)[0] for rows in series])
     error = np.sqrt(np.mean(own**2, axis=0))
-    floor = settings.same_floor * repeatability
-    if not differences:  # one record tells nothing of the next one
-        motion = np.concatenate([without_zero(piece.counted(piece.measurement))[0] for piece in pieces])
-        floor = settings.usual_repeatability * np.sqrt(np.mean(motion**2, axis=0))
     return Baseline(beside, True, repeatability, usual, floor, clean, error)
 
 

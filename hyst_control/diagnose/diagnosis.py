@@ -190,7 +190,9 @@ def diagnose(
         found = _axis(part, known, bare, axes, seed, without, cache, progress, configuration)
         if _may_hide_a_line(found, configuration):
             by_spectrum = with_discrepancy(part, configuration.baseline, by_spectrum=True)
-            again = _axis(part, by_spectrum, bare, axes, seed, without, cache, progress, configuration)
+            # Only a line by itself would be taken from it.
+            singles = replace(configuration, search=replace(configuration.search, depth_with_own_error=1))
+            again = _axis(part, by_spectrum, bare, axes, seed, without, cache, progress, singles)
             found = again if _is_a_line(again) else found
         parts.append(found)
         axis += len(axes)

@@ -171,7 +171,8 @@ def search(
     begun = begin(linearised, [(one, one.starts()) for one in map(_alone, members)], settings)
     for one in begun:
         progress(one.candidate.names[0])
-    leading, waiting, size = _leading(begun), begun, len(linearised.measured)
+    size = len(linearised.measured)
+    leading, waiting = _leading(begun, size), begun
     for size_reached in range(1, depth):
         if not leading:
             break
@@ -198,7 +199,7 @@ def search(
         relieved = strained(best) and not strained(end)
         if gain * temper_of(linearised.problem, end.residual) < threshold or (taken_off < floor**2 and not relieved):
             break
-        leading = _leading(grown)
+        leading = _leading(grown, size)
         waiting = waiting + grown
     finished = _contenders(linearised, waiting, without, threshold, configuration)
     fits = [item for item in finished if len(item[0].members) == 1]
@@ -259,10 +260,10 @@ def _alone(member: Member) -> Candidate:
     return Candidate((member,))
 
 
-def _leading(found: Sequence[Begun]) -> list[Begun]:
-    """The best realization of every explanation, best first."""
+def _leading(found: Sequence[Begun], rows: int) -> list[Begun]:
+    """The best realization of every explanation, best first: of many parameters it has to be as much better (Schwarz, 1978)."""
     best: dict[tuple[object, ...], Begun] = {}
-    for one in found:
+    for one in sorted(found, key=lambda one: one.misfit + 0.5 * float(np.log(rows)) * len(one.ends[0].x)):
         best.setdefault(tuple(member.variant for member in one.candidate.members), one)
     return list(best.values())
 

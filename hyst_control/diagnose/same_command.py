@@ -102,6 +102,33 @@ def as_clean_command(problem: Problem, clean: Problem, settings: BaselineSetting
     return replace(problem, pieces=tuple(pieces))
 
 
+def repeating_rows(command: Array, begin: int, end: int, settings: BaselineSettings) -> slice:
+    """Rows of a clean record that tell what its periods differ by.
+
+    Where the rows that count hold a single period, the one before them in the warm-up is taken along. Memory and simulation may still
+    settle there, by which the periods then differ more than sessions do.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N, A)
+        Of the whole record, V.
+    begin, end : int
+        First row that counts, and the row behind the last one.
+    settings : BaselineSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    slice
+        Those that count, or one period more.
+    """
+    if period_of(command[begin:end], settings.same_command) is None:
+        period = period_of(command[:end], settings.same_command)
+        if period is not None and period <= min(begin, end - begin):
+            return slice(begin - period, end)
+    return slice(begin, end)
+
+
 def between_periods(command: Array, error: Array, before: int, settings: BaselineSettings) -> list[Array]:
     """Differences of an error between successive periods of a periodic command.
 

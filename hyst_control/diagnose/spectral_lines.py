@@ -60,6 +60,9 @@ def lines(problem: Problem, unexplained: Array, settings: CheckSettings = CONFIG
         for fundamental in mains:
             near = np.abs(frequency - fundamental) < max(settings.mains_width, settings.mains_bins * width)
             near |= np.abs(frequency - 2.0 * fundamental) < max(settings.mains_width, settings.mains_bins * width)
+            reach = max(settings.mains_width, settings.harmonic_bins * width)
+            if covers_command(problem, [fundamental], reach, orders=1, settings=settings):
+                continue
             if near.any() and ratio[near].max(initial=0.0) > settings.mains_ratio:
                 of_mains.append(fundamental)
         sure = ratio > settings.line_ratio
@@ -195,6 +198,51 @@ def _harmonics(frequency: Array, driven: Array, settings: CheckSettings) -> NDAr
         if driven[near].sum() > settings.harmonic_power * above:
             return np.asarray(near, dtype=bool)
     return np.zeros(len(frequency), bool)
+
+
+def covers_command(
+    problem: Problem,
+    fundamentals: Sequence[float],
+    reach: float,
+    orders: int | None = None,
+    settings: CheckSettings = CONFIGURATION.checks,
+) -> bool:
+    """Tell whether a line that swells takes up what follows a command of one frequency, whose amplitude may change.
+
+    Amplitude and phase that change over the record move a line by as much as `reach`. What any effect does to a sine that fades away is
+    such a line, at the command's frequency or at a harmonic.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and model.
+    fundamentals : sequence of float
+        Frequencies of the line, Hz.
+    reach : float
+        Hz to either side.
+    orders : int or None
+        Harmonics of the command that count; None: those that any nonlinearity has.
+    settings : CheckSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    bool
+        False beside a command whose power is not within `reach` of one frequency.
+    """
+    piece = max(problem.pieces, key=lambda one: len(one.counted(one.command)))
+    driving = piece.counted(piece.command)
+    if piece.driven_beside is not None:
+        driving = np.hstack([driving, piece.counted(piece.driven_beside)])
+    frequency, spectra = periodogram(driving, 1.0 / problem.sample_time, "hann", detrend="linear", axis=0)
+    for driven in spectra.T:
+        peak = _peak(frequency, driven, int(np.argmax(driven)))
+        if driven[np.abs(frequency - peak) <= reach].sum() < settings.harmonic_power * driven.sum():
+            continue
+        harmonics = peak * np.arange(1, (settings.first_harmonics if orders is None else orders) + 1)
+        if any(np.min(np.abs(harmonics - one)) <= reach for one in fundamentals):
+            return True
+    return False
 
 
 def _peak(frequency: Array, power: Array, top: int) -> float:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit
 
 from hyst_control.chain.c_code import CCode, each_axis
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
-from hyst_control.chain.stage import Stage, per_axis_scalars, register
+from hyst_control.chain.stage import Stage, frozen, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.time_dependent import TimedStage
 
@@ -123,7 +123,7 @@ def drift_code(stage: Stage, axes: int, expression: str, title: str) -> CCode:
 
 
 def drift_parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Time constant of a drift, from a twentieth of the record to so long that the drift is straight; spread and initial part.
+    """Time constant of a drift, from a twentieth of the record to so long that the drift is straight; spread, initial part, and span.
 
     A drift that has settled before the first sample that is compared would be a constant.
 
@@ -138,24 +138,50 @@ def drift_parameters(around: Surroundings) -> tuple[Parameter, ...]:
         Parameter("tau", "s", length, (max(0.2 * length, least), length), least, STRAIGHT * length, 1.0, True),
         Parameter("decades", "", 0.0, (0.0, 1.5), 0.0, 3.0, 1.0, told=False),
         Parameter("initial", "", 0.0, (0.0,), -1.0, 0.0, 0.5, told=False),
+        Parameter("span", "s", length, (length,), 0.0, STRAIGHT * length, 1.0, told=False),
     )
 
 
 def in_the_end(values: Values) -> dict[str, float]:
-    """Change in the end of a drift, where `span` is among the values: `change` is then what comes within this time, s.
+    """Change that the gap report has: in the end of a drift that settles, over the record of a straight one, which has no end.
 
-    So fitted, a slow drift is as small a number as a fast one that does the same to the record.
+    `change` is what comes within `span`, s: so fitted, a slow drift is as small a number as a fast one that does the same to the record.
 
     Parameters
     ----------
     values
         Of the parameters, by name.
     """
-    if "span" not in values:
+    if "span" not in values or _is_straight(values):
         return {}
-    times = drift_times(np.atleast_1d(values["tau"]).astype(float), np.atleast_1d(values.get("decades", 0.0)).astype(float))
-    share = arrived(np.atleast_1d(float(values["span"])), times)[0]
-    return {"change": float(values["change"] / share[0])}
+    return {"change": float(values["change"]) / float(_share_of_span(values)[0])}
+
+
+def stage_values(values: Values) -> dict[str, Any]:
+    """Parameters of a drift's stage, whose change is the one in the end.
+
+    Parameters
+    ----------
+    values
+        Of the gap report, by name; a number for every axis alike, or a list with one per axis.
+    """
+    change = np.where(_is_straight(values), np.divide(values["change"], _share_of_span(values)), values["change"])
+    scalar = not any(np.ndim(value) for value in values.values())
+    others = {name: values.get(name, 0.0) for name in ("decades", "initial")}
+    return {"change": float(change.reshape(-1)[0]) if scalar else frozen(change), "tau": values["tau"], **others}
+
+
+def _is_straight(values: Values) -> Any:
+    return np.greater_equal(values["tau"], (1.0 - 1e-9) * STRAIGHT * np.asarray(values["span"], dtype=float))
+
+
+def _share_of_span(values: Values) -> Array:
+    """Share (A,) of a drift that has come after `span`."""
+    tau, decades, span = (
+        np.array(value, dtype=float) for value in np.broadcast_arrays(values["tau"], values.get("decades", 0.0), values["span"])
+    )
+    times = drift_times(np.atleast_1d(tau), np.atleast_1d(decades))
+    return np.array([arrived(np.array([end]), times)[0, axis] for axis, end in enumerate(np.atleast_1d(span))])
 
 
 def drift_variants(around: Surroundings) -> tuple[Values, ...]:
@@ -183,8 +209,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
         if around.slowest is None
         else Parameter("change", "", 0.0, (0.01,), -0.8, 4.0, 0.1)
     )
-    span = Parameter("span", "s", around.duration, (around.duration,), 0.0, STRAIGHT * around.duration, 1.0, told=False)
-    return change, *drift_parameters(around), span
+    return change, *drift_parameters(around)
 
 
 EFFECT = Effect(
@@ -192,7 +217,7 @@ EFFECT = Effect(
     "sensor",
     "The gain changes over the record.",
     parameters,
-    lambda values, around: GainDrift(values["change"], values["tau"], values.get("decades", 0.0), values.get("initial", 0.0)),
+    lambda values, around: GainDrift(**stage_values({"span": around.duration, **values})),
     variants=drift_variants,
     drifts=True,
     summary=in_the_end,

@@ -10,7 +10,7 @@ from hyst_control.chain.c_code import CCode
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import per_axis_scalars, register
 from hyst_control.effects.effect import Companion, Effect, Parameter
-from hyst_control.effects.gain_drift import arrived, drift_code, drift_parameters, drift_times
+from hyst_control.effects.gain_drift import arrived, drift_code, drift_parameters, drift_times, in_the_end, stage_values
 from hyst_control.effects.time_dependent import TimedStage
 
 
@@ -43,7 +43,9 @@ EFFECT = Effect(
         Parameter("change", "unit", 0.0, (0.01 * around.stroke,), -0.5 * around.stroke, 0.5 * around.stroke, 0.03 * around.stroke),
         *drift_parameters(around),
     ),
-    lambda values, around: OffsetDrift(values["change"], values["tau"], values.get("decades", 0.0), values.get("initial", 0.0)),
+    lambda values, around: OffsetDrift(**stage_values({"span": around.duration, **values})),
+    variants=lambda around: ({"span": around.duration},),
+    summary=in_the_end,
     drifts=True,
     companion=Companion(1, "change", 2.0),
     phrase="an offset drift of {change}",
