@@ -21,7 +21,7 @@ from hyst_control.diagnose.evidence_collection import (
     companions,
     residual_evidence,
 )
-from hyst_control.diagnose.gap_reduction import holds
+from hyst_control.diagnose.gap_reduction import holds, widens
 from hyst_control.diagnose.hypothesis_fit import Linearised
 from hyst_control.diagnose.hypothesis_search import Found, Scored, search
 from hyst_control.diagnose.null_distribution import threshold
@@ -41,8 +41,8 @@ from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
 VETOES = 6
-"""Explanations in turn that are dropped: clean records ask for them too, or they leave more than no effect does on blocks that they were
-not fitted to."""
+"""Explanations in turn that are dropped: clean records ask for them too, they widen the gap as given, or they leave more than no effect
+does on blocks that they were not fitted to."""
 
 
 @dataclass(frozen=True)
@@ -409,15 +409,16 @@ def _axis(
     evidence = tested(collected.evidence)
     decision = decide(evidence, thresholds)
     rows, clean = None if baseline is None else clean_rows(baseline, problem), None
-    for _ in range(VETOES if evidence.whitened else 0):
+    for _ in range(VETOES):
         best = collected.hypotheses[decision.chosen]
         if best.candidate is None:
             break
         if rows is not None and clean is None:
             clean = CleanRecords(rows)
         known = frozenset() if clean is None else clean.show(best, null + thresholds.margin)
-        if not known and holds(linearised, best, found.none, configuration.reduction):
-            break
+        if not known and not widens(linearised, best, found.none, configuration.reduction):
+            if not evidence.whitened or holds(linearised, best, found.none, configuration.reduction):
+                break
         dropped = [i for i, one in enumerate(collected.hypotheses) if known.intersection(one.names)] if known else [decision.chosen]
         evidence = tested(evidence.without(dropped))
         decision = decide(evidence, thresholds)

@@ -135,6 +135,41 @@ def holds(linearised: Linearised, scored: Scored, none: Scored, settings: Reduct
     return after < before
 
 
+def widens(linearised: Linearised, scored: Scored, none: Scored, settings: ReductionSettings = CONFIGURATION.reduction) -> bool:
+    """Check whether effects, added to the model as given, make the gap much larger.
+
+    The coefficients then make up for an effect that is not there: together they follow the model's own error.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    scored : Scored
+        Explanation by effects.
+    none : Scored
+        No effect.
+    settings : ReductionSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    bool
+    """
+    assert scored.candidate is not None
+    in_noise = linearised.problem.in_noise
+    columns = [in_noise(column) for column in linearised.columns[:, linearised.scatter.companions > 0].T]
+    companions = np.stack(columns, axis=1) if columns else np.zeros((len(linearised.measured), 0))
+
+    def gap(simulated: Array) -> float:
+        return float(np.sum(_beside_companions(companions, in_noise(linearised.measured - simulated)) ** 2))
+
+    before = gap(linearised.simulate(linearised.companions(none.solution.z)))
+    companion = linearised.companions(scored.solution.z)
+    after = gap(linearised.simulate(companion, scored.candidate.unknowns(), scored.solution.x))
+    most = settings.widened if linearised.problem.own_spectrum is None else settings.widened_beside_clean
+    return after > most * before
+
+
 def shrink(
     before: Array, after: Array, seed: int, settings: ReductionSettings = CONFIGURATION.reduction
 ) -> tuple[float, tuple[float, float]]:
