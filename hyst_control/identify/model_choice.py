@@ -14,9 +14,16 @@ AS_GOOD = 0.01
 """The model with fewest parameters is taken of those whose error exceeds the least one by no more than this share."""
 POOR = 0.5
 """Held-out NRMSE, % of the range, above which the families of the second choice are tried as well."""
+USELESS = "its simulation of the whole records explains less than a constant and a gain"
+"""Why a family that does well on held-out rows is passed over."""
 
 
-def best_family(families: Sequence[str], identify: Callable[[str], Fit], second: Sequence[str] = ()) -> Fit:
+def best_family(
+    families: Sequence[str],
+    identify: Callable[[str], Fit],
+    second: Sequence[str] = (),
+    explains: Callable[[Fit], bool] = lambda fit: True,
+) -> Fit:
     """Identify every family and take the plainest of those that do best on held-out rows.
 
     Parameters
@@ -27,6 +34,8 @@ def best_family(families: Sequence[str], identify: Callable[[str], Fit], second:
         Fit of a family, whose report has `held_out_nrmse`.
     second
         Names of the families that are tried where the best of the others leaves more than `POOR`.
+    explains
+        Whether a fit's simulation of the whole records is of use: one that is not is taken only where no family's is.
 
     Returns
     -------
@@ -40,6 +49,7 @@ def best_family(families: Sequence[str], identify: Callable[[str], Fit], second:
     """
     rows: list[TriedRow] = []
     fits: dict[str, Fit] = {}
+    useful: set[str] = set()
     errors: list[InputError] = []
 
     def attempt(family: str) -> None:
@@ -51,16 +61,20 @@ def best_family(families: Sequence[str], identify: Callable[[str], Fit], second:
             errors.append(error)
             rows.append(_row(family, None, time.perf_counter() - begin, str(error)))
         else:
-            rows.append(_row(family, fits[family], time.perf_counter() - begin, ""))
+            of_use = explains(fits[family])
+            useful.update([family] if of_use else [])
+            rows.append(_row(family, fits[family], time.perf_counter() - begin, "" if of_use else USELESS))
 
     def scored() -> dict[str, float]:
-        return {row["family"]: row["held_out_nrmse"] for row in rows if row["held_out_nrmse"] is not None}
+        """Held-out errors by family, of those whose simulation is of use; of all where none is."""
+        errors = {row["family"]: row["held_out_nrmse"] for row in rows if row["held_out_nrmse"] is not None}
+        return {name: error for name, error in errors.items() if name in useful} or errors
 
     for family in families:
         attempt(family)
     if not fits:
         raise errors[0]
-    if min(scored().values()) > POOR:
+    if not useful or min(scored().values()) > POOR:
         for family in second:
             attempt(family)
     scores = scored()

@@ -223,12 +223,16 @@ def identified(datasets: Sequence[Dataset], family: str | None = None, method: s
         A family, a method or an option does not exist, or the records do not determine a model.
     """
     chosen = chosen_families(family, method, options)
+    begun = [with_beginning(data) for data in datasets]
     if family not in (None, AUTO):
         fit = identify(datasets, chosen[0], method, **options)
     else:
         second = [name for name, each in estimators().items() if each.second_choice and each.has(options)]
-        fit = best_family(chosen, lambda name: identify(datasets, name, method, **options), second)
-    begun = [with_beginning(data) for data in datasets]
+
+        def explains(fit: Fit) -> bool:
+            return not useless(explained_shares(begun, [residual(fit.model, data) for data in begun]))
+
+        fit = best_family(chosen, lambda name: identify(datasets, name, method, **options), second, explains)
     return replace(fit, model=replace(fit.model, discrepancy=discrepancy(fit.model, begun)))
 
 

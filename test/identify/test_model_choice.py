@@ -6,7 +6,7 @@ import pytest
 
 from hyst_control.errors import InputError
 from hyst_control.identify import Fit
-from hyst_control.identify.model_choice import POOR, best_family
+from hyst_control.identify.model_choice import POOR, USELESS, best_family
 
 
 class Stand:
@@ -42,3 +42,17 @@ def test_the_second_choice_is_tried_where_the_first_is_poor_and_wins_by_its_erro
 def test_a_second_choice_that_does_not_suit_leaves_the_first():
     fit = best_family(["a"], Stand(a=(2.0 * POOR, 5)), ["slow"])
     assert fit.report["family"] == "a" and fit.report["tried"][1]["refused"] == "slow: does not suit"
+
+
+def test_a_family_whose_simulation_explains_nothing_is_passed_over():
+    """Rows that were not fitted are predicted with a zero of their own, and do not show that a simulation runs away."""
+    stand = Stand(a=(0.2, 5), b=(0.4, 3), slow=(0.3, 20))
+    fit = best_family(["a", "b"], stand, ["slow"], lambda fit: fit.report["family"] != "a")
+    assert stand.asked == ["a", "b"] and fit.report["family"] == "b"
+    assert fit.report["tried"][0]["refused"] == USELESS
+
+
+def test_the_second_choice_is_tried_where_no_other_simulation_is_of_use():
+    stand = Stand(a=(0.2, 5), slow=(0.4, 20))
+    assert best_family(["a"], stand, ["slow"], lambda fit: fit.report["family"] == "slow").report["family"] == "slow"
+    assert best_family(["a"], stand, ["slow"], lambda fit: False).report["family"] == "a"
