@@ -71,7 +71,7 @@ EFFECT = Effect(
     ),
     lambda values, around: MainsHum(values["amplitude"], values["frequency"], values.get("phase", 0.0)),
     exercised=lambda around: 0.5 / around.sample_time > 65.0,
-    line=Line(harmonics=(1, 2, 3, 5, 7)),
+    line=Line(harmonics=(1, 2, 3, 4, 5, 6, 7)),
     further_lines=(Line(),),
     record_check=RecordCheck.MAINS_LINE,
     phrase="mains hum at {frequency}",

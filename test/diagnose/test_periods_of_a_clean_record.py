@@ -60,3 +60,13 @@ def test_the_memory_that_fills_in_the_first_period_is_nothing_that_periods_diffe
     fading = 0.3 * np.sin(2 * np.pi * FREQUENCY * TIME) * np.where(TIME * FREQUENCY < 1.2, 1.0, 0.0)
     repeatability = beside(measured(0, 0.0) + fading, measured(1), 0.0).repeatability
     assert repeatability == pytest.approx(np.sqrt(2.0) * NOISE, rel=0.2)
+
+
+def test_a_single_period_that_counts_is_held_against_the_one_of_the_warm_up() -> None:
+    """As on a mirror whose records are two periods, the first a warm-up: what these differ by is no gap of the next session."""
+    counted = TIME * FREQUENCY >= PERIODS - 1
+    slip = 20.0 * SLIP
+    found = beside(measured(0, np.where(counted, 0.0, slip)), measured(1), (PERIODS - 1) * PERIOD / RATE).repeatability
+    place, difference = np.linspace(-1.0, 1.0, PERIOD), (measured(1, slip) - measured(1))[counted]
+    beside_zero = difference - np.polyval(np.polyfit(place, difference, 2), place)  # zero, drift and curvature are each session's own
+    assert found == pytest.approx(np.hypot(np.std(beside_zero), np.sqrt(2.0) * NOISE), rel=0.15)
