@@ -289,13 +289,6 @@ class ReductionSettings:
     blocks: int = _setting("blocks", "blocks of a record, every other of which is held out")
     resamples: int = _setting("draws", "draws of the bootstrap")
     rounds: int = _setting("steps", "most steps of a fit on one half")
-    widened: float = _setting(
-        "energies of the gap",
-        "gap with the effects as given from which they are none: coefficients make up for an effect that is not there",
-    )
-    widened_beside_clean: float = _setting(
-        "energies of the gap", "the same beside clean records, which leave the coefficients little to make up for"
-    )
 
 
 @dataclass(frozen=True)

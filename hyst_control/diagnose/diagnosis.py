@@ -409,16 +409,16 @@ def _axis(
     evidence = tested(collected.evidence)
     decision = decide(evidence, thresholds)
     rows, clean = None if baseline is None else clean_rows(baseline, problem), None
-    for _ in range(VETOES):
+    for _ in range(VETOES if evidence.whitened else 0):
         best = collected.hypotheses[decision.chosen]
         if best.candidate is None:
             break
         if rows is not None and clean is None:
             clean = CleanRecords(rows)
         known = frozenset() if clean is None else clean.show(best, null + thresholds.margin)
-        if not known and not widens(linearised, best, found.none, configuration.reduction):
-            if not evidence.whitened or holds(linearised, best, found.none, configuration.reduction):
-                break
+        follows = known or widens(linearised, best, found.none)
+        if not follows and holds(linearised, best, found.none, configuration.reduction):
+            break
         dropped = [i for i, one in enumerate(collected.hypotheses) if known.intersection(one.names)] if known else [decision.chosen]
         evidence = tested(evidence.without(dropped))
         decision = decide(evidence, thresholds)

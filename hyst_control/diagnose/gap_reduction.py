@@ -135,10 +135,12 @@ def holds(linearised: Linearised, scored: Scored, none: Scored, settings: Reduct
     return after < before
 
 
-def widens(linearised: Linearised, scored: Scored, none: Scored, settings: ReductionSettings = CONFIGURATION.reduction) -> bool:
-    """Check whether effects, added to the model as given, make the gap much larger.
+def widens(linearised: Linearised, scored: Scored, none: Scored) -> bool:
+    """Check whether effects, added to the model as given, make the gap larger.
 
-    The coefficients then make up for an effect that is not there: together they follow the model's own error.
+    Beside clean records, which leave the coefficients little to make up for, such effects are not there: together with the
+    coefficients they follow the model's own error. Without clean records a true effect may happen to hide a part of what the
+    coefficients do.
 
     Parameters
     ----------
@@ -148,8 +150,6 @@ def widens(linearised: Linearised, scored: Scored, none: Scored, settings: Reduc
         Explanation by effects.
     none : Scored
         No effect.
-    settings : ReductionSettings
-        Values of the configuration.
 
     Returns
     -------
@@ -165,9 +165,7 @@ def widens(linearised: Linearised, scored: Scored, none: Scored, settings: Reduc
 
     before = gap(linearised.simulate(linearised.companions(none.solution.z)))
     companion = linearised.companions(scored.solution.z)
-    after = gap(linearised.simulate(companion, scored.candidate.unknowns(), scored.solution.x))
-    most = settings.widened if linearised.problem.own_spectrum is None else settings.widened_beside_clean
-    return after > most * before
+    return gap(linearised.simulate(companion, scored.candidate.unknowns(), scored.solution.x)) > before
 
 
 def shrink(

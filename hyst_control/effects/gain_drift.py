@@ -15,11 +15,17 @@ from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
 from hyst_control.chain.stage import Stage, frozen, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.time_dependent import TimedStage
+from hyst_control.errors import InputError
 
 STEPS = (np.arange(6) + 0.5) / 6.0 - 0.5
 """Places of the time constants in their decades."""
 STRAIGHT = 10.0
 """Time constant, in lengths of the record, from which a drift is straight."""
+
+TIME_CONSTANT = "time constant, the geometric mean of several; negative of a drift that goes ever faster"
+"""The parameter `tau` of a drift's stage."""
+FASTEST = 8.0
+"""Length of the record, in time constants, of a drift that goes ever faster."""
 
 ARRIVED = """
 /* Share of a drift that has come at a time in s: the mean over its time constants. */
@@ -43,9 +49,12 @@ class GainDrift(TimedStage):
     name: ClassVar[str] = "gain_drift"
     equation: ClassVar[str] = r"y(t) = u(t) \left(1 + \mathrm{change} \left(\mathrm{initial} + a(t)\right)\right)"
     change: ScalarPerAxis = scalar("", "of the gain in the end")
-    tau: ScalarPerAxis = scalar("s", "time constant, the geometric mean of several", above=0.0)
+    tau: ScalarPerAxis = scalar("s", TIME_CONSTANT)
     decades: ScalarPerAxis = scalar("", "over which several time constants are spread; 0: one", default=0.0, lower=0.0, upper=20.0)
     initial: ScalarPerAxis = scalar("", "part of the change that is there at the start", default=0.0)
+
+    def check(self) -> None:
+        check_time_constant(self.tau)
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
         change, initial = per_axis_scalars(self, axes, "change", "initial")
@@ -54,6 +63,23 @@ class GainDrift(TimedStage):
 
     def function_in_c(self, axes: int) -> CCode:
         return drift_code(self, axes, "u * (R(1.0) + (p->change[i] * (p->initial[i] + SHARE)))", "gain drift")
+
+
+def check_time_constant(tau: ScalarPerAxis) -> None:
+    """Check a drift's time constant.
+
+    Parameters
+    ----------
+    tau
+        s.
+
+    Raises
+    ------
+    InputError
+        It is 0.
+    """
+    if not np.all(np.asarray(tau, dtype=float)):
+        raise InputError(f"tau: must not be 0 s, got {tau}")
 
 
 def drift_times(tau: Array, decades: Array) -> Array:
@@ -123,9 +149,10 @@ def drift_code(stage: Stage, axes: int, expression: str, title: str) -> CCode:
 
 
 def drift_parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Time constant of a drift, from a twentieth of the record to so long that the drift is straight; spread, initial part, and span.
+    """Parameters of a drift's course.
 
-    A drift that has settled before the first sample that is compared would be a constant.
+    The time constant goes from a twentieth of the record to so long that the drift is straight. A drift that goes ever faster is a
+    straight one with a growth, its record's length in time constants. A drift that has settled before the first sample that is compared would be a constant.
 
     Parameters
     ----------
@@ -139,6 +166,7 @@ def drift_parameters(around: Surroundings) -> tuple[Parameter, ...]:
         Parameter("decades", "", 0.0, (0.0, 1.5), 0.0, 3.0, 1.0, told=False),
         Parameter("initial", "", 0.0, (0.0,), -1.0, 0.0, 0.5, told=False),
         Parameter("span", "s", length, (length,), 0.0, STRAIGHT * length, 1.0, told=False),
+        Parameter("growth", "", 0.0, (1.0,), 0.0, FASTEST, 1.0, told=False),
     )
 
 
@@ -166,34 +194,44 @@ def stage_values(values: Values) -> dict[str, Any]:
         Of the gap report, by name; a number for every axis alike, or a list with one per axis.
     """
     change = np.where(_is_straight(values), np.divide(values["change"], _share_of_span(values)), values["change"])
-    scalar = not any(np.ndim(value) for value in values.values())
-    others = {name: values.get(name, 0.0) for name in ("decades", "initial")}
-    return {"change": float(change.reshape(-1)[0]) if scalar else frozen(change), "tau": values["tau"], **others}
+    found = {"change": change, "tau": _time_constant(values)}
+    single = not any(np.ndim(value) for value in values.values())
+    stage = {name: float(value.reshape(-1)[0]) if single else frozen(value) for name, value in found.items()}
+    return {**stage, **{name: values.get(name, 0.0) for name in ("decades", "initial")}}
 
 
 def _is_straight(values: Values) -> Any:
     return np.greater_equal(values["tau"], (1.0 - 1e-9) * STRAIGHT * np.asarray(values["span"], dtype=float))
 
 
+def _time_constant(values: Values) -> Array:
+    """Time constant of the stage, s: negative of a drift that goes ever faster."""
+    tau, growth, span = (np.asarray(values.get(name, 0.0), dtype=float) for name in ("tau", "growth", "span"))
+    slow = 1.0 / STRAIGHT
+    return np.asarray(np.where(growth > slow, -span / np.maximum(growth, slow), tau), dtype=np.float64)
+
+
 def _share_of_span(values: Values) -> Array:
     """Share (A,) of a drift that has come after `span`."""
     tau, decades, span = (
-        np.array(value, dtype=float) for value in np.broadcast_arrays(values["tau"], values.get("decades", 0.0), values["span"])
+        np.array(value, dtype=float)
+        for value in np.broadcast_arrays(_time_constant(values), values.get("decades", 0.0), values["span"])
     )
     times = drift_times(np.atleast_1d(tau), np.atleast_1d(decades))
     return np.array([arrived(np.array([end]), times)[0, axis] for axis, end in enumerate(np.atleast_1d(span))])
 
 
 def drift_variants(around: Surroundings) -> tuple[Values, ...]:
-    """A drift of any course; and a straight one, which is one number and not four.
+    """A drift of any course; a straight one, which is one number and not four; and one that goes ever faster.
 
     Parameters
     ----------
     around
         Record that the sizes are judged by.
     """
-    whole = {"span": around.duration}
-    return whole, {**whole, "tau": STRAIGHT * around.duration, "decades": 0.0, "initial": 0.0}
+    settling = {"span": around.duration, "growth": 0.0}
+    straight = {"tau": STRAIGHT * around.duration, "decades": 0.0, "initial": 0.0}
+    return settling, {**settling, **straight}, {"span": around.duration, **straight}
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:

@@ -10,7 +10,17 @@ from hyst_control.chain.c_code import CCode
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import per_axis_scalars, register
 from hyst_control.effects.effect import Companion, Effect, Parameter
-from hyst_control.effects.gain_drift import arrived, drift_code, drift_parameters, drift_times, in_the_end, stage_values
+from hyst_control.effects.gain_drift import (
+    TIME_CONSTANT,
+    arrived,
+    check_time_constant,
+    drift_code,
+    drift_parameters,
+    drift_times,
+    drift_variants,
+    in_the_end,
+    stage_values,
+)
 from hyst_control.effects.time_dependent import TimedStage
 
 
@@ -22,9 +32,12 @@ class OffsetDrift(TimedStage):
     name: ClassVar[str] = "offset_drift"
     equation: ClassVar[str] = r"y(t) = u(t) + \mathrm{change} \left(\mathrm{initial} + a(t)\right)"
     change: ScalarPerAxis = scalar("measurement unit", "of the zero in the end", scatter=Scattering.ABSOLUTE)
-    tau: ScalarPerAxis = scalar("s", "time constant, the geometric mean of several", above=0.0)
+    tau: ScalarPerAxis = scalar("s", TIME_CONSTANT)
     decades: ScalarPerAxis = scalar("", "over which several time constants are spread; 0: one", default=0.0, lower=0.0, upper=20.0)
     initial: ScalarPerAxis = scalar("", "part of the change that is there at the start", default=0.0)
+
+    def check(self) -> None:
+        check_time_constant(self.tau)
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
         change, initial = per_axis_scalars(self, axes, "change", "initial")
@@ -44,7 +57,7 @@ EFFECT = Effect(
         *drift_parameters(around),
     ),
     lambda values, around: OffsetDrift(**stage_values({"span": around.duration, **values})),
-    variants=lambda around: ({"span": around.duration},),
+    variants=lambda around: tuple(one for one in drift_variants(around) if "growth" not in one or "tau" not in one),
     summary=in_the_end,
     drifts=True,
     companion=Companion(1, "change", 2.0),
