@@ -68,5 +68,7 @@ def test_a_single_period_that_counts_is_held_against_the_one_of_the_warm_up() ->
     slip = 20.0 * SLIP
     found = beside(measured(0, np.where(counted, 0.0, slip)), measured(1), (PERIODS - 1) * PERIOD / RATE).repeatability
     place, difference = np.linspace(-1.0, 1.0, PERIOD), (measured(1, slip) - measured(1))[counted]
-    beside_zero = difference - np.polyval(np.polyfit(place, difference, 2), place)  # zero, drift and curvature are each session's own
+    beside_zero = difference - np.polyval(
+        np.polyfit(place, difference, 2), place
+    )  # zero, drift and curvature are each session's own
     assert found == pytest.approx(np.hypot(np.std(beside_zero), np.sqrt(2.0) * NOISE), rel=0.15)
