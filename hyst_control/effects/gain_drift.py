@@ -152,7 +152,8 @@ def drift_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Parameters of a drift's course.
 
     The time constant goes from a twentieth of the record to so long that the drift is straight. A drift that goes ever faster is a
-    straight one with a growth, its record's length in time constants. A drift that has settled before the first sample that is compared would be a constant.
+    straight one with a growth: the record's length in time constants. A drift that has settled before the first sample that is compared
+    would be a constant.
 
     Parameters
     ----------
