@@ -30,8 +30,10 @@ FAMILIES = {
 """Effects of similar signature; each effect not listed is a family by itself."""
 
 
-OTHERWISE_DEFINED = ("vibration", "flicker_noise", "dac_hold", "sensor_nonlinearity")
-"""Effects whose parameters have another definition in the plants (a nonlinearity over their stroke instead of the record's range)."""
+OTHERWISE_DEFINED = ("vibration", "flicker_noise", "dac_hold", "sensor_nonlinearity", "hysteresis_shape")
+"""Effects whose parameters have another definition in the plants (a curve over their stroke or rating instead of the record's range)."""
+LAW = "law"
+"""Parameter of the plants that chooses another course than the usual one, whose size is no end value: of a logarithm, or reached at tau."""
 
 
 def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = (), without_gap: Sequence[Pair] = ()) -> list[Metric]:
@@ -351,7 +353,7 @@ def _covered(pair: Pair) -> bool | None:
     """Coverage: True when the true value of the named effect's main parameter lies in its interval; None where it was not named."""
     effect = _label(pair)["effects"][0]
     named = next((row for row in pair[1]["effects"] if row["name"] == effect["name"]), None)
-    if named is None or effect["name"] in OTHERWISE_DEFINED:
+    if named is None or effect["name"] in OTHERWISE_DEFINED or effect.get(LAW):
         return None
     for name, row in named["parameters"].items():
         if name in effect and name != "frequency":

@@ -21,6 +21,8 @@ from hyst_control.reporting.quantities import quantity
 
 SCHEMA = "hyst_control/gap-report"
 VERSION = 1
+FAR_OFF = 5.0
+"""Tolerances beyond which a coefficient is told as the reason why an explanation is not believed."""
 DISTORTED_BY = {
     "time": "time",
     "level": "the level of the command",
@@ -189,6 +191,19 @@ def _number(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
+def _reduction(report: Mapping[str, Any]) -> str:
+    """Sentence on how far the effects shrink the gap; empty where none of them has a waveform."""
+    effects = report["effects"]
+    shrinks = [effect["shrink_reidentified"] for effect in effects if effect["shrink_reidentified"] is not None]
+    given = [effect["shrink"] for effect in effects if effect["shrink"] is not None]
+    if not shrinks:
+        return ""
+    them, fitted = "it" if len(effects) == 1 else "them", f"{100 * max(shrinks):.0f} % with the coefficients fitted"
+    if max(given) < 0.0:
+        return f" Adding {them} does not shrink the gap as given, but by {fitted}."
+    return f" Adding {them} shrinks the gap by {100 * max(given):.0f} % as given, by {fitted}."
+
+
 def sentence(report: dict[str, Any]) -> str:
     """Say the verdict in one sentence.
 
@@ -217,6 +232,7 @@ def sentence(report: dict[str, Any]) -> str:
         worst = ", ".join(f"{row['name']} ({row['z']:+.1f} σ)" for row in report["parameters"][:3])
         return f"The gap of {size} is caused by the model's parameters: re-identify {worst or 'the nominal model'}."
     if verdict == Verdict.UNKNOWN.value:
+        far_off = [row for row in report["parameters"] if abs(row["z"]) > FAR_OFF]
         near = f"; the nearest, {' and '.join(names)}, leaves {100 * report['unexplained_share']:.0f} % of it" if names else ""
         if report.get("distortions") and Reason.ENERGY_LEFT.value not in reasons:
             worst = report["distortions"][0]
@@ -227,19 +243,15 @@ def sentence(report: dict[str, Any]) -> str:
                 )
             else:  # of the record itself, whatever is named
                 near = "; the measurement stands on one level while the command moves on"
+        elif names and far_off and Reason.UNEXPLAINED_SHARE.value in reasons and Reason.ENERGY_LEFT.value not in reasons:
+            worst = far_off[0]
+            near = f"; {' and '.join(names)} would, but only with coefficients far from the model's: {worst['name']} ({worst['z']:+.0f} σ)"
         elif names and Reason.AT_BOUND.value in reasons and Reason.ENERGY_LEFT.value not in reasons:
             near = f"; {' and '.join(names)} would, with a size at the end of its range"
         elif names and Reason.TOO_MANY_EFFECTS.value in reasons and Reason.ENERGY_LEFT.value not in reasons:
             near = f"; it would take {' and '.join(names)} at once, and an effect outside the catalogue is more likely"
         return f"No known effect explains the gap of {size}{near}."
-    shrinks = [effect["shrink_reidentified"] for effect in report["effects"] if effect["shrink_reidentified"] is not None]
-    given = [effect["shrink"] for effect in report["effects"] if effect["shrink"] is not None]
-    far = (
-        f" Adding {'it' if len(names) == 1 else 'them'} shrinks the gap by {100 * max(given):.0f} % as given, by "
-        f"{100 * max(shrinks):.0f} % with the coefficients fitted."
-        if shrinks
-        else ""
-    )
+    far = _reduction(report)
     if verdict == Verdict.AMBIGUOUS.value:
         return f"The gap of {size} is caused by {' or '.join(names)}: these data cannot tell which.{far}"
     return f"The gap of {size} is caused by {' and '.join(names)}.{far}"
