@@ -232,7 +232,7 @@ def sentence(report: dict[str, Any]) -> str:
         worst = ", ".join(f"{row['name']} ({row['z']:+.1f} σ)" for row in report["parameters"][:3])
         return f"The gap of {size} is caused by the model's parameters: re-identify {worst or 'the nominal model'}."
     if verdict == Verdict.UNKNOWN.value:
-        far_off = [row for row in report["parameters"] if abs(row["z"]) > FAR_OFF]
+        far_off = [row for row in report.get("parameters", ()) if abs(row["z"]) > FAR_OFF]
         near = f"; the nearest, {' and '.join(names)}, leaves {100 * report['unexplained_share']:.0f} % of it" if names else ""
         if report.get("distortions") and Reason.ENERGY_LEFT.value not in reasons:
             worst = report["distortions"][0]

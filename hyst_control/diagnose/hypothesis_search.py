@@ -261,9 +261,16 @@ def _alone(member: Member) -> Candidate:
 
 
 def _leading(found: Sequence[Begun], rows: int) -> list[Begun]:
-    """The best realization of every explanation, best first: of many parameters it has to be as much better (Schwarz, 1978)."""
+    """The best realization of every explanation, best first: a line that swells, of fifty parameters, has to be as much better.
+
+    By Schwarz's criterion (1978); otherwise it would take up what a second effect explains by one parameter.
+    """
+
+    def spent(one: Begun) -> float:
+        return 0.5 * float(np.log(rows)) * sum(member.size for member in one.candidate.members if member.is_line)
+
     best: dict[tuple[object, ...], Begun] = {}
-    for one in sorted(found, key=lambda one: one.misfit + 0.5 * float(np.log(rows)) * len(one.ends[0].x)):
+    for one in sorted(found, key=lambda one: one.misfit + spent(one)):
         best.setdefault(tuple(member.variant for member in one.candidate.members), one)
     return list(best.values())
 

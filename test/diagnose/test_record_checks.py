@@ -87,6 +87,22 @@ def test_the_sentence_says_why_nothing_known_explains_a_gap():
     both = sentence(report | {"reasons": ["energy_left", "too_many_effects"]})
     assert "leaves 50 % of it" in both and "at once" not in both
     assert sentence(report | {"effects": []}).endswith("noise floor 0.1 um).")
+    far = {"reasons": ["unexplained_share"], "parameters": [{"name": "num[0]", "z": 31.2}, {"name": "k", "z": 5.5}]}
+    assert "would, but only with coefficients far from the model's: num[0] (+31 σ)." in sentence(report | far)
+
+
+@pytest.mark.parametrize(
+    "shrink, told",
+    [
+        (0.4, "Adding it shrinks the gap by 40 % as given, by 90 % with"),
+        (-9.0, "Adding it does not shrink the gap as given, but by 90 %"),
+    ],
+)
+def test_the_sentence_says_how_far_the_gap_shrinks(shrink, told):
+    """The report's shrink ends at -10: as a per cent it would mean nothing."""
+    effect = {"name": "offset", "shrink": shrink, "shrink_reidentified": 0.9, "parameters": {}}
+    gap = {"rms": 1.0, "nrmse": 2.0, "unit": "um", "floor_rms": 0.1}
+    assert told in sentence({"verdict": "effect", "gap": gap, "effects": [effect], "unexplained_share": 0.0})
 
 
 def test_the_sentence_says_what_is_no_gap_and_what_a_session_has():
