@@ -22,7 +22,8 @@ from hyst_control.diagnose.evidence_collection import (
     residual_evidence,
 )
 from hyst_control.diagnose.gap_reduction import holds, widens
-from hyst_control.diagnose.hypothesis_fit import Linearised
+from hyst_control.diagnose.hypothesis import Candidate
+from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.hypothesis_search import Found, Scored, search
 from hyst_control.diagnose.null_distribution import threshold
 from hyst_control.diagnose.passed_error import passed_error
@@ -190,10 +191,11 @@ def diagnose(
         found = _axis(part, known, bare, axes, seed, without, cache, progress, configuration)
         if _may_hide_a_line(found, configuration):
             by_spectrum = with_discrepancy(part, configuration.baseline, by_spectrum=True)
-            # Only a line by itself would be taken from it.
-            singles = replace(configuration, search=replace(configuration.search, depth_with_own_error=1))
-            again = _axis(part, by_spectrum, bare, axes, seed, without, cache, progress, singles)
-            found = again if _is_a_line(again) else found
+            if _exceeds_own_error(by_spectrum, without, configuration):
+                # Only a line by itself would be taken from it.
+                singles = replace(configuration, search=replace(configuration.search, depth_with_own_error=1))
+                again = _axis(part, by_spectrum, bare, axes, seed, without, cache, progress, singles)
+                found = again if _is_a_line(again) else found
         parts.append(found)
         axis += len(axes)
     notes += [note for part in parts for note in _outlier_notes(part)]
@@ -436,6 +438,17 @@ def _may_hide_a_line(found: AxisDiagnosis, configuration: Configuration) -> bool
     left = found.linearised.unexplained(found.found.none.solution.residual)
     return "spectrum" in found.problem.model.discrepancy and any(
         lines(found.problem, left, configuration.checks).get(name) for name in _line_effects()
+    )
+
+
+def _exceeds_own_error(baseline: Baseline, without: Sequence[str], configuration: Configuration) -> bool:
+    """True where a line by itself gains as much beside the own error's spectrum as any claim has to beyond the null."""
+    prepared = prepare(baseline.problem, baseline, without, configuration)
+    candidates = [Candidate((member,)) for member in prepared.members(False) if member.is_line]
+    nothing = fit(prepared.linearised).misfit
+    return any(
+        nothing - fit(prepared.linearised, one.unknowns(), one.starts()[0]).misfit > configuration.policy.margin
+        for one in candidates
     )
 
 
