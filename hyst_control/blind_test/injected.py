@@ -24,6 +24,7 @@ from hyst_control.blind_test.injections import apply_all, size_of, strength_of, 
 from hyst_control.blind_test.published_labels import rounded
 from hyst_control.errors import InputError
 from hyst_control.files import read_json, write_json
+from hyst_control.parallel import Workers
 from hyst_control.records.record import Record, Signal
 from hyst_control.reporting.tables import Table
 
@@ -154,6 +155,7 @@ def run(
     plants: Sequence[str] | None = None,
     page: str | None = None,
     note: Callable[[str], None] = print,
+    workers: Workers | None = None,
 ) -> Table:
     """Draw, diagnose and score injected cases; what an interrupted run has done is kept.
 
@@ -171,6 +173,8 @@ def run(
         Page to write.
     note
         Called with every line of progress.
+    workers
+        Where the diagnoses are done; None: one process per core.
 
     Returns
     -------
@@ -186,7 +190,7 @@ def run(
     from hyst_control.blind_test.scores import table
 
     labels = make(out, seed, count, plants, note)
-    diagnose_all(Path(out), note)
+    diagnose_all(Path(out), note, workers)
     rows = load(Path(out))
     command = f"blind-test --injected --seed {seed} --count {count}" + (f" --plants {' '.join(plants)}" if plants else "")
     found = injected_metrics(rows)
@@ -195,7 +199,7 @@ def run(
     return table(found, command)
 
 
-def diagnose_all(folder: Path, note: Callable[[str], None] = print) -> None:
+def diagnose_all(folder: Path, note: Callable[[str], None] = print, workers: Workers | None = None) -> None:
     """Diagnose every case that has no report yet, each from its bags and a model alone.
 
     Parameters
@@ -204,10 +208,12 @@ def diagnose_all(folder: Path, note: Callable[[str], None] = print) -> None:
         Folder of the run.
     note
         Called with every line of progress.
+    workers
+        Where the diagnoses are done; None: one process per core.
     """
     from hyst_control.blind_test.diagnosis_queue import work
 
-    work(jobs_of(folder), None, note)
+    work(jobs_of(folder if workers is None else folder.resolve()), None, note, workers)
 
 
 def jobs_of(folder: Path) -> list[tuple[Callable[[Any], str], tuple[Any, ...]]]:

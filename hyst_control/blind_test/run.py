@@ -21,7 +21,7 @@ from hyst_control.blind_test.error_report import error_report
 from hyst_control.blind_test.published_labels import rounded
 from hyst_control.errors import InputError
 from hyst_control.files import read_json, write_json
-from hyst_control.parallel import map_spawned
+from hyst_control.parallel import Workers, map_spawned
 from hyst_control.reporting.tables import Table
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ def run_all(
     injected_count: int = 0,
     stop_after: float | None = None,
     without_gap: int = 0,
+    workers: Workers | None = None,
 ) -> Table:
     """Run the whole test: draw, diagnose, leave out, compare the predictions with fresh records, score, write.
 
@@ -79,6 +80,8 @@ def run_all(
         Time after which no further diagnosis begins, s.
     without_gap
         Number of further cases without a gap, in the folder `without_gap` of the run, which only the false alarms count.
+    workers
+        Where the diagnoses are done; None: one process per core.
 
     Returns
     -------
@@ -95,6 +98,8 @@ def run_all(
     from hyst_control.blind_test.scores import metrics, table
 
     folder = _folder(out, count)
+    if workers is not None:
+        folder = folder.resolve()  # the workers of a cluster have folders of their own to begin in
     put_in, quiet = folder / "injected", folder / "without_gap"
     digests = {"": _digest(make(folder, seed, count, note))}
     if injected_count:
@@ -106,7 +111,7 @@ def run_all(
         jobs = [jobs_of(folder, left_out)]
         jobs += [injected.jobs_of(put_in)] if injected_count else []
         jobs += [jobs_of(quiet)] if without_gap else []
-        work(interleaved(*jobs), None if stop_after is None else time.time() + stop_after, note)
+        work(interleaved(*jobs), None if stop_after is None else time.time() + stop_after, note, workers)
     add_realized_shrinks(folder, note)
     pairs = list(load(folder))
     if not pairs:

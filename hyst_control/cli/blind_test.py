@@ -8,12 +8,15 @@ example:
   hyst blind-test --measured --page docs/blind-test-measured.md     models of measured plants with one element removed
   hyst blind-test --injected --seed 7 --count 60 --output injected   # known effects put into records of machines
   hyst blind-test --seed 100000 --count 300 --with-injected 200 --output blind --page docs/blind-test.md     both on one page
+  hyst blind-test --seed 7 --count 800 --output blind --cluster tcp://10.0.0.1:8786      on the workers of a Dask cluster
 """
 
 from __future__ import annotations
 
 import argparse
 from typing import TYPE_CHECKING
+
+from hyst_control.errors import InputError
 
 if TYPE_CHECKING:
     from hyst_control.reporting.tables import Table
@@ -84,12 +87,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--so-far", action="store_true", help="score the cases that an interrupted run has diagnosed, without diagnosing more"
     )
+    parser.add_argument("--workers", type=int, metavar="N", help="with --seed: worker processes (default: one a core)")
+    parser.add_argument(
+        "--cluster",
+        metavar="ADDRESS",
+        help="with --seed: Dask scheduler, its scheduler file, or local to start one; its workers must see the folder of --output",
+    )
     parser.add_argument("--page", metavar="OUT.md", help="page to write, with its figure")
 
 
 def run(arguments: argparse.Namespace) -> Table:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     if arguments.measured:
+        if arguments.workers is not None or arguments.cluster is not None:
+            raise InputError("--workers, --cluster: go with --seed, not with --measured: leave them out")
         from hyst_control.blind_test import measured
 
         return measured.run(
@@ -100,10 +111,15 @@ def run(arguments: argparse.Namespace) -> Table:
             levels=arguments.levels,
             so_far=arguments.so_far,
         )
+    workers = None
+    if arguments.workers is not None or arguments.cluster is not None:
+        from hyst_control.parallel import Workers
+
+        workers = Workers(arguments.workers, arguments.cluster)
     if arguments.injected:
         from hyst_control.blind_test import injected
 
-        return injected.run(arguments.output, arguments.seed, arguments.count, arguments.plants, arguments.page)
+        return injected.run(arguments.output, arguments.seed, arguments.count, arguments.plants, arguments.page, workers=workers)
     from hyst_control.blind_test.run import run_all
 
     return run_all(
@@ -116,4 +132,5 @@ def run(arguments: argparse.Namespace) -> Table:
         injected_count=arguments.with_injected,
         stop_after=arguments.stop_after,
         without_gap=arguments.without_gap,
+        workers=workers,
     )
