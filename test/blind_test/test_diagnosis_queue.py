@@ -34,7 +34,9 @@ def run(folder: Path, where: str, until: float) -> tuple[list[str], str]:
     script, reports = folder / "queue_of_stand_ins.py", folder / "reports"
     script.write_text(SCRIPT)
     reports.mkdir()
-    ended = subprocess.run([sys.executable, str(script), str(reports), where, str(until)], capture_output=True, text=True, timeout=120)
+    ended = subprocess.run(
+        [sys.executable, str(script), str(reports), where, str(until)], capture_output=True, text=True, timeout=120
+    )
     assert ended.returncode == 0, ended.stderr
     return sorted(path.stem for path in reports.iterdir()), ended.stdout
 
