@@ -418,7 +418,8 @@ def _axis(
         if rows is not None and clean is None:
             clean = CleanRecords(rows)
         known = frozenset() if clean is None else clean.show(best, null + thresholds.margin)
-        follows = known or widens(linearised, best, found.none)
+        # Beside a clean record of the same command no coefficient is free, and a gap that the fits weigh by its spectrum is none as given.
+        follows = known or (not evidence.carried and widens(linearised, best, found.none))
         if not follows and holds(linearised, best, found.none, configuration.reduction):
             break
         dropped = [i for i, one in enumerate(collected.hypotheses) if known.intersection(one.names)] if known else [decision.chosen]
