@@ -16,7 +16,7 @@ from hyst_control.chain.stage import Stage
 from hyst_control.diagnose.hypothesis_fit import Unknowns
 from hyst_control.diagnose.problem import Problem
 from hyst_control.diagnose.session import with_sensor_delay
-from hyst_control.diagnose.spectral_lines import covers_command
+from hyst_control.diagnose.spectral_lines import takes_up_command
 from hyst_control.effects import EFFECTS, insert
 from hyst_control.effects.effect import Effect, Line, Parameter
 from hyst_control.effects.placement import mechanics_index
@@ -555,7 +555,7 @@ def catalogue(problem: Problem, suggested: Mapping[str, Sequence[float]], withou
         if effect.line is not None:
             for frequency in suggested.get(name, ()):
                 shapes = [
-                    shape for shape in (effect.line, *effect.further_lines) if not _takes_up_command(problem, frequency, shape)
+                    shape for shape in (effect.line, *effect.further_lines) if not takes_up_command(problem, frequency, shape)
                 ]
                 found += [
                     Member(effect, parameters, problem, axis, frequency, shape=shape) for axis in axes[-count:] for shape in shapes
@@ -578,15 +578,6 @@ def catalogue(problem: Problem, suggested: Mapping[str, Sequence[float]], withou
         for member in found
         for place in member.effect.also_at + (member.effect.also_beside_clean if beside_clean else ())
     ]
-
-
-def _takes_up_command(problem: Problem, frequency: float, line: Line) -> bool:
-    """True of a line that swells so much that it would take up what an effect does to a command of one frequency."""
-    if line.swells == 1:
-        return False
-    duration = problem.sample_time * max(len(piece.command) for piece in problem.pieces)
-    # A Legendre polynomial of degree n has n zeros: n / 2 periods.
-    return covers_command(problem, [harmonic * frequency for harmonic in line.harmonics], 0.5 * line.swells / duration)
 
 
 def _suggested(parameter: Parameter, starts: Sequence[float]) -> Parameter:

@@ -16,7 +16,7 @@ from hyst_control.chain.stage import Array, Sampling
 from hyst_control.diagnose.configuration import CONFIGURATION, CheckSettings
 from hyst_control.diagnose.problem import Problem
 from hyst_control.diagnose.record_checks import effect_found_by
-from hyst_control.effects.effect import Effect, RecordCheck
+from hyst_control.effects.effect import Effect, Line, RecordCheck
 
 
 def lines(problem: Problem, unexplained: Array, settings: CheckSettings = CONFIGURATION.checks) -> dict[str, list[float]]:
@@ -198,6 +198,29 @@ def _harmonics(frequency: Array, driven: Array, settings: CheckSettings) -> NDAr
         if driven[near].sum() > settings.harmonic_power * above:
             return np.asarray(near, dtype=bool)
     return np.zeros(len(frequency), bool)
+
+
+def takes_up_command(problem: Problem, frequency: float, line: Line) -> bool:
+    """Tell whether a line swells so much that it would take up what an effect does to a command of one frequency.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and model.
+    frequency : float
+        Of the line, Hz.
+    line : Line
+        Its shape.
+
+    Returns
+    -------
+    bool
+    """
+    if line.swells == 1:
+        return False
+    duration = problem.sample_time * max(len(piece.command) for piece in problem.pieces)
+    # A Legendre polynomial of degree n has n zeros: n / 2 periods.
+    return covers_command(problem, [harmonic * frequency for harmonic in line.harmonics], 0.5 * line.swells / duration)
 
 
 def covers_command(
