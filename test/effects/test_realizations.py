@@ -259,3 +259,24 @@ def test_a_straight_gain_drift_is_one_number_of_the_usual_size():
     found = run([EFFECTS["gain_drift"].stage(values, around)], np.ones(len(time)))
     np.testing.assert_allclose(found, 1.0 + 0.05 * time / 2.0, atol=0.002)
     assert EFFECTS["gain_drift"].summary({"change": 0.05, "tau": 0.2}) == {}
+
+
+@pytest.mark.parametrize("name", ["gain_drift", "offset_drift"])
+def test_a_drift_that_goes_ever_faster_is_told_over_the_record(name):
+    """An exponential that grows, by its closed form: it has no end, and half of the record brings less than half of the change."""
+    around, change, growth = replace(AROUND, duration=2.0), 0.05, 1.6
+    faster = next(one for one in EFFECTS[name].variants(around) if "growth" not in one)
+    values = {"change": change, "growth": growth, **faster}
+    values |= EFFECTS[name].summary(values)
+    assert values["change"] == change
+    time = STEP * np.arange(1, round(2.0 / STEP) + 1)  # behind the value at which the stage was settled
+    found = run([EFFECTS[name].stage(values, around)], np.ones(len(time)))
+    expected = change * np.expm1(growth * time / 2.0) / np.expm1(growth)
+    np.testing.assert_allclose(found, 1.0 + expected, atol=1e-12)
+    assert found[len(time) // 2] - 1.0 < 0.4 * change
+
+
+def test_a_drift_needs_a_time_constant():
+    for name in ("gain_drift", "offset_drift"):
+        with pytest.raises(InputError, match="tau: must not be 0 s"):
+            EFFECTS[name].stage({"change": 0.1, "tau": 0.0, "span": 1.0}, AROUND)
