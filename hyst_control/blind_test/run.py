@@ -95,7 +95,7 @@ def run_all(
     """
     from hyst_control.blind_test import injected
     from hyst_control.blind_test.injected_scores import injected_metrics
-    from hyst_control.blind_test.scores import metrics, table
+    from hyst_control.blind_test.scores import metrics, novelty_quantile, table
 
     folder = _folder(out, count)
     if workers is not None:
@@ -119,7 +119,9 @@ def run_all(
     others = list(load(folder, "reports_left_out")) if left_out else []
     rows = injected.load(put_in) if injected_count else []
     further = [({**case, "name": f"without_gap/{case['name']}"}, report) for case, report in load(quiet)] if without_gap else []
-    found = [*metrics(pairs, others, further), *injected_metrics(rows)]
+    singles = [report for label, report in rows if label["kind"] == "single"]
+    singles += [report for case, report in pairs if case["label"]["kind"] == "single"]
+    found = [*metrics(pairs, others, further), *injected_metrics(rows), *novelty_quantile(singles)]
     command = f"blind-test --seed {seed} --count {count} --left-out {left_out}"
     command += f" --with-injected {injected_count}" if injected_count else ""
     command += f" --without-gap {without_gap}" if without_gap else ""

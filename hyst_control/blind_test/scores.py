@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -114,11 +114,6 @@ def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = (), without_gap: S
     opened = [pair for pair in pairs if _label(pair)["kind"] == "open_set"]
     share("open set: called unknown", 0.90, opened, lambda pair: pair[1]["verdict"] == "unknown")
     share("single effects called unknown", 0.04, singles, lambda pair: pair[1]["verdict"] == "unknown", False)
-    calibrated = conformal([_unknown(pair) for pair in singles], 0.04)
-    if np.isfinite(calibrated):
-        found.append(
-            Metric("single effects: novelty score that 4 % exceed (unknown from 0.5)", calibrated, len(singles), None, 0.5, False)
-        )
     if opened and singles:
         area = _auroc([_unknown(pair) for pair in opened], [_unknown(pair) for pair in singles])
         found.append(Metric("open set: AUROC of the novelty score", area, len(opened) + len(singles), None, 0.95))
@@ -296,7 +291,29 @@ def _family(name: str) -> str:
 
 
 def _unknown(pair: Pair) -> float:
-    return float(pair[1].get("novelty") or pair[1].get("unexplained_share") or 0.0)
+    return _novelty(pair[1])
+
+
+def _novelty(report: Mapping[str, Any]) -> float:
+    return float(report.get("novelty") or report.get("unexplained_share") or 0.0)
+
+
+def novelty_quantile(reports: Sequence[Mapping[str, Any]]) -> list[Metric]:
+    """Compute the novelty score that 4 % of the single effects exceed: 0.5 where the diagnosis' conformal threshold was calibrated.
+
+    Parameters
+    ----------
+    reports
+        On single effects, of cases of all kinds.
+
+    Returns
+    -------
+    list[Metric]
+        One; none where there are too few reports.
+    """
+    found = conformal([_novelty(report) for report in reports], 0.04)
+    name = "all single effects: novelty score that 4 % exceed (unknown from 0.5)"
+    return [Metric(name, found, len(reports), None, 0.5, False)] if np.isfinite(found) else []
 
 
 def conformal(scores: Sequence[float], share: float) -> float:

@@ -18,16 +18,16 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from hyst_control.chain.stage import Array
+from hyst_control.diagnose import novelty
 from hyst_control.diagnose.configuration import Thresholds
 from hyst_control.diagnose.evidence import (
     CompanionEvidence,
     DistortionEvidence,
     Evidence,
     HypothesisEvidence,
-    Outliers,
 )
-from hyst_control.diagnose.record_checks import held_at_one_value
-from hyst_control.diagnose.record_findings import findings, flicker_found, is_stuck, outweighs, residual_of, share_of_outliers
+from hyst_control.diagnose.novelty import failed_tests, remainder, unexplained
+from hyst_control.diagnose.record_findings import findings, flicker_found, outweighs, residual_of, share_of_outliers
 from hyst_control.diagnose.verdict import Decision, JointDecision, Reason, Verdict
 from hyst_control.diagnose.vibration_finding import vibration, vibration_found, without_vibration
 
@@ -89,27 +89,24 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
         assert hump is not None
         shown = (*shown, vibration(hump, evidence.noise[0]))
         evidence = without_vibration(evidence, thresholds)
-    left = 0.0 if outweighed else _remainder(evidence, chosen, thresholds)
-    remainder = max([left, *(share_of_outliers(evidence, one) for one in outliers)])
+    left = 0.0 if outweighed else remainder(evidence, chosen, thresholds)
+    unaccounted = max([left, *(share_of_outliers(evidence, one) for one in outliers)])
     companions = tuple(one for one in residual_of(evidence, chosen).companions if _unusual(one, evidence, thresholds))
 
-    left_too_much, too_many = left > thresholds.unknown_share, _too_many(evidence, chosen, thresholds)
-    distorted = _distorted(evidence, chosen, thresholds)
-    listed = (chosen,) if left_too_much or too_many or distorted else _listed(evidence, claims, probability, thresholds)
+    signs = novelty.signs(evidence, chosen, outweighed, outliers, thresholds)
+    unknown = {reason for reason, sign in signs.items() if sign > thresholds.novelty_threshold}
+    # What leaves much, needs too much or is not itself stands alone: others that are as probable fail as well.
+    alone = unknown - {Reason.UNEXPLAINED_SHARE, Reason.OUTLIERS}
+    listed = (chosen,) if alone else _listed(evidence, claims, probability, thresholds)
     effects = any(evidence.hypotheses[index].names for index in listed)
     at_bound = len(listed) == 1 and evidence.hypotheses[chosen].at_bound
-    unexplained = max(remainder, _unexplained(evidence, chosen, thresholds))
-    half_explained = bool(listed) and _half_explained(evidence, chosen, unexplained, thresholds)
     reasons: set[Reason] = set()
-    if too_many or distorted or at_bound or half_explained or remainder > thresholds.unknown_share:
+    if unknown or at_bound:
         verdict = Verdict.UNKNOWN
-        reasons |= {Reason.AT_BOUND} if at_bound else set()
-        reasons |= {Reason.UNEXPLAINED_SHARE} if half_explained and remainder <= thresholds.unknown_share else set()
-        reasons |= {Reason(f"distortion_{one.variable}") for one in distorted}
-        if remainder > thresholds.unknown_share:
-            reasons |= {Reason.ENERGY_LEFT} | ({Reason.OUTLIERS} if remainder > left else set())
-        if too_many:
-            reasons |= {Reason.TOO_MANY_EFFECTS}
+        reasons = unknown | ({Reason.AT_BOUND} if at_bound else set())
+        if unknown & {Reason.ENERGY_LEFT, Reason.OUTLIERS}:  # energy left says all that the share says
+            reasons = (reasons | {Reason.ENERGY_LEFT}) - {Reason.UNEXPLAINED_SHARE}
+            reasons -= {Reason.OUTLIERS} if unaccounted <= left else set()
     elif len(listed) > 1:
         verdict, reasons = Verdict.AMBIGUOUS, {Reason.SEVERAL_EXPLANATIONS}
     elif effects or shown or (companions and not listed):
@@ -132,13 +129,13 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
         chosen,
         listed,
         probability,
-        remainder,
+        unaccounted,
         shown,
         outliers,
         companions,
-        distorted,
-        unexplained,
-        _novelty(evidence, chosen, outweighed, outliers, at_bound, thresholds),
+        tuple(test for test, sign in novelty.changes(evidence, chosen, thresholds) if sign > thresholds.novelty_threshold),
+        max(unaccounted, unexplained(evidence, chosen, thresholds)),
+        novelty.score(evidence, chosen, signs, at_bound, thresholds),
     )
 
 
@@ -273,7 +270,7 @@ def _changes(evidence: Evidence, index: int, thresholds: Thresholds) -> tuple[Di
     """Distortion tests by which an effect of a hypothesis is not itself; none of a hypothesis that is not tested yet."""
     if evidence.hypotheses[index].residual is None:
         return ()
-    return _failed_tests(evidence, index, thresholds)
+    return tuple(test for test, _ in failed_tests(evidence, index, thresholds))
 
 
 def _wanted(evidence: Evidence, index: int, thresholds: Thresholds) -> frozenset[frozenset[str]]:
@@ -289,7 +286,7 @@ def _wanted(evidence: Evidence, index: int, thresholds: Thresholds) -> frozenset
 
 def _shaken(evidence: Evidence, first: int, thresholds: Thresholds) -> int | None:
     """Index of the hypothesis whose residual shows a vibration without a waveform."""
-    return vibration_found(evidence, first, _remainder(evidence, first, thresholds), thresholds)
+    return vibration_found(evidence, first, remainder(evidence, first, thresholds), thresholds)
 
 
 def _first(claims: Sequence[int]) -> int:
@@ -444,142 +441,6 @@ def _unusual(companion: CompanionEvidence, evidence: Evidence, thresholds: Thres
         return False  # nothing says what is usual
     least = max(thresholds.companion_deviations * companion.deviation, companion.usual)
     return companion.rms > evidence.floor * evidence.noise[companion.axis] and abs(companion.value) > least
-
-
-def _remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
-    """Share of the gap's energy that the chosen explanation leaves, 0 where that is under the floor."""
-    after, due = residual_of(evidence, chosen).energy, _due(evidence, chosen)
-    if not after - due > max(evidence.floor**2, thresholds.least_excess * due):
-        return 0.0
-    return _share_left(evidence, chosen, thresholds)
-
-
-def _share_left(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
-    """Share of the gap's energy that the chosen explanation leaves, however little that is."""
-    before, after = evidence.hypotheses[0].energy, residual_of(evidence, chosen).energy
-    due = _due(evidence, chosen)
-    # What does not follow the command varies from run to run, and no effect would explain it. Where clean records show how much that
-    # is, many times as much is something new all the same.
-    left, follows = after - due, residual_of(evidence, chosen).predictable
-    usual = thresholds.run_to_run * evidence.stated if evidence.stated > 1.0 or evidence.whitened else np.inf
-    new = follows * left + max((1.0 - follows) * left - usual, 0.0)
-    return float(np.clip(new / max(before - evidence.stated, 1e-12), 0.0, 1.0))
-
-
-def _unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
-    """Share of the gap's energy that the chosen explanation leaves, or takes off by coefficients many tolerances away only.
-
-    Of a change that needs a coefficient n times as far away as the most that is believed, that most takes off all but (1 - 1/n)² of
-    the energy. What an effect outside the catalogue does to the output is taken up by coefficients in just this way.
-    """
-    one, before = evidence.hypotheses[chosen], evidence.hypotheses[0].energy - evidence.stated
-    if not (one.names or one.coefficients_alone):
-        return 0.0
-    beyond = (1.0 - min(thresholds.many_tolerances / max(one.farthest, 1e-300), 1.0)) ** 2
-    if before <= thresholds.least_excess * evidence.stated:
-        return beyond  # coefficients took all of it
-    if one.names:
-        beyond = min(beyond, one.taken_up / before)
-    return max(beyond, float(np.clip((residual_of(evidence, chosen).energy - _due(evidence, chosen)) / before, 0.0, 1.0)))
-
-
-def _half_explained(evidence: Evidence, chosen: int, unexplained: float, thresholds: Thresholds) -> bool:
-    """True where effects are named that explain no more than a part: what is left, or coefficients far away take up, is another part."""
-    one, due = evidence.hypotheses[chosen], _due(evidence, chosen)
-    left = residual_of(evidence, chosen).energy - due > max(evidence.floor**2, thresholds.least_excess * due)
-    far = one.farthest > thresholds.many_tolerances
-    return bool(one.names) and (left or far) and unexplained > thresholds.named_unexplained_share
-
-
-def _due(evidence: Evidence, chosen: int) -> float:
-    """Energy that the right explanation leaves: the one that the model states, its own error as the effects pass it on."""
-    own = evidence.stated if evidence.whitened else evidence.stated - 1.0
-    return evidence.stated + own * max(residual_of(evidence, chosen).passed - 1.0, 0.0)
-
-
-def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
-    """True where so many effects at once are less likely than one outside the catalogue.
-
-    They are not where few of them explain nearly all: the others are then details beside them.
-    """
-    names = set(evidence.hypotheses[chosen].names)
-    if len(evidence.hypotheses[chosen].names) <= thresholds.most_effects:
-        return False
-    before = max(evidence.hypotheses[0].energy - evidence.stated, 1e-12)
-    return not any(
-        one.energy - evidence.stated <= thresholds.unknown_share * before
-        for one in evidence.hypotheses
-        if one.names and len(one.names) <= thresholds.most_effects and set(one.names) < names
-    )
-
-
-def _distorted(evidence: Evidence, chosen: int, thresholds: Thresholds) -> tuple[DistortionEvidence, ...]:
-    """Tests by which a named effect is not itself: its size would have to change a lot, and that would explain a good deal.
-
-    What is left must exceed what the model leaves on clean records, which has a shape of its own; where the fits know its spectrum,
-    that is in the statistic, whose own chance is then the threshold: the null of the search is that of many more effects.
-    """
-    found = list(_failed_tests(evidence, chosen, thresholds))
-    if not evidence.repeating.intersection(evidence.hypotheses[chosen].names):
-        found += [held_at_one_value(seen) for seen in evidence.record if is_stuck(seen, thresholds)]
-    return tuple(sorted(found, key=lambda one: -one.statistic))
-
-
-def _failed_tests(evidence: Evidence, index: int, thresholds: Thresholds) -> tuple[DistortionEvidence, ...]:
-    """Distortion tests of a hypothesis' effects that exceed every threshold."""
-    residual = residual_of(evidence, index)
-    exceeds = residual.energy > (1.0 + thresholds.least_excess) * _due(evidence, index)
-    least = thresholds.distortion_whitened if evidence.whitened else evidence.null + thresholds.margin
-    return tuple(
-        one
-        for one in residual.distortions
-        if (exceeds or evidence.whitened)
-        and one.statistic > least
-        and abs(one.change) > thresholds.distortion_change
-        and one.share > thresholds.distortion_share
-    )
-
-
-def _novelty(
-    evidence: Evidence, chosen: int, outweighed: bool, outliers: Sequence[Outliers], at_bound: bool, thresholds: Thresholds
-) -> float:
-    """Novelty score m / (1 + m), m the clearest sign of an unknown effect as a multiple of its threshold.
-
-    A rule of several conditions counts as its weakest one. Nothing is truncated, so that cases short of every threshold are in order.
-    """
-    one, residual, due = evidence.hypotheses[chosen], residual_of(evidence, chosen), _due(evidence, chosen)
-    beyond = (residual.energy - due) / max(evidence.floor**2, thresholds.least_excess * due)
-    unexplained = _unexplained(evidence, chosen, thresholds)
-    signs = [0.0, *(share_of_outliers(evidence, found) / thresholds.unknown_share for found in outliers)]
-    if not outweighed:
-        signs.append(min(beyond, _share_left(evidence, chosen, thresholds) / thresholds.unknown_share))
-    if one.names:
-        far = one.farthest / thresholds.many_tolerances
-        signs.append(min(unexplained / thresholds.named_unexplained_share, max(beyond, far)))
-    else:
-        signs.append(unexplained)  # of coefficients alone no rule makes an unknown effect
-    least = thresholds.distortion_whitened if evidence.whitened else evidence.null + thresholds.margin
-    signs += [
-        min(
-            test.statistic / least,
-            abs(test.change) / thresholds.distortion_change,
-            test.share / thresholds.distortion_share,
-            np.inf if evidence.whitened else beyond,
-        )
-        for test in residual.distortions
-    ]
-    if not evidence.repeating.intersection(one.names):
-        signs += [
-            # One stretch is none that came back; half a stretch short of the threshold is on it.
-            min((seen.stuck - 1.0) / (thresholds.stuck - 1.5), seen.stuck / max(thresholds.beyond_clean * seen.usual_stuck, 1e-300))
-            for seen in evidence.record
-        ]
-    if _too_many(evidence, chosen, thresholds):
-        signs.append(len(one.names) / thresholds.most_effects)
-    if at_bound:
-        signs.append(np.nextafter(1.0, 2.0))  # how far beyond its range the effect would be nobody knows
-    clearest = max(signs)
-    return float(clearest / (1.0 + clearest))
 
 
 def _ordered(reasons: Collection[Reason]) -> tuple[Reason, ...]:

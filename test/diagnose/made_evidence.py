@@ -24,6 +24,7 @@ LIMITS = replace(
     listed_probability=0.05,
     unknown_share=0.06,
     named_unexplained_share=0.1,
+    novelty_threshold=1.0,
     most_effects=2,
     many_tolerances=8.0,
     added_share=0.002,
