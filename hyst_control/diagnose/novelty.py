@@ -42,7 +42,7 @@ def signs(
         How many times each rule's threshold is reached, by the reason that the verdict gets where that is enough.
     """
     one, residual = evidence.hypotheses[chosen], residual_of(evidence, chosen)
-    due = energy_due(evidence, chosen)
+    due = _energy_due(evidence, chosen)
     beyond = (residual.energy - due) / max(evidence.floor**2, thresholds.least_excess * due)
     found: dict[Reason, float] = {}
     if not outweighed:
@@ -51,7 +51,7 @@ def signs(
     if one.names:
         share = unexplained(evidence, chosen, thresholds) / thresholds.named_unexplained_share
         found[Reason.UNEXPLAINED_SHARE] = min(share, max(beyond, one.farthest / thresholds.many_tolerances))
-    if too_many(evidence, chosen, thresholds):
+    if _too_many(evidence, chosen, thresholds):
         found[Reason.TOO_MANY_EFFECTS] = len(one.names) / thresholds.most_effects
     for test, sign in changes(evidence, chosen, thresholds):
         reason = Reason(f"distortion_{test.variable}")
@@ -140,7 +140,7 @@ def failed_tests(
     -------
     list of (DistortionEvidence, float)
     """
-    residual, due = residual_of(evidence, index), energy_due(evidence, index)
+    residual, due = residual_of(evidence, index), _energy_due(evidence, index)
     beyond = np.inf if evidence.whitened else (residual.energy - due) / (thresholds.least_excess * due)
     nats = thresholds.distortion_whitened if evidence.whitened else evidence.null + thresholds.margin
     found = []
@@ -158,17 +158,31 @@ def failed_tests(
 
 def remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
     """Share of the gap's energy that the `chosen` explanation of the `evidence` leaves, 0 where that is under the floor in `thresholds`."""
-    after, due = residual_of(evidence, chosen).energy, energy_due(evidence, chosen)
+    after, due = residual_of(evidence, chosen).energy, _energy_due(evidence, chosen)
     if not after - due > max(evidence.floor**2, thresholds.least_excess * due):
         return 0.0
     return _share_left(evidence, chosen, thresholds)
 
 
 def unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
-    """Share of the gap's energy that the chosen explanation leaves, or takes off by coefficients many tolerances away only.
+    """Share of the gap's energy that an explanation leaves, or takes off by coefficients many tolerances away only.
 
     Of a change that needs a coefficient n times as far away as the most that is believed, that most takes off all but (1 - 1/n)² of
     the energy. What an effect outside the catalogue does to the output is taken up by coefficients in just this way.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        With the residual of the explanation.
+    chosen : int
+        Index of the explanation among the hypotheses.
+    thresholds : Thresholds
+        Values of the configuration.
+
+    Returns
+    -------
+    float
+        0 to 1.
     """
     one, before = evidence.hypotheses[chosen], evidence.hypotheses[0].energy - evidence.stated
     if not (one.names or one.coefficients_alone):
@@ -178,16 +192,16 @@ def unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> floa
         return beyond  # coefficients took all of it
     if one.names:
         beyond = min(beyond, one.taken_up / before)
-    return max(beyond, float(np.clip((residual_of(evidence, chosen).energy - energy_due(evidence, chosen)) / before, 0.0, 1.0)))
+    return max(beyond, float(np.clip((residual_of(evidence, chosen).energy - _energy_due(evidence, chosen)) / before, 0.0, 1.0)))
 
 
-def energy_due(evidence: Evidence, chosen: int) -> float:
+def _energy_due(evidence: Evidence, chosen: int) -> float:
     """Energy that the right explanation leaves: the one that the model states, its own error as the effects pass it on."""
     own = evidence.stated if evidence.whitened else evidence.stated - 1.0
     return evidence.stated + own * max(residual_of(evidence, chosen).passed - 1.0, 0.0)
 
 
-def too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
+def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
     """True where so many effects at once are less likely than one outside the catalogue.
 
     They are not where few of them explain nearly all: the others are then details beside them.
@@ -206,7 +220,7 @@ def too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
 def _share_left(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
     """Share of the gap's energy that the chosen explanation leaves, however little that is."""
     before, after = evidence.hypotheses[0].energy, residual_of(evidence, chosen).energy
-    due = energy_due(evidence, chosen)
+    due = _energy_due(evidence, chosen)
     # What does not follow the command varies from run to run, and no effect would explain it. Where clean records show how much that
     # is, many times as much is something new all the same.
     left, follows = after - due, residual_of(evidence, chosen).predictable

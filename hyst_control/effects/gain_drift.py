@@ -22,6 +22,9 @@ STEPS = (np.arange(6) + 0.5) / 6.0 - 0.5
 STRAIGHT = 10.0
 """Time constant, in lengths of the record, from which a drift is straight."""
 
+ONSET = "time at which it begins"
+LASTS = "time after which it stays where it is; 0: it does not"
+SMOOTH = "how smoothly it begins and ends: 0 with corners, 1 in an S"
 TIME_CONSTANT = "time constant, the geometric mean of several; negative of a drift that goes ever faster"
 """The parameter `tau` of a drift's stage."""
 FASTEST = 8.0
@@ -29,9 +32,14 @@ FASTEST = 8.0
 
 ARRIVED = """
 /* Share of a drift that has come at a time in s: the mean over its time constants. */
-static real arrived_share(double t, const double times[], int count)
+static real arrived_share(double t, double onset, double lasts, double smooth, const double times[], int count)
 {
     double sum = 0.0;
+    t = t > onset ? t - onset : 0.0;
+    if (lasts > 0.0) {
+        const double x = t < lasts ? t / lasts : 1.0;
+        t = lasts * (x + (smooth * x * (1.0 - x) * (2.0 * x - 1.0)));
+    }
     for (int k = 0; k < count; k++) {
         sum -= expm1(-t / times[k]);
     }
@@ -44,7 +52,7 @@ static real arrived_share(double t, const double times[], int count)
 @register
 @dataclass(frozen=True)
 class GainDrift(TimedStage):
-    """y = u (1 + change (initial + a(t))), t from the start of the record; a: see `arrived`; initial -1: settles at the model's gain."""
+    """y = u (1 + change (initial + a(t))), t from onset on; a: see `arrived`; initial -1: settles at the model's gain."""
 
     name: ClassVar[str] = "gain_drift"
     equation: ClassVar[str] = r"y(t) = u(t) \left(1 + \mathrm{change} \left(\mathrm{initial} + a(t)\right)\right)"
@@ -52,14 +60,17 @@ class GainDrift(TimedStage):
     tau: ScalarPerAxis = scalar("s", TIME_CONSTANT)
     decades: ScalarPerAxis = scalar("", "over which several time constants are spread; 0: one", default=0.0, lower=0.0, upper=20.0)
     initial: ScalarPerAxis = scalar("", "part of the change that is there at the start", default=0.0)
+    onset: ScalarPerAxis = scalar("s", ONSET, default=0.0, lower=0.0)
+    lasts: ScalarPerAxis = scalar("s", LASTS, default=0.0, lower=0.0)
+    smooth: ScalarPerAxis = scalar("", SMOOTH, default=0.0, lower=0.0, upper=1.0)
 
     def check(self) -> None:
         check_time_constant(self.tau)
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
         change, initial = per_axis_scalars(self, axes, "change", "initial")
-        times = drift_times(*per_axis_scalars(self, axes, "tau", "decades"))
-        return lambda u, t: u * (1.0 + change * (initial + arrived(t[:, 0], times)))
+        course = drift_course(self, axes)
+        return lambda u, t: u * (1.0 + change * (initial + arrived(t[:, 0], *course)))
 
     def function_in_c(self, axes: int) -> CCode:
         return drift_code(self, axes, "u * (R(1.0) + (p->change[i] * (p->initial[i] + SHARE)))", "gain drift")
@@ -97,8 +108,10 @@ def drift_times(tau: Array, decades: Array) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def arrived(times: Array, constants: Array) -> Array:
-    """Share of a drift that has come: the mean of 1 - exp(-t / τ_i) over its time constants.
+def arrived(times: Array, constants: Array, onset: Array, lasts: Array, smooth: Array) -> Array:
+    """Share of a drift that has come: the mean of 1 - exp(-t / τ_i) over its time constants, t from the onset on and up to its end.
+
+    Between the two t goes as x + smooth (S(x) - x), S(x) = 3 x² - 2 x³, x the part of that time that is over.
 
     Parameters
     ----------
@@ -106,6 +119,10 @@ def arrived(times: Array, constants: Array) -> Array:
         (N,), s.
     constants
         (A, K), s; see `drift_times`.
+    onset, lasts
+        (A,), s: when it begins, and how long it goes on; then it stays where it is; 0: it does not.
+    smooth
+        (A,), 0 to 1.
 
     Returns
     -------
@@ -116,11 +133,29 @@ def arrived(times: Array, constants: Array) -> Array:
     output = np.empty((times.size, axes))
     for row in range(times.size):
         for axis in range(axes):
-            total = 0.0
+            total, time = 0.0, max(times[row] - onset[axis], 0.0)
+            if lasts[axis] > 0.0:
+                x = min(time / lasts[axis], 1.0)
+                time = lasts[axis] * (x + smooth[axis] * x * (1.0 - x) * (2.0 * x - 1.0))
             for k in range(count):
-                total -= math.expm1(-times[row] / constants[axis, k])
+                total -= math.expm1(-time / constants[axis, k])
             output[row, axis] = total / count
     return output
+
+
+def drift_course(stage: Stage, axes: int) -> tuple[Array, Array, Array, Array]:
+    """Time constants (A, K), onset, duration (s) and smoothness (A,) of a drift, as `arrived` takes them.
+
+    Parameters
+    ----------
+    stage
+        Drift.
+    axes
+        Number of axes.
+    """
+    tau, decades = per_axis_scalars(stage, axes, "tau", "decades")
+    onset, lasts, smooth = per_axis_scalars(stage, axes, "onset", "lasts", "smooth")
+    return drift_times(tau, decades), onset, lasts, smooth
 
 
 def drift_code(stage: Stage, axes: int, expression: str, title: str) -> CCode:
@@ -137,14 +172,19 @@ def drift_code(stage: Stage, axes: int, expression: str, title: str) -> CCode:
     title
         As in `CCode`.
     """
-    change, tau, decades, initial = per_axis_scalars(stage, axes, "change", "tau", "decades", "initial")
-    times = drift_times(tau, decades)
+    change, initial = per_axis_scalars(stage, axes, "change", "initial")
+    times, *course = drift_course(stage, axes)
     return each_axis(
-        expression.replace("SHARE", f"arrived_share(t, p->times[i], {times.shape[1]})"),
+        expression.replace(
+            "SHARE", f"arrived_share(t, p->course[i][0], p->course[i][1], p->course[i][2], p->times[i], {times.shape[1]})"
+        ),
         title,
         {"change": (change, "in the end"), "initial": (initial, "part of the change that is there at the start")},
         (ARRIVED,),
-        {"times": (times, "s, time constants")},
+        {
+            "times": (times, "s, time constants"),
+            "course": (np.column_stack(course), "s, s and 1: onset, how long it goes on if not 0, smoothness"),
+        },
     )
 
 
@@ -152,8 +192,9 @@ def drift_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Parameters of a drift's course.
 
     The time constant goes from a twentieth of the record to so long that the drift is straight. A drift that goes ever faster is a
-    straight one with a growth: the record's length in time constants. A drift that has settled before the first sample that is compared
-    would be a constant.
+    straight one with a growth: the record's length in time constants. A drift that begins or ends within the record is a straight one
+    between the two, or goes in an S: which is near to any other that does. A drift that has settled before the first sample that is
+    compared would be a constant.
 
     Parameters
     ----------
@@ -168,6 +209,9 @@ def drift_parameters(around: Surroundings) -> tuple[Parameter, ...]:
         Parameter("initial", "", 0.0, (0.0,), -1.0, 0.0, 0.5, told=False),
         Parameter("span", "s", length, (length,), 0.0, STRAIGHT * length, 1.0, told=False),
         Parameter("growth", "", 0.0, (1.0,), 0.0, FASTEST, 1.0, told=False),
+        Parameter("onset", "s", 0.0, (0.0, 0.4 * length), 0.0, 0.9 * length, 0.3 * length, told=False),
+        Parameter("lasts", "s", length, (max(0.15 * length, least), 0.5 * length), least, length, 0.3 * length, told=False),
+        Parameter("smooth", "", 0.0, (0.5,), 0.0, 1.0, 0.5, told=False),
     )
 
 
@@ -198,7 +242,7 @@ def stage_values(values: Values) -> dict[str, Any]:
     found = {"change": change, "tau": _time_constant(values)}
     single = not any(np.ndim(value) for value in values.values())
     stage = {name: float(value.reshape(-1)[0]) if single else frozen(value) for name, value in found.items()}
-    return {**stage, **{name: values.get(name, 0.0) for name in ("decades", "initial")}}
+    return {**stage, **{name: values.get(name, 0.0) for name in ("decades", "initial", "onset", "lasts", "smooth")}}
 
 
 def _is_straight(values: Values) -> Any:
@@ -214,25 +258,32 @@ def _time_constant(values: Values) -> Array:
 
 def _share_of_span(values: Values) -> Array:
     """Share (A,) of a drift that has come after `span`."""
-    tau, decades, span = (
-        np.array(value, dtype=float)
-        for value in np.broadcast_arrays(_time_constant(values), values.get("decades", 0.0), values["span"])
+    tau, decades, onset, lasts, smooth, span = (
+        np.atleast_1d(np.array(value, dtype=float))
+        for value in np.broadcast_arrays(
+            _time_constant(values), *(values.get(name, 0.0) for name in ("decades", "onset", "lasts", "smooth")), values["span"]
+        )
     )
-    times = drift_times(np.atleast_1d(tau), np.atleast_1d(decades))
-    return np.array([arrived(np.array([end]), times)[0, axis] for axis, end in enumerate(np.atleast_1d(span))])
+    times = drift_times(tau, decades)
+    return np.array([arrived(np.array([end]), times, onset, lasts, smooth)[0, axis] for axis, end in enumerate(span)])
 
 
 def drift_variants(around: Surroundings) -> tuple[Values, ...]:
-    """A drift of any course; a straight one, which is one number and not four; and one that goes ever faster.
+    """A drift of any course; a straight one, which is one number and not four; one that goes ever faster; one within the record.
 
     Parameters
     ----------
     around
         Record that the sizes are judged by.
     """
-    settling = {"span": around.duration, "growth": 0.0}
+    whole = {"span": around.duration, "onset": 0.0, "lasts": 0.0, "smooth": 0.0}
     straight = {"tau": STRAIGHT * around.duration, "decades": 0.0, "initial": 0.0}
-    return settling, {**settling, **straight}, {"span": around.duration, **straight}
+    return (
+        {**whole, "growth": 0.0},
+        {**whole, **straight, "growth": 0.0},
+        {**whole, **straight},
+        {"span": around.duration, **straight, "growth": 0.0},
+    )
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:

@@ -11,12 +11,15 @@ from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scala
 from hyst_control.chain.stage import per_axis_scalars, register
 from hyst_control.effects.effect import Companion, Effect, Parameter
 from hyst_control.effects.gain_drift import (
+    LASTS,
+    ONSET,
+    SMOOTH,
     TIME_CONSTANT,
     arrived,
     check_time_constant,
     drift_code,
+    drift_course,
     drift_parameters,
-    drift_times,
     drift_variants,
     in_the_end,
     stage_values,
@@ -27,7 +30,7 @@ from hyst_control.effects.time_dependent import TimedStage
 @register
 @dataclass(frozen=True)
 class OffsetDrift(TimedStage):
-    """y = u + change (initial + a(t)), t from the start of the record; a: see `arrived`; initial -1: settles at the model's zero."""
+    """y = u + change (initial + a(t)), t from onset on; a: see `arrived`; initial -1: settles at the model's zero."""
 
     name: ClassVar[str] = "offset_drift"
     equation: ClassVar[str] = r"y(t) = u(t) + \mathrm{change} \left(\mathrm{initial} + a(t)\right)"
@@ -35,14 +38,17 @@ class OffsetDrift(TimedStage):
     tau: ScalarPerAxis = scalar("s", TIME_CONSTANT)
     decades: ScalarPerAxis = scalar("", "over which several time constants are spread; 0: one", default=0.0, lower=0.0, upper=20.0)
     initial: ScalarPerAxis = scalar("", "part of the change that is there at the start", default=0.0)
+    onset: ScalarPerAxis = scalar("s", ONSET, default=0.0, lower=0.0)
+    lasts: ScalarPerAxis = scalar("s", LASTS, default=0.0, lower=0.0)
+    smooth: ScalarPerAxis = scalar("", SMOOTH, default=0.0, lower=0.0, upper=1.0)
 
     def check(self) -> None:
         check_time_constant(self.tau)
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
         change, initial = per_axis_scalars(self, axes, "change", "initial")
-        times = drift_times(*per_axis_scalars(self, axes, "tau", "decades"))
-        return lambda u, t: u + change * (initial + arrived(t[:, 0], times))
+        course = drift_course(self, axes)
+        return lambda u, t: u + change * (initial + arrived(t[:, 0], *course))
 
     def function_in_c(self, axes: int) -> CCode:
         return drift_code(self, axes, "u + (p->change[i] * (p->initial[i] + SHARE))", "offset drift")
@@ -57,7 +63,8 @@ EFFECT = Effect(
         *drift_parameters(around),
     ),
     lambda values, around: OffsetDrift(**stage_values({"span": around.duration, **values})),
-    variants=lambda around: tuple(one for one in drift_variants(around) if "growth" not in one or "tau" not in one),
+    # A straight one over the whole record is the drift of a session, which every explanation has.
+    variants=lambda around: (drift_variants(around)[0], *drift_variants(around)[2:]),
     summary=in_the_end,
     drifts=True,
     companion=Companion(1, "change", 2.0),

@@ -17,7 +17,7 @@ from hyst_control.blind_test.effect_sizes import REALIZATIONS, SEVERITIES, UNTUN
 from hyst_control.blind_test.metric import wilson
 from hyst_control.blind_test.plant_setups import PLANTS, SETUPS
 from hyst_control.blind_test.published_labels import rounded
-from hyst_control.blind_test.scores import conformal, metrics
+from hyst_control.blind_test.scores import conformal, metrics, novelty_quantile
 from hyst_control.cli import main
 from hyst_plant_sim.physics import EFFECTS
 from hyst_plant_sim.physics import PLANTS as TRUTH_PLANTS
@@ -240,7 +240,12 @@ def test_the_novelty_score_ranks_the_open_set():
     pairs += [pair("open_set", truncated | {"novelty": 0.25 + 0.1 * k}) for k in range(3)]
     found = {metric.name: metric for metric in metrics(pairs)}
     assert found["open set: AUROC of the novelty score"].value == pytest.approx((25.5 + 30 + 30) / 90)
-    assert next(one for name, one in found.items() if "4 % exceed" in name).value == pytest.approx(0.29)
+
+
+def test_of_all_single_effects_four_percent_exceed_the_novelty_quantile():
+    reports = [{"novelty": 0.01 * k} for k in range(30)]
+    assert novelty_quantile(reports)[0].value == pytest.approx(0.29)
+    assert novelty_quantile(reports[:10]) == []  # ten scores say nothing of one in twenty-five
 
 
 def test_last_digits_of_a_processor_do_not_change_the_hash_of_labels():

@@ -244,11 +244,24 @@ VARIANTS = {
     ),
     "gain_drift, several time constants": (
         "gain_drift",
-        lambda n: {"change": spread(n, 0.1, -0.2), "tau": spread(n, 0.02, 0.1), "decades": spread(n, 1.5, 0.0), "initial": -0.4},
+        lambda n: {
+            "change": spread(n, 0.1, -0.2),
+            "tau": spread(n, 0.02, 0.1),
+            "decades": spread(n, 1.5, 0.0),
+            "initial": -0.4,
+            "onset": 3e-3,
+        },
     ),
     "offset_drift, several time constants": (
         "offset_drift",
-        lambda n: {"change": spread(n, 0.1, -2.0), "tau": 0.02, "decades": spread(n, 0.5, 3.0), "initial": spread(n, -1.0, 0.0)},
+        lambda n: {
+            "change": spread(n, 0.1, -2.0),
+            "tau": 0.02,
+            "decades": spread(n, 0.5, 3.0),
+            "initial": spread(n, -1.0, 0.0),
+            "lasts": spread(n, 0.01, 0.0),
+            "smooth": 0.7,
+        },
     ),
     "hysteresis_shape, behind": (
         "hysteresis_shape",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,26 @@ def test_cases_short_of_every_threshold_are_in_order():
     little, more = (decide(evidence(effect("a", left=1.0 + left)), LIMITS) for left in (0.02, 0.08))
     assert little.remainder == more.remainder == 0.0
     assert 0.0 < little.novelty < more.novelty < 0.5
+
+
+@pytest.mark.parametrize("row", TABLE, ids=lambda row: row.rule)
+def test_the_verdict_is_unknown_beyond_the_conformal_threshold_alone(row):
+    """Between a half and twice the threshold of a rule, the calibrated one decides; the score has it at one half."""
+    for threshold in (0.5, 2.0):
+        decision = decide(row.evidence, replace(LIMITS, novelty_threshold=threshold))
+        usual = decide(row.evidence, LIMITS)
+        assert (decision.novelty > 0.5) == (decision.verdict is V.UNKNOWN)
+        if Reason.AT_BOUND not in usual.reasons and decision.verdict is not usual.verdict:
+            assert V.UNKNOWN in (decision.verdict, usual.verdict)
+            clearest = usual.novelty / (1.0 - usual.novelty)
+            assert min(1.0, threshold) < clearest <= max(1.0, threshold) + 1e-9
+
+
+def test_a_little_more_than_a_rule_allows_is_unknown_by_that_rule_and_known_by_a_wider_threshold():
+    over = evidence(effect("a", left=1.0 + 0.09 * (BEFORE - 1.0)))  # 9 % of the gap's energy; the rule is 6 %
+    decisions = [decide(over, replace(LIMITS, novelty_threshold=threshold)) for threshold in (1.0, 1.6)]
+    assert [one.verdict for one in decisions] == [V.UNKNOWN, V.EFFECT]
+    assert decisions[0].novelty == pytest.approx(1.5 / 2.5) and decisions[1].novelty == pytest.approx(1.5 / 3.1)
 
 
 def test_nothing_is_decided_without_the_residual_of_a_contender():

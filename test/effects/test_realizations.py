@@ -276,6 +276,32 @@ def test_a_drift_that_goes_ever_faster_is_told_over_the_record(name):
     assert found[len(time) // 2] - 1.0 < 0.4 * change
 
 
+@pytest.mark.parametrize("name", ["gain_drift", "offset_drift"])
+@pytest.mark.parametrize("onset, lasts, come", [(0.5, 1.0, 1.0), (0.0, 0.3, 1.0), (1.2, 2.0, 0.4)])
+def test_a_drift_within_the_record_is_a_ramp_between_two_times(name, onset, lasts, come):
+    """By its closed form; told is what comes over the record, which ends before the last of these drifts does."""
+    around = replace(AROUND, duration=2.0)
+    ramp = next(one for one in EFFECTS[name].variants(around) if "onset" not in one)
+    values = {"change": 0.05, "onset": onset, "lasts": lasts, "smooth": 0.0, **ramp}
+    values |= EFFECTS[name].summary(values)
+    assert values["change"] == 0.05
+    time = STEP * np.arange(1, round(2.0 / STEP) + 1)
+    found = run([EFFECTS[name].stage(values, around)], np.ones(len(time)))
+    expected = 0.05 * np.clip((time - onset) / lasts, 0.0, 1.0) / come
+    np.testing.assert_allclose(found, 1.0 + expected, atol=0.01 * 0.05 / come)
+
+
+@pytest.mark.parametrize("name", ["gain_drift", "offset_drift"])
+def test_a_smooth_drift_within_the_record_is_near_a_logistic_curve(name):
+    """As of a stage that warms up and settles: within 3 % of what comes, at every time."""
+    around = replace(AROUND, duration=2.0)
+    ramp = next(one for one in EFFECTS[name].variants(around) if "onset" not in one)
+    values = {"change": 0.05, "onset": 0.6375, "lasts": 0.725, "smooth": 1.0, **ramp}
+    time = STEP * np.arange(1, round(2.0 / STEP) + 1)
+    found = run([EFFECTS[name].stage(values, around)], np.ones(len(time)))
+    np.testing.assert_allclose(found, 1.0 + 0.05 / (1.0 + np.exp(-(time - 1.0) / 0.1)), atol=0.035 * 0.05)
+
+
 def test_a_drift_needs_a_time_constant():
     for name in ("gain_drift", "offset_drift"):
         with pytest.raises(InputError, match="tau: must not be 0 s"):
