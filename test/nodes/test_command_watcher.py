@@ -279,6 +279,14 @@ def wait(condition, processes, timeout=60.0):
         time.sleep(0.01)
 
 
+def wait_for_commands(run, watcher, processes):
+    """Wait for the commands of this run of the feedback: those of the one before may still be on their way when it starts."""
+    log = processes.log("pi_feedback")
+    wait(lambda: sum(line.endswith("]: running") for line in log.read_text().splitlines()) >= run, processes)
+    count = len(watcher.command())
+    wait(lambda: len(watcher.command()) > count + 60 and watcher.last[0] > 25.0, processes)
+
+
 @pytest.mark.parametrize("schedule", ["timer", "lockstep"])
 def test_feedback_that_ends_leaves_nothing_behind(tmp_path, domain, schedule):
     """By SIGTERM it brings the actuator to its safe value itself; after SIGKILL the watchdog does; it starts again; at last SIGINT."""
@@ -287,10 +295,9 @@ def test_feedback_that_ends_leaves_nothing_behind(tmp_path, domain, schedule):
     try:
         with Processes(tmp_path / "log", domain) as processes:
             processes.compose({name: {**own, **common} for name, own in PROCESSES.items()})
-            for number in (signal.SIGTERM, signal.SIGKILL):
-                count = len(watcher.command())
+            for run, number in enumerate((signal.SIGTERM, signal.SIGKILL), 1):
                 feedback = processes.start("pi_feedback", {**FEEDBACK, **common})
-                wait(lambda count=count: len(watcher.command()) > count + 60 and watcher.last[0] > 25.0, processes)
+                wait_for_commands(run, watcher, processes)
                 feedback.send_signal(number)
                 status = feedback.wait(20)
                 if number == signal.SIGKILL:
@@ -302,9 +309,8 @@ def test_feedback_that_ends_leaves_nothing_behind(tmp_path, domain, schedule):
                     assert status == 0 and "Traceback" not in processes.log("pi_feedback").read_text()
                     wait(lambda: watcher.last == (SAFE,), processes)
             processes.start("pi_feedback", {**FEEDBACK, **common})
-            count = len(watcher.command())
-            wait(lambda: len(watcher.command()) > count + 60 and watcher.last[0] > 25.0, processes)
-            assert all(each == 0 for each in processes.stop().values())
+            wait_for_commands(3, watcher, processes)
+            assert set(processes.stop().values()) == {0}
             assert "Traceback" not in processes.log("pi_feedback").read_text()
         assert watcher.last == (SAFE,)
         watcher.check()
