@@ -47,7 +47,7 @@ class Thresholds:
     novelty_threshold: float = _setting(
         "1",
         "clearest sign of an unknown effect, as a multiple of its rule's threshold, beyond which the verdict is unknown: conformal, "
-        "of single effects on tuning seeds 4 % exceed it",
+        "of single effects on tuning seeds at most 4 % exceed it",
     )
     most_effects: int = _setting(
         "effects", "most that may act together on an axis; beyond, an effect outside the catalogue is likelier"

@@ -2,7 +2,7 @@
 
 A sign is a number of which 1 is the threshold that a rule was set with. Rules of several conditions count as their weakest one, and
 nothing is truncated, so that explanations short of every threshold are in order as well. The verdict is `unknown` where the clearest sign
-exceeds `novelty_threshold`, a conformal threshold: of single effects that diagnoses were calibrated on, 4 % exceed it.
+exceeds `novelty_threshold`, a conformal threshold: of the single effects that it was calibrated on, at most 4 % exceed it.
 """
 
 from __future__ import annotations

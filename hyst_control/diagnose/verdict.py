@@ -110,7 +110,7 @@ class Decision:
     unexplained : float
         Share of the gap's energy that no known effect explains with coefficients that are near their tolerances, however small.
     novelty : float
-        Novelty score, 0 … 1: m / (1 + m), m by how many times the clearest sign of an unknown effect exceeds its threshold.
+        Novelty score, 0 … 1: m / (m + q), m the clearest sign of an unknown effect, q the conformal threshold; see `novelty`.
 
     """
 
