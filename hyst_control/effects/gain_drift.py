@@ -22,8 +22,8 @@ STEPS = (np.arange(6) + 0.5) / 6.0 - 0.5
 STRAIGHT = 10.0
 """Time constant, in lengths of the record, from which a drift is straight."""
 
-ONSET = "time at which it begins"
-LASTS = "time after which it stays where it is; 0: it does not"
+ONSET = "time from the start of the record at which it begins"
+LASTS = "time for which it goes on from there; then it stays where it is; 0: it goes on for ever"
 SMOOTH = "how smoothly it begins and ends: 0 with corners, 1 in an S"
 TIME_CONSTANT = "time constant, the geometric mean of several; negative of a drift that goes ever faster"
 """The parameter `tau` of a drift's stage."""
@@ -120,7 +120,7 @@ def arrived(times: Array, constants: Array, onset: Array, lasts: Array, smooth: 
     constants
         (A, K), s; see `drift_times`.
     onset, lasts
-        (A,), s: when it begins, and how long it goes on; then it stays where it is; 0: it does not.
+        (A,), s: when it begins, and for how long it then goes on; 0: for ever.
     smooth
         (A,), 0 to 1.
 
@@ -203,6 +203,7 @@ def drift_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """
     length = around.duration
     least = max(0.05 * length, around.begin)
+    lasting = tuple(max(share * length, least) for share in (0.15, 0.3, 0.5, 0.85))  # a corner is found from nearby alone
     return (
         Parameter("tau", "s", length, (max(0.2 * length, least), length), least, STRAIGHT * length, 1.0, True),
         Parameter("decades", "", 0.0, (0.0, 1.5), 0.0, 3.0, 1.0, told=False),
@@ -210,7 +211,7 @@ def drift_parameters(around: Surroundings) -> tuple[Parameter, ...]:
         Parameter("span", "s", length, (length,), 0.0, STRAIGHT * length, 1.0, told=False),
         Parameter("growth", "", 0.0, (1.0,), 0.0, FASTEST, 1.0, told=False),
         Parameter("onset", "s", 0.0, (0.0, 0.4 * length), 0.0, 0.9 * length, 0.3 * length, told=False),
-        Parameter("lasts", "s", length, (max(0.15 * length, least), 0.5 * length), least, length, 0.3 * length, told=False),
+        Parameter("lasts", "s", length, lasting, least, length, 0.3 * length, told=False),
         Parameter("smooth", "", 0.0, (0.5,), 0.0, 1.0, 0.5, told=False),
     )
 
@@ -269,7 +270,7 @@ def _share_of_span(values: Values) -> Array:
 
 
 def drift_variants(around: Surroundings) -> tuple[Values, ...]:
-    """A drift of any course; a straight one, which is one number and not four; one that goes ever faster; one within the record.
+    """A drift of any course; a straight one, which is one number and not four; one that goes ever faster; two within the record.
 
     Parameters
     ----------
@@ -282,6 +283,7 @@ def drift_variants(around: Surroundings) -> tuple[Values, ...]:
         {**whole, "growth": 0.0},
         {**whole, **straight, "growth": 0.0},
         {**whole, **straight},
+        {"span": around.duration, **straight, "growth": 0.0, "onset": 0.0, "smooth": 0.0},
         {"span": around.duration, **straight, "growth": 0.0},
     )
 

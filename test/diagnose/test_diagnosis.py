@@ -67,6 +67,15 @@ def test_creep_is_named_where_the_tolerances_leave_it_room():
     assert named["parameters"]["gamma"]["value"] == pytest.approx(0.03, rel=0.1)
 
 
+@pytest.mark.parametrize("name, change", [("offset_drift", -0.15), ("gain_drift", 0.03)])
+@pytest.mark.parametrize("tau", [0.1, 0.3])
+def test_a_drift_that_ends_within_the_record_is_named(answer, name, change, tau):
+    """Straight for this time of the 0.34 s, then constant (law 1 of the plant)."""
+    document, _, _ = answer(PEA, (("name", name), ("change", change), ("tau", tau), ("law", 1)))
+    assert (document["verdict"], [row["name"] for row in document["effects"]]) == ("effect", [name])
+    assert document["effects"][0]["parameters"]["change"]["value"] == pytest.approx(change, rel=0.1)
+
+
 def test_two_effects_are_both_named(answer):
     document, _, _ = answer(PEA, DELAY, BACKLASH)
     assert {row["name"] for row in document["effects"]} >= {"delay", "backlash"}
