@@ -204,7 +204,8 @@ class Problem:
             len(self.model.axes),
             self.slowest,
             shared_modes(poles),
-            min(0 if piece.keep is None else int(np.argmax(piece.keep)) for piece in self.pieces) * self.sample_time,
+            min(_first(piece, np.ones(len(piece.command), dtype=bool)) for piece in self.pieces) * self.sample_time,
+            min(_first(piece, np.any(piece.command != piece.command[0], axis=1)) for piece in self.pieces) * self.sample_time,
             self._modelled,
             poles,
         )
@@ -218,6 +219,11 @@ class Problem:
             return None
         low, high = float(output.min()), float(output.max())
         return (low, high) if np.isfinite(low) and np.isfinite(high) and low < high else None
+
+
+def _first(piece: Piece, where: Array) -> int:
+    """First sample of a record that counts and at which something holds; 0 where there is none."""
+    return int(np.argmax(where if piece.keep is None else where & piece.keep))
 
 
 def shared_poles(model: Model) -> tuple[complex, ...]:

@@ -69,6 +69,8 @@ class Surroundings:
         stands for two real poles.
     begin
         s from the start of the record to the first sample that is compared.
+    moved
+        s from the start of the record to the first sample that is compared at which the command has moved.
     modelled
         Range of what the nominal model simulates on the record, in the measurement's unit; None where that is not known.
     poles
@@ -84,6 +86,7 @@ class Surroundings:
     slowest: float | None = None
     modes: tuple[tuple[float, float], ...] = ()
     begin: float = 0.0
+    moved: float = 0.0
     modelled: tuple[float, float] | None = None
     poles: tuple[complex, ...] = ()
 

@@ -188,22 +188,24 @@ def drift_code(stage: Stage, axes: int, expression: str, title: str) -> CCode:
     )
 
 
-def drift_parameters(around: Surroundings) -> tuple[Parameter, ...]:
+def drift_parameters(around: Surroundings, seen: float) -> tuple[Parameter, ...]:
     """Parameters of a drift's course.
 
     The time constant goes from a twentieth of the record to so long that the drift is straight. A drift that goes ever faster is a
     straight one with a growth: the record's length in time constants. A drift that begins or ends within the record is a straight one
-    between the two, or goes in an S: which is near to any other that does. A drift that has settled before the first sample that is
-    compared would be a constant.
+    between the two, or goes in an S: which is near to any other that does. A drift that has settled before it could be seen would be a
+    constant.
 
     Parameters
     ----------
     around
         Record that the sizes are judged by.
+    seen
+        s from the start of the record to the first sample at which the drift shows.
     """
     length = around.duration
-    least = max(0.05 * length, around.begin)
-    lasting = tuple(max(share * length, least) for share in (0.15, 0.3, 0.5, 0.85))  # a corner is found from nearby alone
+    least, shortest = max(0.05 * length, around.begin), min(0.05 * length + seen, length)
+    lasting = tuple(max(share * length, shortest) for share in (0.15, 0.3, 0.5, 0.85))  # a corner is found from nearby alone
     return (
         Parameter("tau", "s", length, (max(0.2 * length, least), length), least, STRAIGHT * length, 1.0, True),
         Parameter("decades", "", 0.0, (0.0, 1.5), 0.0, 3.0, 1.0, told=False),
@@ -211,7 +213,7 @@ def drift_parameters(around: Surroundings) -> tuple[Parameter, ...]:
         Parameter("span", "s", length, (length,), 0.0, STRAIGHT * length, 1.0, told=False),
         Parameter("growth", "", 0.0, (1.0,), 0.0, FASTEST, 1.0, told=False),
         Parameter("onset", "s", 0.0, (0.0, 0.4 * length), 0.0, 0.9 * length, 0.3 * length, told=False),
-        Parameter("lasts", "s", length, lasting, least, length, 0.3 * length, told=False),
+        Parameter("lasts", "s", length, lasting, shortest, length, 0.3 * length, told=False),
         Parameter("smooth", "", 0.0, (0.5,), 0.0, 1.0, 0.5, told=False),
     )
 
@@ -301,7 +303,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
         if around.slowest is None
         else Parameter("change", "", 0.0, (0.01,), -0.8, 4.0, 0.1)
     )
-    return change, *drift_parameters(around)
+    return change, *drift_parameters(around, around.moved)
 
 
 EFFECT = Effect(

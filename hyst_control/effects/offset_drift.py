@@ -60,7 +60,7 @@ EFFECT = Effect(
     "The zero changes over the record.",
     lambda around: (
         Parameter("change", "unit", 0.0, (0.01 * around.stroke,), -0.5 * around.stroke, 0.5 * around.stroke, 0.03 * around.stroke),
-        *drift_parameters(around),
+        *drift_parameters(around, around.begin),
     ),
     lambda values, around: OffsetDrift(**stage_values({"span": around.duration, **values})),
     # A straight one over the whole record is the drift of a session, which every explanation has.
