@@ -221,7 +221,7 @@ class Problem:
         return (low, high) if np.isfinite(low) and np.isfinite(high) and low < high else None
 
 
-def _first(piece: Piece, where: Array) -> int:
+def _first(piece: Piece, where: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> int:
     """First sample of a record that counts and at which something holds; 0 where there is none."""
     return int(np.argmax(where if piece.keep is None else where & piece.keep))
 
