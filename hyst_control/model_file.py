@@ -18,7 +18,7 @@ from hyst_control.chain.stage import HOLDS
 from hyst_control.errors import InputError
 from hyst_control.files import write_text
 from hyst_control.records.row_store import blocks, empty_rows
-from hyst_control.yaml_files import read_yaml
+from hyst_control.yaml_files import EXPONENT, read_yaml
 
 FORMAT = "hyst_control/model"
 VERSION = 1
@@ -503,7 +503,7 @@ def _plain(value: Any) -> Any:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Lists of numbers on one line, everything else in block style."""
+    """Lists of numbers on one line, everything else in block style; a text that reads as a number, such as 1e3, in quotes."""
 
 
 def _represent_list(dumper: yaml.SafeDumper, value: list[Any]) -> Any:
@@ -512,3 +512,4 @@ def _represent_list(dumper: yaml.SafeDumper, value: list[Any]) -> Any:
 
 
 _Dumper.add_representer(list, _represent_list)
+_Dumper.add_implicit_resolver(*EXPONENT)

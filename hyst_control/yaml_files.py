@@ -30,7 +30,8 @@ MOST_KEYS = 10_000
 MOST_CHARACTERS = 2**16
 """Length of one value: a number of a million digits takes minutes to read."""
 
-_EXPONENT = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
+EXPONENT = ("tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789"))
+"""Texts that are numbers everywhere but in YAML 1.1, as the rule that loader and dumper take."""
 
 
 def read_yaml(path: str | Path, remedy: str = "give the path of a YAML file") -> Any:
@@ -144,4 +145,4 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
         return dict(super().construct_mapping(node, deep))
 
 
-_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("-+.0123456789"))
+_Loader.add_implicit_resolver(*EXPONENT)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from hyst_control.chain import STAGES
@@ -92,6 +92,8 @@ def test_every_shipped_model_loads_runs_and_survives_saving(path, tmp_path):
     name=st.text(max_size=20),
     sample_time=st.floats(1e-6, 1.0),
 )
+@example(numbers=[1.0], tau=0.0, name="1e3", sample_time=1.0)
+@example(numbers=[1.0], tau=0.0, name="0E0", sample_time=1.0)
 def test_every_float_and_name_survives_to_the_last_bit(numbers, tau, name, sample_time, tmp_path):
     stages = (Delay(tau), PrandtlIshlinskii(tuple(range(len(numbers))), numbers), Gain(numbers[0]))
     units = {"command": "V", "measurement": "um"}

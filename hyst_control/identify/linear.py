@@ -20,7 +20,7 @@ from hyst_control.identify.dataset import Dataset, Fit, OrderRow, Report, check_
 from hyst_control.identify.estimator import Estimator, register
 from hyst_control.identify.excited_band import REACH
 from hyst_control.identify.fit_report import command_bandwidth, noise_sigma, record_rows
-from hyst_control.identify.modal_candidate import Candidate, error_of, information, refined
+from hyst_control.identify.modal_candidate import Candidate, equations, error_of, information, refined
 from hyst_control.identify.modal_fit import subspace
 from hyst_control.identify.modal_model import ModalModel, Spectra
 from hyst_control.identify.modal_stages import (
@@ -355,6 +355,7 @@ def choose(
     rows : list of OrderRow
         A row per model tried.
     """
+    negligible = negligible_improvement(held_out)
     rows: list[OrderRow] = []
     tried: list[tuple[float, Candidate]] = []
     starts = {tuple(delay): subspace(train, orders, delay, hold, direct) for delay in delays}
@@ -380,15 +381,28 @@ def choose(
             )
             scored.append((score, candidate))
         best = min(scored, key=lambda each: each[0])
-        gain = NEGLIGIBLE_IMPROVEMENT if held_out else 0.0
         lowest = min((score for score, _ in tried), default=np.inf)
-        stale = 0 if best[0] < lowest * (1.0 - np.sign(lowest) * gain) or not np.isfinite(lowest) else stale + 1
+        stale = 0 if best[0] < lowest * (1.0 - np.sign(lowest) * negligible) or not np.isfinite(lowest) else stale + 1
         tried.append(best)
         if stale >= 3:
             break
     lowest = min(score for score, _ in tried)
-    limit = lowest * (1.0 + NEGLIGIBLE_IMPROVEMENT) if held_out else lowest
+    limit = lowest * (1.0 + negligible) if held_out else lowest
     return next(candidate for score, candidate in tried if score <= limit), rows
+
+
+def negligible_improvement(held_out: Sequence[Spectra]) -> float:
+    """Share of the error on held-out data by which a larger model has to be better; 0 without such data.
+
+    `NEGLIGIBLE_IMPROVEMENT`, or the standard error of the error of few data: 1 / sqrt(2 E) of E equations with a white error.
+
+    Parameters
+    ----------
+    held_out
+        Spectra that models are judged by.
+    """
+    count = equations(held_out)
+    return max(NEGLIGIBLE_IMPROVEMENT, float(1.0 / np.sqrt(2.0 * count))) if count else 0.0
 
 
 def beyond_reach(model: ModalModel, data: Sequence[Spectra]) -> bool:
@@ -435,7 +449,7 @@ def _search(datasets: Sequence[Dataset], options: LinearOptions, orders: Sequenc
         return candidate.held_out if test else information(candidate, train)
 
     lowest = min(score(candidate) for candidate, _ in results)
-    limit = lowest + NEGLIGIBLE_IMPROVEMENT * abs(lowest) if test else lowest
+    limit = lowest + negligible_improvement(test) * abs(lowest) if test else lowest
     good = [(candidate.model.parameters, index) for index, (candidate, _) in enumerate(results) if score(candidate) <= limit]
     index = min(good)[1]
     delays, direct, free = variants[index]

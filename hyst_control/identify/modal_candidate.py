@@ -88,7 +88,8 @@ class Candidate:
 def error_of(model: ModalModel, data: Sequence[Spectra]) -> float:
     """Relative error (rms error / rms measurement) of a model on spectra.
 
-    Transients are fitted, as the state at the start of a cut is unknown.
+    Transients are fitted, as the state at the start of a cut is unknown; what they fit of the error by their number alone is added
+    again, so that a large model on a short cut gains nothing by them.
 
     Parameters
     ----------
@@ -103,9 +104,17 @@ def error_of(model: ModalModel, data: Sequence[Spectra]) -> float:
         The error.
     """
     problem = Problem(data, model)
+    free = 0
     if problem.records:
         problem.fit_linear("t", "d")
-    return float(np.sqrt(problem.cost() / problem.power))
+        free = sum(int(np.count_nonzero(problem.free[problem.layout.slices[kind]])) for kind in ("t", "d"))
+    count = equations(data)
+    return float(np.sqrt(problem.cost() / problem.power * count / max(count - free, 1)))
+
+
+def equations(data: Sequence[Spectra]) -> int:
+    """Number of real equations that spectra make."""
+    return sum(2 * spectra.measurement.size for spectra in data)
 
 
 def refined(data: Sequence[Spectra], start: ModalModel, direct: bool, free_delay: bool, iterations: int) -> Candidate:
@@ -130,8 +139,7 @@ def refined(data: Sequence[Spectra], start: ModalModel, direct: bool, free_delay
     began = time.perf_counter()
     problem = Problem(data, start, direct, free_delay)
     cost, matrix = refine(problem, iterations)
-    equations = sum(2 * spectra.measurement.size for spectra in data)
-    variance = cost / max(equations - problem.layout.size, 1)
+    variance = cost / max(equations(data) - problem.layout.size, 1)
     error = float(np.sqrt(cost / problem.power))
     return Candidate(problem.model, error, np.nan, matrix, variance, problem.layout, time.perf_counter() - began)
 
@@ -151,5 +159,5 @@ def information(candidate: Candidate, data: Sequence[Spectra]) -> float:
     float
         The criterion.
     """
-    equations = sum(2 * spectra.measurement.size for spectra in data)
-    return 2 * equations * float(np.log(candidate.fitted)) + candidate.model.parameters * float(np.log(equations))
+    count = equations(data)
+    return 2 * count * float(np.log(candidate.fitted)) + candidate.model.parameters * float(np.log(count))

@@ -103,7 +103,8 @@ def subspace(data: Sequence[Spectra], orders: Sequence[int], delay: Array, hold:
         z_poles = (1 + x) / (1 - x)
         modes = (basis[:outputs] @ vectors).T
         keep = (z_poles.imag > 1e-9) | ((np.abs(z_poles.imag) <= 1e-9) & (z_poles.real > 1e-3))
-        poles = np.log(np.where(np.abs(z_poles) > 1e-6, z_poles, 1e-6))[keep]
+        z_poles = z_poles[keep]
+        poles = np.log(np.where(np.abs(z_poles) > 1e-6, z_poles, 1e-6))
         poles = -np.maximum(np.abs(poles.real), 1e-5) + 1j * np.where(np.abs(poles.imag) > 1e-9, poles.imag, 0.0)
         c_modes = np.where((poles.imag == 0)[:, None], modes[keep].real, modes[keep])
         c_modes = c_modes / np.maximum(np.linalg.norm(c_modes, axis=1, keepdims=True), 1e-300)

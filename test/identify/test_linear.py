@@ -152,6 +152,28 @@ def test_one_line_tells_a_gain_and_no_more():
     np.testing.assert_allclose(np.ptp(found), 2 * 0.7, rtol=0.02)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_a_lag_read_at_unsteady_times_stays_a_lag(seed):
+    """A first-order lag behind a step of 40 V, solved in closed form between reads that come some ms late: 5 s at 50 Hz."""
+    rng, sample_time, lag = np.random.default_rng(seed), 0.02, 0.020
+    count = 269
+    lines, phases = np.arange(2, 21) / 4.0, rng.uniform(0.0, 2 * np.pi, 19)
+    time = np.arange(count) * sample_time
+    command = 40.0 + 8.0 * np.sqrt(2 / 19) * np.sum(np.sin(2 * np.pi * lines * time[:, None] + phases), axis=1)
+    reads = time + rng.exponential(0.5e-3, count) + np.where(rng.random(count) < 0.02, 8e-3, 0.0)
+    measurement, y, applied = np.empty(count), 0.12 * command[0], np.concatenate([command[:1], command])
+    for k in range(count):
+        step = reads[k] - reads[k - 1] if k else sample_time
+        y += (0.12 * applied[k] - y) * -np.expm1(-step / lag)
+        measurement[k] = y
+    found = identify([Dataset("late", command[:, None], measurement[:, None], sample_time, ("x",), "um", "zoh")], "linear")
+    t = np.arange(200) * sample_time
+    answer = simulate(found.model, 40.0 + 8.0 * np.sin(2 * np.pi * t)[:, None])[100:, 0]
+    gain = abs(np.exp(-2j * np.pi * t[100:]) @ (answer - answer.mean())) / 400.0
+    assert gain == pytest.approx(0.12 / abs(1 + 2j * np.pi * lag), rel=0.03)
+    assert found.report["states"] <= 3
+
+
 def test_a_long_record_is_taken_in_parts(monkeypatch):
     """A slow sweep, of which no part excites the whole band, and a rest at its end: as good as whole, and never held twice."""
     rows, part = 2**17, 2**13

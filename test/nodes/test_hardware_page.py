@@ -40,8 +40,8 @@ PROGRAMS = {
 }
 
 
-RECORDINGS = 4
-"""Recordings that are made at most: beside other tests a record on the wall clock may lack so many ticks that no good model comes of it."""
+RECORDINGS = 3
+"""Recordings that are made at most: beside other tests a record on the wall clock may lack so many ticks that no model comes of it."""
 
 
 def test_a_node_by_the_page_alone_is_recorded_and_identified(domain, tmp_path):
@@ -50,7 +50,7 @@ def test_a_node_by_the_page_alone_is_recorded_and_identified(domain, tmp_path):
         folder = tmp_path / str(number)
         folder.mkdir()
         status, told = recorded_and_identified(folder)
-        if status == 0 and rows(told) > 0.9 * 9.0 * 50.0:  # of 9 s at 50 Hz
+        if status == 0:
             break
     assert status == 0, told
     model = load_model(folder / "stage.yaml")
@@ -59,11 +59,6 @@ def test_a_node_by_the_page_alone_is_recorded_and_identified(domain, tmp_path):
     gain = abs(np.exp(-2j * np.pi * time[100:]) @ (answer - answer.mean())) / 400.0
     assert gain == pytest.approx(0.12 / abs(1 + 2j * np.pi * 0.020), rel=0.05), told
     assert json.loads((folder / "fit.json").read_text())["family"] == "linear"
-
-
-def rows(told: str) -> int:
-    """Rows of the record that the identification says it was fitted to."""
-    return sum(int(count) for count in re.findall(r"over (\d+) samples", told))
 
 
 def recorded_and_identified(folder: Path) -> tuple[int, str]:
