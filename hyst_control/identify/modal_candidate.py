@@ -113,7 +113,13 @@ def error_of(model: ModalModel, data: Sequence[Spectra]) -> float:
 
 
 def equations(data: Sequence[Spectra]) -> int:
-    """Number of real equations that spectra make."""
+    """Count the real equations that spectra make.
+
+    Parameters
+    ----------
+    data
+        Spectra of the records.
+    """
     return sum(2 * spectra.measurement.size for spectra in data)
 
 
