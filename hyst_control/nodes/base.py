@@ -71,9 +71,7 @@ class SignalNode(EndingNode):
         self.counts: Counter[str] = Counter()
         self.tick_timer = TickTimer(self, self.period, self.settings.block)
         self._simulated = bool(self.get_parameter("use_sim_time").value)
-        self._source_clocks = SourceClocks()
-        self._latest_tick = math.inf
-        self._polled_at: float | None = None  # s of the control clock, while a tick takes its messages
+        self.source_clocks = SourceClocks()
         self._warnings = ThrottledWarnings(self)
         self._diagnostics = DiagnosticsPublisher(self)
         self._state_log = StateLog(self, self.REMEDIES)
@@ -181,13 +179,6 @@ class SignalNode(EndingNode):
         return ""
 
     @property
-    def latest_tick(self) -> float:
-        """Tick that no row of an input may be beyond, under the timer."""
-        if self._polled_at is not None:  # once for all messages of a tick
-            return self._latest_tick
-        return float((self.tick_timer.now + self.settings.ahead) / self.period)
-
-    @property
     def control_time(self) -> float:
         """Time in s of the clock whose ticks the rows have, under the timer: that of the machine since its start, or the simulated one."""
         return self.ros_time if self._simulated else time.monotonic()
@@ -203,7 +194,7 @@ class SignalNode(EndingNode):
         return self.ros_time - self.control_time
 
     def heard(self, topic: str, newest: float) -> None:
-        """Compare a source's clock with this node's, under the timer.
+        """Compare a source's clock with this node's, under the timer; for messages that are not taken by a tick.
 
         Parameters
         ----------
@@ -213,8 +204,8 @@ class SignalNode(EndingNode):
             Time of the newest row of a message, s.
         """
         if not self.lockstep:
-            now = self._polled_at
-            self._source_clocks.heard(topic, newest - (self.control_time if now is None else now))
+            self.source_clocks.now = self.control_time
+            self.source_clocks.heard(topic, newest)
 
     @property
     def longest_age(self) -> float:
@@ -388,17 +379,14 @@ class SignalNode(EndingNode):
         tick : int
             Tick of the first sample.
         """
-        now = self.tick_timer.now
-        self._latest_tick = (now + self.settings.ahead) / self.period
-        self._polled_at = now
+        self.source_clocks.look_at(self.tick_timer.now, self.settings.ahead)
         for signal in self.inputs:
             signal.poll()
-        self._polled_at = None
         self.tick(tick)
 
     def after_tick(self) -> None:
         """Do what has time until the next tick, under the timer."""
-        self._tell()
+        next(self._telling, None)
 
     def time_ran_backwards(self, seconds: float) -> None:
         """Start again after the clock was set back, as by a restarted simulation.
@@ -454,16 +442,18 @@ class SignalNode(EndingNode):
 
     def _publish_diagnostics(self) -> None:
         """Publish the diagnostics; under the timer in steps after successive ticks, since all at once they take about a tick at 1 kHz."""
-        self._tell(whole=True)  # what no tick has gone on with
+        self._tell()  # what no tick has gone on with
         ticks = not self.lockstep and self.counts["ticks"] > self._diagnosed[1]
         self._telling = self._diagnostics_in_steps()
-        self._tell(whole=not ticks)
+        if ticks:
+            next(self._telling, None)
+        else:
+            self._tell()
 
-    def _tell(self, whole: bool = False) -> None:
-        """Go on with the diagnostics that are being published, by a step or to their end."""
+    def _tell(self) -> None:
+        """Go on with the diagnostics that are being published to their end."""
         for _ in self._telling:
-            if not whole:
-                return
+            pass
 
     def _diagnostics_in_steps(self) -> Iterator[None]:
         now = time.monotonic()
@@ -471,7 +461,7 @@ class SignalNode(EndingNode):
         missed = self.counts["missed ticks"]
         before, ticks_before, missed_before = self._diagnosed
         self._diagnosed = (now, ticks, missed)
-        wrong_clocks = self._source_clocks.look(self.longest_age, self.settings.ahead)
+        wrong_clocks = self.source_clocks.look(self.longest_age, self.settings.ahead)
         for topic, seconds in wrong_clocks.items():
             self.warn(f"{topic}: clock", f"{topic}: its times are {describe(seconds)} this node's clock: {CLOCK_REMEDY}")
         sources = {signal.topic: self.count_publishers(signal.topic) for signal in self.inputs}
@@ -490,7 +480,7 @@ class SignalNode(EndingNode):
         values: dict[str, Any] = {
             "schedule": self.settings.schedule,
             **({} if self.lockstep else {"offset to ROS time [s]": f"{self.offset_to_ros_time:.6f}"}),
-            **self._source_clocks.entries(),
+            **self.source_clocks.entries(),
             "rate [Hz]": f"{(ticks - ticks_before) / (now - before):.1f}",
             "ticks": ticks,
             "jitter [us]": f"{self.tick_timer.jitter.take() * 1e6:.1f}",

@@ -40,15 +40,17 @@ class LocalReceiver(Protocol):
     topic: str
     raw: bool
 
-    def hand(self, raw: bytes, block: Array | None = None) -> None:
+    def hand(self, raw: bytes, label: str, block: Array) -> None:
         """Queue a message.
 
         Parameters
         ----------
         raw : bytes
             The serialized message.
-        block : ndarray, shape (N, C), optional
-            Its rows, which nobody may change any more; to be decoded later if not given.
+        label : str
+            Its column label.
+        block : ndarray, shape (N, C)
+            Its rows, which nobody may change any more.
         """
 
 
@@ -107,7 +109,7 @@ class Sender:
                     self.within, self._looked = self.publisher.get_subscription_count() <= len(self._receivers), now
                 if self.within:
                     for receiver in self._receivers:
-                        receiver.hand(message, block)
+                        receiver.hand(message, self._encoder.label, block)
                     return
             try:
                 self.publisher.publish(message)
@@ -141,7 +143,7 @@ class CallbackSubscription:
         self.raw = not objects
         self.post: Callable[[CallbackSubscription], None] | None = None
         """Called for every message that was handed over, to arrange a call of `take`."""
-        self._handed: deque[bytes] = deque()
+        self._handed: deque[tuple[str, Array]] = deque()
         if self.raw:
             try:
                 self.subscription = node.create_subscription(Float64MultiArray, topic, self._on_bytes, QUEUE, raw=True)
@@ -151,24 +153,26 @@ class CallbackSubscription:
             self.subscription = node.create_subscription(Float64MultiArray, topic, self._on_message, QUEUE)
         self.topic = self.subscription.topic_name
 
-    def hand(self, raw: bytes, block: Array | None = None) -> None:
+    def hand(self, raw: bytes, label: str, block: Array) -> None:
         """Queue a message of a sender in this process.
 
         Parameters
         ----------
         raw : bytes
-            The serialized message.
-        block : ndarray, shape (N, C), optional
-            Not used: decoding costs little beside a callback.
+            The serialized message, which is not used.
+        label : str
+            Its column label.
+        block : ndarray, shape (N, C)
+            Its rows, which nobody may change any more.
         """
-        self._handed.append(raw)
+        self._handed.append((label, block))
         if self.post is not None:
             self.post(self)
 
     def take(self) -> None:
         """Deliver the oldest message that was handed over, if there is one."""
         if self._handed:
-            self._decode(self._handed.popleft())
+            self._callback(*self._handed.popleft())
 
     def _on_bytes(self, raw: bytes) -> None:
         while self._handed:  # they were sent before
@@ -192,6 +196,10 @@ class CallbackSubscription:
         self._callback(label, block)
 
 
+_Found = tuple[Any, int, str, Array | None]
+"""Message, its time in ns since the epoch, and label and rows where they need not be decoded."""
+
+
 class PolledSubscription:
     """Subscription without callbacks: its owner takes the messages when it is ready, many at a time.
 
@@ -210,19 +218,21 @@ class PolledSubscription:
         self.subscription = node.create_subscription(Float64MultiArray, topic, lambda message: None, QUEUE, raw=self.raw)
         self.topic = self.subscription.topic_name
         self._looked = -math.inf  # s, when the middleware was asked
-        self._handed: deque[tuple[Any, int, Array | None]] = deque(maxlen=QUEUE.depth)  # as many as the middleware would keep
+        self._handed: deque[_Found] = deque(maxlen=QUEUE.depth)  # as many as the middleware would keep
 
-    def hand(self, raw: bytes, block: Array | None = None) -> None:
+    def hand(self, raw: bytes, label: str, block: Array) -> None:
         """Queue a message of a sender in this process.
 
         Parameters
         ----------
         raw : bytes
             The serialized message.
-        block : ndarray, shape (N, C), optional
-            Its rows, which nobody may change any more; decoded from the message if not given.
+        label : str
+            Its column label.
+        block : ndarray, shape (N, C)
+            Its rows, which nobody may change any more.
         """
-        self._handed.append((raw, time.time_ns(), block))
+        self._handed.append((raw, time.time_ns(), label, block))
 
     def take(self, refused: Callable[[str], None], merge: bool = False) -> list[tuple[str, Array, int]]:
         """Take the messages that have arrived.
@@ -250,33 +260,30 @@ class PolledSubscription:
         self._looked = now
         with handle:
             while len(found) < QUEUE.depth and (message := handle.take_message(Float64MultiArray, raw)) is not None:
-                found.append((message[0], message[1]["received_timestamp"] or time.time_ns(), None))
+                found.append((message[0], message[1]["received_timestamp"] or time.time_ns(), "", None))
         return self._read(found, refused, merge)
 
-    def _read(
-        self, found: list[tuple[Any, int, Array | None]], refused: Callable[[str], None], merge: bool
-    ) -> list[tuple[str, Array, int]]:
+    def _read(self, found: list[_Found], refused: Callable[[str], None], merge: bool) -> list[tuple[str, Array, int]]:
         """Label, block and time of messages, see `take`."""
         raw, decode = self.raw, self._decoder.decode
         taken: list[tuple[str, Array, int]] = []
         begin, count = 0, len(found)
         while begin < count:
-            message, stamp, block = found[begin]
+            message, stamp, label, block = found[begin]
             begin += 1
-            try:
-                if block is None or merge:
+            if block is None or merge:
+                try:
                     label, block = decode(message) if raw else from_message(message)
-                    if merge and raw and label:
-                        block, begin, stamp = _joined(found, begin, block, stamp)
-                else:
-                    label = self._decoder.label_of(message)
-                taken.append((label, block, stamp))
-            except ValueError as error:
-                refused(str(error))
+                except ValueError as error:
+                    refused(str(error))
+                    continue
+                if merge and raw and label:
+                    block, begin, stamp = _joined(found, begin, block, stamp)
+            taken.append((label, block, stamp))
         return taken
 
 
-def _joined(found: list[tuple[Any, int, Array | None]], begin: int, block: Array, stamp: int) -> tuple[Array, int, int]:
+def _joined(found: list[_Found], begin: int, block: Array, stamp: int) -> tuple[Array, int, int]:
     """A block with those of the messages from `begin` on that have its label and size; behind the last one, and its time."""
     first = found[begin - 1][0]
     size, head, end = len(first), first[: -block.nbytes], begin
@@ -284,7 +291,7 @@ def _joined(found: list[tuple[Any, int, Array | None]], begin: int, block: Array
         end += 1
     if end == begin:
         return block, end, stamp
-    data = b"".join([message[len(head) :] for message, _, _ in found[begin - 1 : end]])
+    data = b"".join([message[len(head) :] for message, *_ in found[begin - 1 : end]])
     return np.frombuffer(data, np.float64).reshape(-1, block.shape[1]), end, found[end - 1][1]
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.nodes.message_io import PolledSubscription, Sender
+from hyst_control.nodes.source_clocks import SourceClocks
 from hyst_control.records.foreign_rows import Refusal, admit
 from hyst_control.records.row_repetition import SentRows
 from hyst_control.records.signal_rows import Receipt, SignalRows
@@ -26,13 +27,7 @@ class InputOwner(Protocol):
     counts: Counter[str]
     lockstep: bool
     period: float
-
-    @property
-    def latest_tick(self) -> float:
-        """Tick that no row may be beyond, under the timer."""
-
-    def heard(self, topic: str, newest: float) -> None:
-        """Compare the clock of a `topic`, whose newest row has the time `newest` in s, with the node's."""
+    source_clocks: SourceClocks
 
     def drop(self, topic: str, kind: str, reason: str) -> None:
         """Count a refused message of a `topic` by its `kind`, and log the `reason` at most once per interval."""
@@ -116,8 +111,9 @@ class Input:
             return
         lockstep, end = owner.lockstep, tick + len(block)
         if not lockstep:
-            owner.heard(self.topic, (end - 1) * owner.period)
-            if end > owner.latest_tick:
+            clocks = owner.source_clocks
+            clocks.heard(self.topic, (end - 1) * owner.period)
+            if end * owner.period > clocks.latest:
                 owner.drop(
                     self.topic,
                     "far ahead",

@@ -2,26 +2,50 @@
 
 from __future__ import annotations
 
+import math
+
 CLOCK_REMEDY = "a tick is floor(CLOCK_MONOTONIC / period) on one machine (docs/hardware.md)"
 
 
 class SourceClocks:
-    """Differences between the times of received rows and the clock, each the smallest since the last look."""
+    """Differences between the times of received rows and the clock, each the smallest since the last look.
+
+    Attributes
+    ----------
+    now : float
+        Time of the clock when the messages are taken, s: once for all of a tick.
+    latest : float
+        Time that no row may be beyond, s.
+    """
 
     def __init__(self) -> None:
+        self.now, self.latest = 0.0, math.inf
         self._least: dict[str, float] = {}
         self._told: dict[str, float] = {}
 
-    def heard(self, topic: str, ahead: float) -> None:
+    def look_at(self, now: float, most_ahead: float) -> None:
+        """Set the time for the messages that are taken next.
+
+        Parameters
+        ----------
+        now : float
+            Time of the clock, s.
+        most_ahead : float
+            Time that rows may be ahead of it, s.
+        """
+        self.now, self.latest = now, now + most_ahead
+
+    def heard(self, topic: str, newest: float) -> None:
         """Count a message.
 
         Parameters
         ----------
         topic : str
             Its topic.
-        ahead : float
-            Time of its newest row minus that of the clock, s; some milliseconds below 0 on one clock, or above for a lead.
+        newest : float
+            Time of its newest row, s: on one clock some milliseconds before `now`, or behind it by a lead.
         """
+        ahead = newest - self.now
         known = self._least.get(topic)
         if known is None or abs(ahead) < abs(known):
             self._least[topic] = ahead

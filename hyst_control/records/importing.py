@@ -180,7 +180,7 @@ def import_table(
         bad, first_bad, finite = 0, 0, True
         for part in blocks(end - begin):
             found = table[begin + part.start : begin + part.stop][:, wanted]
-            with np.errstate(over="ignore"):
+            with np.errstate(over="ignore", invalid="ignore"):  # a signalling NaN, too, is found below
                 scaled[part] = found * factor
             wrong = ~np.isfinite(scaled[part]).all(axis=1)
             if wrong.any():

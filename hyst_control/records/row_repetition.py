@@ -27,17 +27,19 @@ class RepetitionBackoff:
     """
 
     def __init__(self, now: float, longest: float = LONGEST_INTERVAL) -> None:
-        self._last, self._interval, self._longest = now, REPEAT_INTERVAL, longest
+        self.last = now
+        """Time in s of the last repetition, or of the last that was new if that came later."""
+        self._interval, self._longest = REPEAT_INTERVAL, longest
 
     def progress(self, now: float) -> None:
         """Note that something new came at this time (s)."""
-        self._last, self._interval = now, REPEAT_INTERVAL
+        self.last, self._interval = now, REPEAT_INTERVAL
 
     def due(self, now: float) -> bool:
         """True when a repetition is due at this time (s); it is then taken as done."""
-        if now - self._last <= self._interval:
+        if now - self.last <= self._interval:
             return False
-        self._last, self._interval = now, min(2.0 * self._interval, self._longest)
+        self.last, self._interval = now, min(2.0 * self._interval, self._longest)
         return True
 
 

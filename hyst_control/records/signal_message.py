@@ -170,11 +170,6 @@ class Decoder:
         self._label = ""
         self._shape = (0, 0)
 
-    def label_of(self, buffer: bytes) -> str:
-        """Label of the message in a `buffer`. Raises `InputError` as `decode` does."""
-        known = len(buffer) == self._length and buffer.startswith(self._header)
-        return self._label if known else self.decode(buffer)[0]
-
     def decode(self, buffer: bytes) -> tuple[str, NDArray[np.float64]]:
         """Label and block (N, C), a view of the buffer. Raises `InputError` as `decode` does."""
         if len(buffer) == self._length and buffer.startswith(self._header):

@@ -226,7 +226,6 @@ class SignalRows:
         self._newest = tick, rows
         self.arrived = now
         self._repeated_from = None
-        self._backoff.progress(now)
         return Receipt.ACCEPTED
 
     def repetition_due(self, now: float) -> int | None:
@@ -235,6 +234,8 @@ class SignalRows:
         Not while new rows come, since what goes on lacks nothing; and of two sources of one signal, which bring every tick twice,
         each repetition would cause others. So it is due the less often the longer repetitions have brought nothing.
         """
+        if self.arrived > self._backoff.last:
+            self._backoff.progress(self.arrived)
         if self._repeated_from is None or not self._backoff.due(now):
             return None
         oldest, self._repeated_from = self._repeated_from, None

@@ -57,6 +57,7 @@ def test_input_of_a_loop(bench, schedule):
         signal.receive(LABEL, row(first + 10**6, 1.0))
         assert node.counts["reference: out of order"] == 1
     else:
+        node.source_clocks.look_at(node.control_time, node.settings.ahead)
         for ahead in (10**6, 2000):
             signal.receive(LABEL, row(first + ahead, 1.0))
         assert node.counts["reference: far ahead"] == 2

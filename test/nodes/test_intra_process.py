@@ -82,7 +82,8 @@ def test_what_was_handed_over_is_taken_before_what_the_middleware_brings(ros_con
         reception = CallbackSubscription(node, "x", lambda label, block: heard.append(block[0, 0]), pytest.fail)
         encode = node.senders[0]._encoder.encode
         for tick in range(3):
-            reception.hand(encode(np.array([[float(tick), 0.0]])))
+            row = np.array([[float(tick), 0.0]])
+            reception.hand(encode(row), "time[s],x[V]", row)
         reception._on_bytes(encode(np.array([[3.0, 0.0]])))
         reception.take()
         assert heard == [0.0, 1.0, 2.0, 3.0]

@@ -35,11 +35,11 @@ class Lossy:
         self.hand, self.lost, self.count, self.missed = receiver.hand, lost, 0, 0
         receiver.hand = self
 
-    def __call__(self, raw, block=None):
+    def __call__(self, raw, label, block):
         if self.count in self.lost:
             self.missed += 1
         else:
-            self.hand(raw, block)
+            self.hand(raw, label, block)
         self.count += 1
 
 

@@ -58,7 +58,7 @@ class Receiver:
     def __init__(self):
         self.handed = []
 
-    def hand(self, raw, block=None):
+    def hand(self, raw, label, block):
         self.handed.append(raw)
 
 
@@ -132,7 +132,8 @@ def test_what_was_handed_over_comes_before_what_the_middleware_carried():
     got = []
     node = Middleware()
     subscription = CallbackSubscription(node, "topic", lambda label, block: got.append(block[0, 1]), pytest.fail)
-    subscription.hand(Encoder(LABEL).encode(np.array([[0.0, 7.0]])))
+    row = np.array([[0.0, 7.0]])
+    subscription.hand(Encoder(LABEL).encode(row), LABEL, row)
     node.callback(RAW)
     subscription.take()
     assert got == [7.0, 1.0]

@@ -112,6 +112,14 @@ def test_unusable_files_are_named(tmp_path, columns, rate, text, words):
         import_table(path, parse_columns(columns), rate)
 
 
+def test_a_signalling_nan_is_named_as_any_other(tmp_path):
+    table = np.array([[1.0, 2.0], [3.0, 4.0]])
+    table.view(np.uint64)[1, 1] = 0x7FF0000000000001
+    np.save(tmp_path / "bad.npy", table)
+    with pytest.raises(InputError, match="row 1 holds no finite number"):
+        import_table(tmp_path / "bad.npy", parse_columns("command=1[V],measurement=2[nm]"), 10.0)
+
+
 def test_the_measured_stack_becomes_a_bag_and_is_fitted(tmp_path, measured_data, capsys):
     """`hyst import` and `hyst identify` on a measured record, one cycle; scored on nested loops of another: at most 3.5 %."""
     files = [measured_data / "pea_p885" / name for name in ("Model_Vi_Do.dat", "Test_Vi_Do_Di.dat")]
