@@ -19,7 +19,8 @@ from hyst_control.diagnose.evidence_collection import (
     stated_noise,
     white_noise,
 )
-from hyst_control.diagnose.hypothesis import Member, catalogue
+from hyst_control.diagnose.hypothesis import Member
+from hyst_control.diagnose.hypothesis_catalogue import catalogue
 from hyst_control.diagnose.hypothesis_fit import Linearised, Solution, fit
 from hyst_control.diagnose.parameter_uncertainty import pinned, scatter_of, within_own_error
 from hyst_control.diagnose.policy import practical_floor

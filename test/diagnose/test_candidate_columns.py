@@ -9,7 +9,8 @@ from hyst_control.blind_test.case import Case
 from hyst_control.blind_test.case_records import record_of, run_case
 from hyst_control.blind_test.nominal_models import nominal
 from hyst_control.diagnose.diagnosis import problem_of
-from hyst_control.diagnose.hypothesis import Candidate, catalogue
+from hyst_control.diagnose.hypothesis import Candidate
+from hyst_control.diagnose.hypothesis_catalogue import catalogue
 from hyst_control.diagnose.problem import split
 
 

@@ -12,7 +12,8 @@ from hyst_control.diagnose import candidate_fits
 from hyst_control.diagnose.candidate_fits import begin
 from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.diagnosis import with_clean
-from hyst_control.diagnose.hypothesis import Candidate, catalogue
+from hyst_control.diagnose.hypothesis import Candidate
+from hyst_control.diagnose.hypothesis_catalogue import catalogue
 from hyst_control.diagnose.hypothesis_fit import fit
 from hyst_control.diagnose.hypothesis_search import search
 from hyst_control.diagnose.prepared_axis import prepare

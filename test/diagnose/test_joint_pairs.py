@@ -8,7 +8,8 @@ import pytest
 from hyst_control import parallel
 from hyst_control.chain import Chain
 from hyst_control.chain.linear import TransferFunction
-from hyst_control.diagnose.hypothesis import Candidate, Member, catalogue
+from hyst_control.diagnose.hypothesis import Candidate, Member
+from hyst_control.diagnose.hypothesis_catalogue import catalogue
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.hypothesis_search import Scored
 from hyst_control.diagnose.joint_pairs import joint_pairs

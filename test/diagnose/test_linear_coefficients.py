@@ -12,7 +12,8 @@ from hyst_control.chain import Chain
 from hyst_control.chain.linear import TransferFunction
 from hyst_control.diagnose.candidate_fits import Begun, begin, finish
 from hyst_control.diagnose.configuration import CONFIGURATION
-from hyst_control.diagnose.hypothesis import Candidate, catalogue
+from hyst_control.diagnose.hypothesis import Candidate
+from hyst_control.diagnose.hypothesis_catalogue import catalogue
 from hyst_control.diagnose.hypothesis_fit import TAIL, Linearised, fit
 from hyst_control.diagnose.parameter_uncertainty import scatter_of
 from hyst_control.diagnose.problem import Piece, Problem

@@ -12,7 +12,8 @@ from hyst_control.chain import Chain
 from hyst_control.chain.linear import TransferFunction
 from hyst_control.diagnose import null_distribution
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
-from hyst_control.diagnose.hypothesis import Member, catalogue
+from hyst_control.diagnose.hypothesis import Member
+from hyst_control.diagnose.hypothesis_catalogue import catalogue
 from hyst_control.diagnose.hypothesis_fit import Linearised
 from hyst_control.diagnose.null_distribution import cache_key, threshold
 from hyst_control.diagnose.parameter_uncertainty import scatter_of

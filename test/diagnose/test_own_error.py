@@ -16,7 +16,8 @@ from hyst_control.diagnose.attribution import _repetition, deviations
 from hyst_control.diagnose.baseline import with_discrepancy
 from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.evidence_collection import _has_holes
-from hyst_control.diagnose.hypothesis import Candidate, catalogue
+from hyst_control.diagnose.hypothesis import Candidate
+from hyst_control.diagnose.hypothesis_catalogue import catalogue
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.parameter_uncertainty import scatter_of, within_own_error
 from hyst_control.diagnose.problem import Piece, Problem

@@ -10,7 +10,8 @@ import pytest
 from hyst_control.chain import Chain
 from hyst_control.chain.linear import TransferFunction
 from hyst_control.diagnose.gap_reduction import widens
-from hyst_control.diagnose.hypothesis import Candidate, catalogue
+from hyst_control.diagnose.hypothesis import Candidate
+from hyst_control.diagnose.hypothesis_catalogue import catalogue
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.hypothesis_search import Scored
 from hyst_control.diagnose.parameter_uncertainty import scatter_of
