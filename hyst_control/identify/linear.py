@@ -275,7 +275,8 @@ def spectra_of(data: Dataset, period: int | None = None, most: int = MAX_LINES) 
 def held_out_split(datasets: Sequence[Dataset]) -> tuple[list[Dataset], list[Dataset]]:
     """Divide records into those to fit and those to judge by: every third record, or the last third of a single record.
 
-    No data are held out when the rest would not excite every axis, or the held-out part would hardly move.
+    Of the longest record too, where the records to fit would have fewer rows than those to judge by. No data are held out when the rest
+    would not excite every axis, or the held-out part would hardly move.
 
     Parameters
     ----------
@@ -290,13 +291,13 @@ def held_out_split(datasets: Sequence[Dataset]) -> tuple[list[Dataset], list[Dat
         Records to judge by, possibly none.
     """
     datasets = list(datasets)
-    if len(datasets) > 1:
-        held = datasets[2::3] or datasets[-1:]
-        kept = [data for data in datasets if not any(data is other for other in held)]
-    else:
-        data = datasets[0]
-        cut = 2 * len(data.command) // 3
-        kept, held = [data.rows(0, cut)], [data.rows(cut, len(data.command))]
+    held = datasets[2::3] or datasets[1:]
+    kept = [data for data in datasets if not any(data is other for other in held)]
+    if not held or sum(map(_length, kept)) < sum(map(_length, held)):
+        longest = max(datasets, key=_length)
+        cut = 2 * _length(longest) // 3
+        kept = [longest.rows(0, cut) if data is longest else data for data in datasets]
+        held = [longest.rows(cut, _length(longest))]
 
     def motion(records: list[Dataset]) -> Array:
         found: Array = np.sqrt(sum(_mean_square_step(data.command) for data in records) / len(records))

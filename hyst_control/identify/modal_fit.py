@@ -105,6 +105,8 @@ def subspace(data: Sequence[Spectra], orders: Sequence[int], delay: Array, hold:
         keep = (z_poles.imag > 1e-9) | ((np.abs(z_poles.imag) <= 1e-9) & (z_poles.real > 1e-3))
         z_poles = z_poles[keep]
         poles = np.log(np.where(np.abs(z_poles) > 1e-6, z_poles, 1e-6))
+        if not poles.size:  # what has no counterpart in continuous time may be a lag: the refinement begins with one in the band
+            poles, modes, keep = np.array([-top]), np.ones((1, outputs)), np.array([True])
         poles = -np.maximum(np.abs(poles.real), 1e-5) + 1j * np.where(np.abs(poles.imag) > 1e-9, poles.imag, 0.0)
         c_modes = np.where((poles.imag == 0)[:, None], modes[keep].real, modes[keep])
         c_modes = c_modes / np.maximum(np.linalg.norm(c_modes, axis=1, keepdims=True), 1e-300)

@@ -152,26 +152,43 @@ def test_one_line_tells_a_gain_and_no_more():
     np.testing.assert_allclose(np.ptp(found), 2 * 0.7, rtol=0.02)
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_a_lag_read_at_unsteady_times_stays_a_lag(seed):
-    """A first-order lag behind a step of 40 V, solved in closed form between reads that come some ms late: 5 s at 50 Hz."""
-    rng, sample_time, lag = np.random.default_rng(seed), 0.02, 0.020
-    count = 269
+def late_lag(seed: int, count: int = 269) -> tuple[np.ndarray, np.ndarray]:
+    """A first-order lag of 20 ms and 0.12 um/V, in closed form between reads at 50 Hz that come some ms late: command and result (N,)."""
+    rng = np.random.default_rng(seed)
     lines, phases = np.arange(2, 21) / 4.0, rng.uniform(0.0, 2 * np.pi, 19)
-    time = np.arange(count) * sample_time
+    time = np.arange(count) / 50.0
     command = 40.0 + 8.0 * np.sqrt(2 / 19) * np.sum(np.sin(2 * np.pi * lines * time[:, None] + phases), axis=1)
     reads = time + rng.exponential(0.5e-3, count) + np.where(rng.random(count) < 0.02, 8e-3, 0.0)
-    measurement, y, applied = np.empty(count), 0.12 * command[0], np.concatenate([command[:1], command])
+    steps, applied = np.diff(reads, prepend=reads[0] - 0.02), np.concatenate([command[:1], command])
+    measurement, y = np.empty(count), 0.12 * command[0]
     for k in range(count):
-        step = reads[k] - reads[k - 1] if k else sample_time
-        y += (0.12 * applied[k] - y) * -np.expm1(-step / lag)
+        y += (0.12 * applied[k] - y) * -np.expm1(-steps[k] / 0.020)
         measurement[k] = y
-    found = identify([Dataset("late", command[:, None], measurement[:, None], sample_time, ("x",), "um", "zoh")], "linear")
-    t = np.arange(200) * sample_time
+    return command, measurement
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("gap", [None, (42, 60), (100, 130)], ids=["whole", "early gap", "gap"])
+def test_a_lag_read_at_unsteady_times_stays_a_lag(seed, gap):
+    command, measurement = late_lag(seed)
+    parts = [slice(None)] if gap is None else [slice(0, gap[0]), slice(gap[1], None)]
+    records = [Dataset("late", command[part, None], measurement[part, None], 0.02, ("x",), "um", "zoh") for part in parts]
+    found = identify(records, "linear")
+    t = np.arange(200) / 50.0
     answer = simulate(found.model, 40.0 + 8.0 * np.sin(2 * np.pi * t)[:, None])[100:, 0]
     gain = abs(np.exp(-2j * np.pi * t[100:]) @ (answer - answer.mean())) / 400.0
-    assert gain == pytest.approx(0.12 / abs(1 + 2j * np.pi * lag), rel=0.03)
-    assert found.report["states"] <= 3
+    assert gain == pytest.approx(0.12 / abs(1 + 2j * np.pi * 0.020), rel=0.03)
+    assert 1 <= found.report["states"] <= 3
+
+
+@pytest.mark.parametrize(
+    ("lengths", "kept", "held"),
+    [([300], [200], [100]), ([300, 300], [300], [300]), ([90, 600], [90, 400], [200]), ([300] * 5, [300] * 4, [300])],
+)
+def test_the_smaller_part_of_the_rows_is_held_out(lengths, kept, held):
+    command = np.random.default_rng(1).normal(size=(max(lengths), 1))
+    records = [Dataset("r", command[:count], command[:count], 1e-3, ("x",), "um", "zoh") for count in lengths]
+    assert [[len(data.command) for data in part] for part in linear.held_out_split(records)] == [kept, held]
 
 
 def test_a_long_record_is_taken_in_parts(monkeypatch):
