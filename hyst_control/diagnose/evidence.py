@@ -367,6 +367,8 @@ class Evidence:
         Names of the effects that are a change of the plant with time.
     carried_share : float
         Energy of the error that is carried over, as a share of the motion's: so little of an effect's answer the model does not know.
+    ends_as : tuple of (str, str)
+        Effects that become a simpler one at an end of their ranges, each with that one.
 
     """
 
@@ -389,6 +391,7 @@ class Evidence:
     carried: bool = False
     drifts: frozenset[str] = frozenset()
     carried_share: float = 0.0
+    ends_as: tuple[tuple[str, str], ...] = ()
 
     def without(self, indices: Collection[int]) -> Evidence:
         """Drop hypotheses: they claim nothing, whatever they scored.

@@ -115,6 +115,7 @@ def collect(
         problem.is_carried,
         frozenset(name for name, effect in EFFECTS.items() if effect.drifts),
         problem.carried_share,
+        tuple((name, effect.ends_as) for name, effect in EFFECTS.items() if effect.ends_as is not None),
     )
     return Collected(evidence, hypotheses)
 

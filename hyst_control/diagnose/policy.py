@@ -422,17 +422,20 @@ def _probabilities(evidence: Evidence, claims: Sequence[int], thresholds: Thresh
 def _listed(
     evidence: Evidence, claims: Sequence[int], probability: Mapping[tuple[str, ...], float], thresholds: Thresholds
 ) -> tuple[int, ...]:
-    """Explanations to be named: one that is sure alone, else all that are probable."""
+    """Explanations to be named: one that is sure alone, else all that are probable, but none that the first one is an end of."""
     if not claims:
         return ()
-    first = probability[key(evidence.hypotheses[claims[0]])]
+    chosen = key(evidence.hypotheses[claims[0]])
+    first = probability[chosen]
     if first >= thresholds.sure_probability:
         return (claims[0],)
     best: dict[tuple[str, ...], int] = {}
     for index in claims:
         best.setdefault(key(evidence.hypotheses[index]), index)
     least = min(thresholds.listed_probability, first)  # of very many the best is named, though improbable
-    return tuple(index for name, index in best.items() if probability[name] >= least)
+    simpler = dict(evidence.ends_as)
+    same = {name for name in best if name != chosen and sorted(simpler.get(effect, effect) for effect in name) == sorted(chosen)}
+    return tuple(index for name, index in best.items() if probability[name] >= least and name not in same)
 
 
 def _unusual(companion: CompanionEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:

@@ -200,6 +200,8 @@ class Effect:
         Whether the measurement repeats a value while the effect holds it, which is then no sample that was held.
     drifts
         Whether it is a change with time, by which the size of another effect may seem to change.
+    ends_as
+        Simpler effect that it becomes at an end of its ranges: no second explanation where that one explains a record better.
     waveform
         Whether it has one that a simulation can be compared with; noise, lattices and repeated samples have none and are found by
         looking at the record.
@@ -246,6 +248,7 @@ class Effect:
     exercised: Callable[[Surroundings], bool] = lambda _: True
     repeats_values: bool = False
     drifts: bool = False
+    ends_as: str | None = None
     waveform: bool = True
     couples: bool = False
     shared: bool = False

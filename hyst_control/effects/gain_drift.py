@@ -188,23 +188,23 @@ def drift_code(stage: Stage, axes: int, expression: str, title: str) -> CCode:
     )
 
 
-def drift_parameters(around: Surroundings, seen: float) -> tuple[Parameter, ...]:
+def drift_parameters(around: Surroundings, shortest: float) -> tuple[Parameter, ...]:
     """Parameters of a drift's course.
 
     The time constant goes from a twentieth of the record to so long that the drift is straight. A drift that goes ever faster is a
     straight one with a growth: the record's length in time constants. A drift that begins or ends within the record is a straight one
-    between the two, or goes in an S: which is near to any other that does. A drift that has settled before it could be seen would be a
-    constant.
+    between the two, or goes in an S: which is near to any other that does. A drift that has settled before the first sample that is
+    compared would be a constant.
 
     Parameters
     ----------
     around
         Record that the sizes are judged by.
-    seen
-        s from the start of the record to the first sample at which the drift shows.
+    shortest
+        s that a drift goes on for at least if it ends within the record.
     """
     length = around.duration
-    least, shortest = max(0.05 * length, around.begin), min(0.05 * length + seen, length)
+    least = max(0.05 * length, around.begin)
     lasting = tuple(max(share * length, shortest) for share in (0.15, 0.3, 0.5, 0.85))  # a corner is found from nearby alone
     return (
         Parameter("tau", "s", length, (max(0.2 * length, least), length), least, STRAIGHT * length, 1.0, True),
@@ -293,6 +293,8 @@ def drift_variants(around: Surroundings) -> tuple[Values, ...]:
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Change over the record; beside the model's own error from a fifth of the gain to five times as much.
 
+    One that ends before the command has moved is a constant gain.
+
     Parameters
     ----------
     around
@@ -303,7 +305,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
         if around.slowest is None
         else Parameter("change", "", 0.0, (0.01,), -0.8, 4.0, 0.1)
     )
-    return change, *drift_parameters(around, around.moved)
+    return change, *drift_parameters(around, min(0.05 * around.duration + around.moved, around.duration))
 
 
 EFFECT = Effect(
@@ -314,6 +316,7 @@ EFFECT = Effect(
     lambda values, around: GainDrift(**stage_values({"span": around.duration, **values})),
     variants=drift_variants,
     drifts=True,
+    ends_as="gain",
     summary=in_the_end,
     also_at=("drive",),
     phrase="a gain drift of {change}",

@@ -59,3 +59,14 @@ def test_the_pair_that_a_test_asks_for_is_tested_too():
     found = drifting(1.0)
     bare = replace(found, hypotheses=(*found.hypotheses[:2], replace(found.hypotheses[2], residual=None)))
     assert contenders(bare, LIMITS) == (0, 2)
+
+
+def test_an_effect_that_becomes_the_better_one_at_an_end_of_its_ranges_is_no_second_explanation():
+    """A drift that ended at once is a constant change: what else the drift could be, the data do not ask for."""
+    ends = (("drift", "a"),)
+    both = evidence(effect("a", 1000.0), effect("drift", 999.0), ends_as=ends)
+    assert named(both) == (V.EFFECT, ("a",))
+    assert named(replace(both, ends_as=())) == (V.AMBIGUOUS, ("a", "drift"))
+    assert named(evidence(effect("drift", 1000.0), effect("a", 999.0), ends_as=ends)) == (V.AMBIGUOUS, ("drift", "a"))
+    pair = evidence(effect("a+b", 1000.0), effect("b+drift", 999.0), effect("c", 999.0), ends_as=ends)
+    assert named(pair) == (V.AMBIGUOUS, ("a+b", "c"))
