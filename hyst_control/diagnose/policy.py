@@ -422,7 +422,7 @@ def _probabilities(evidence: Evidence, claims: Sequence[int], thresholds: Thresh
 def _listed(
     evidence: Evidence, claims: Sequence[int], probability: Mapping[tuple[str, ...], float], thresholds: Thresholds
 ) -> tuple[int, ...]:
-    """Explanations to be named: one that is sure alone, else all that are probable, but none that the first one is an end of."""
+    """Explanations to be named: one that is sure alone, else all that are probable, but none that becomes the first one (`ends_as`)."""
     if not claims:
         return ()
     chosen = key(evidence.hypotheses[claims[0]])
