@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from copy import copy
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +11,13 @@ from hyst_control.chain.c_code import CCode, integers, reals
 from hyst_control.chain.discretization import Discretised
 from hyst_control.chain.linear_kernels import (
     CLOSE,
+    FEW,
     QUAD,
     SETTLE,
     STEP,
     TOGETHER,
     advance_block,
+    advance_few,
     advance_linear,
     advance_single,
     quads_of,
@@ -79,42 +80,18 @@ class LinearFilter(Filter):
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
-        if self.c.shape[1] > 1 and len(block) >= TOGETHER:
-            self.position = advance_block(
-                block,
-                self.quads,
-                self.acting,
-                self.ends,
-                self.by_input,
-                self.late,
-                self.c,
-                self.d,
-                self.bias,
-                self.whole,
-                self.state,
-                np.empty(self.by_input.shape[3]),
-                self.history,
-                self.position,
-                output,
-            )
-            return output
-        system: tuple[Any, ...] = (
-            block,
-            self.a,
-            self.reach,
-            self.b,
-            self.late,
-            self.c,
-            self.d,
-            self.bias,
-            self.whole,
-            self.state,
-            self.scratch,
-        )
-        if self.c.shape[1] == 1:
-            self.position = advance_single(*system, self.history, self.position, output)  # type: ignore[call-arg]
+        n, is_single, is_long = self.a.shape[1], self.c.shape[1] == 1, len(block) >= TOGETHER
+        system = self.late, self.c, self.d, self.bias, self.whole, self.state
+        end = self.history, self.position, output
+        if is_long and not is_single:
+            work = np.empty(self.by_input.shape[3])
+            self.position = advance_block(block, self.quads, self.acting, self.ends, self.by_input, *system, work, *end)
+        elif is_long and 0 < n <= FEW:
+            self.position = advance_few(block, self.a, self.b, *system, (0.0,) * n, *end)
+        elif is_single:
+            self.position = advance_single(block, self.a, self.reach, self.b, *system, self.scratch, *end)
         else:
-            self.position = advance_linear(*system, self.taps, self.history, self.position, output)  # type: ignore[call-arg]
+            self.position = advance_linear(block, self.a, self.reach, self.b, *system, self.scratch, self.taps, *end)
         return output
 
     def c_code(self) -> CCode:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numba.cpython.unsafe.tuple import tuple_setitem
 from numpy.typing import NDArray
 
 from hyst_control.chain.parameter import Array
@@ -12,6 +13,8 @@ TINY = 1e-80
 """States below this are 0: a decaying state would else end in subnormal numbers, which processors handle a hundred times slower."""
 CLOSE = 8
 """States up to which empty entries of a matrix are computed too: leaving them out costs more than it saves."""
+FEW = 6
+"""States up to which they are kept in the processor's registers."""
 QUAD = 4
 """Rows of a matrix that are computed side by side."""
 TOGETHER = 64
@@ -70,7 +73,7 @@ for (int i = 0; i < SYSTEMS; i++) {
 }
 s->position = ((s->position + 1) < length) ? (s->position + 1) : 0;
 """
-"""`advance_linear` and `advance_single` in C: both sum in the same order."""
+"""`advance_linear`, `advance_single` and `advance_few` in C: all sum in the same order."""
 
 SETTLE = """
 s->position = 0;
@@ -247,6 +250,70 @@ def advance_single(
                 value += gain[i] * x[i]
             output[row, s] = value + (newest_d * newest + middle_d * middle)
             position = position + 1 if position + 1 < length else 0
+    return position
+
+
+@njit(cache=True, error_model="numpy")
+def advance_few(
+    block: Array,
+    a: Array,
+    b: Array,
+    late: NDArray[np.bool_],
+    c: Array,
+    d: Array,
+    bias: Array,
+    whole: NDArray[np.int64],
+    state: Array,
+    zeros: tuple[float, ...],
+    history: Array,
+    position: int,
+    output: Array,
+) -> int:
+    """As `advance_single`, for long blocks and up to `FEW` states: it is compiled for each number of states, with its loops unrolled.
+
+    The states are a tuple, which the compiler keeps in registers; an array would be written and read in every row.
+
+    Parameters
+    ----------
+    block, a, b, late, c, d, bias, whole, state, history, position, output
+        As for `advance_single`.
+    zeros
+        (n,), which tells the number of states.
+    """
+    length, begin = history.shape[0], position
+    for s in range(state.shape[0]):
+        position = begin
+        delay, older, offset, past = whole[s], late[s], bias[s], history[:, s]
+        matrix, gain, newest_d, middle_d = a[s], c[s, 0], d[s, 0, 0, 0], d[s, 1, 0, 0]
+        newest_b, middle_b, oldest_b = b[s, 0, :, 0], b[s, 1, :, 0], b[s, 2, :, 0]
+        x = zeros
+        for i in range(len(zeros)):
+            x = tuple_setitem(x, i, state[s, i])  # type: ignore[call-arg]
+        for row in range(block.shape[0]):
+            past[position] = block[row, s]
+            first = position - delay
+            first = first + length if first < 0 else first
+            second = first - 1 if first > 0 else length - 1
+            third = second - 1 if second > 0 else length - 1
+            newest, middle, oldest = past[first], past[second], past[third]
+            following = zeros
+            for i in range(len(zeros)):
+                value = 0.0
+                for j in range(len(zeros)):
+                    value += matrix[i, j] * x[j]
+                if older:
+                    value += newest_b[i] * newest + middle_b[i] * middle + oldest_b[i] * oldest
+                else:
+                    value += newest_b[i] * newest
+                following = tuple_setitem(following, i, value if abs(value) > TINY else 0.0)  # type: ignore[call-arg]
+            x = following
+            value = offset
+            for i in range(len(zeros)):
+                value += gain[i] * x[i]
+            output[row, s] = value + (newest_d * newest + middle_d * middle)
+            position = position + 1 if position + 1 < length else 0
+        for i in range(len(zeros)):
+            state[s, i] = x[i]
     return position
 
 

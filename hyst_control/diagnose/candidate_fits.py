@@ -270,14 +270,12 @@ def _after_step(
     if not is_bounded(residual):
         raise InputError("the chain grows without limit at these values")
     design = effect_columns(linearised, unknowns, nominal, x, simulated, chosen=chosen)
-    known, weight = linearised.unexplained(design), linearised.problem.weight
-    right = known.T @ residual
+    products, weight = linearised.unexplained_products(np.column_stack([design, residual])), linearised.problem.weight
+    normal, right, energy = products[:-1, :-1], products[:-1, -1], float(products[-1, -1])
     there = x.copy()
-    if not len(right):
-        return misfit_of(linearised, residual), there
-    step = np.linalg.solve(design.T @ known + np.eye(len(right)) / weight, right)
+    step = np.linalg.solve(normal + np.eye(len(right)) / weight, right)
     there[chosen] = np.clip(x[chosen] + step, unknowns.lower[chosen], unknowns.upper[chosen])
-    return misfit_of(linearised, residual) - 0.5 * weight * float(right @ step), there
+    return 0.5 * weight * (energy - float(right @ step)), there
 
 
 def misfit_of(linearised: Linearised, residual: Array) -> float:
@@ -298,7 +296,7 @@ def misfit_of(linearised: Linearised, residual: Array) -> float:
     """
     if not is_bounded(residual):
         return np.inf
-    return 0.5 * linearised.problem.weight * float(residual @ linearised.unexplained(residual))
+    return 0.5 * linearised.problem.weight * float(linearised.unexplained_products(residual[:, None])[0, 0])
 
 
 def merged_start(pair: Candidate, candidate: Candidate, x: Array, member: Member, start: Array) -> Array:

@@ -99,7 +99,7 @@ class Linearised:
         self.nominal = self.simulate(centre, unknowns, x)
         if not is_bounded(self.nominal):
             raise InputError("model: its simulation of the record grows without limit: check its dynamics")
-        self.columns = np.empty((len(self.nominal), self.count))
+        self.columns = np.empty((len(self.nominal), self.count), order="F")  # a column's values side by side: it is faster
         for k in range(self.count):
             self.columns[:, k] = self._column(centre, k, unknowns, x)
         self.gram = problem.weight * (self.columns.T @ self.columns)
@@ -141,6 +141,24 @@ class Linearised:
             return vectors
         explained = self.columns @ cho_solve(self.factor, self.problem.weight * (self.columns.T @ vectors))
         return np.asarray(vectors - explained, dtype=np.float64)
+
+    def unexplained_products(self, vectors: Array) -> Array:
+        """Inner products of vectors and what `unexplained` leaves of them, without computing that.
+
+        Parameters
+        ----------
+        vectors : ndarray, shape (M, P)
+            In units of the noise.
+
+        Returns
+        -------
+        ndarray, shape (P, P)
+        """
+        products = vectors.T @ vectors
+        if self.count:
+            along = self.columns.T @ vectors
+            products -= self.problem.weight * (along.T @ cho_solve(self.factor, along))
+        return np.asarray(products, dtype=np.float64)
 
     def companions(self, z: Array) -> Array:
         """The companions' values of z (K,), the coefficients at the nominal ones."""
@@ -237,13 +255,15 @@ def fit(
         columns = columns * weight[:, None]
         gram = sample_weight * (columns.T @ columns)
 
-    def residual_of(z: Array, x: Array) -> tuple[Array, Array]:
-        """Residual, and the z that it belongs to."""
-        found = y - linearised.simulate(nominal if linear else z, unknowns, x)
+    def residual_of(z: Array, x: Array) -> tuple[Array, Array, Array]:
+        """Residual, the z that it belongs to, and the simulated output."""
+        output = linearised.simulate(nominal if linear else z, unknowns, x)
+        found = y - output
         if linear and is_bounded(found):
             z = linearised.explaining(found)
             found -= columns @ z
-        return (found if weight is None else np.where(weight > 0, found, 0.0)), z  # where it ran away, 0 times it were none
+        # where it ran away, 0 times it were none
+        return (found if weight is None else np.where(weight > 0, found, 0.0)), z, output
 
     def misfit_of(residual: Array, z: Array, x: Array) -> float:
         prior = x if fitted is None else x - fitted.centre
@@ -252,7 +272,7 @@ def fit(
         return 0.5 * float(sample_weight * (residual @ residual) + z @ z) + _prior_misfit(prior)
 
     nominal = np.zeros(count)
-    residual, z = residual_of(z, x)
+    residual, z, output = residual_of(z, x)
     misfit = misfit_of(residual, z, x)
     normal = np.eye(count + size)
     for _ in range(rounds):
@@ -261,12 +281,13 @@ def fit(
             design, away = np.zeros((len(y), 0)), x
         else:
             try:
-                base = y - residual - columns @ z if linear else y - residual
-                design = effect_columns(linearised, fitted, nominal if linear else z, x, base, weight)
+                design = effect_columns(linearised, fitted, nominal if linear else z, x, output, weight)
                 away = x - fitted.centre
             except InputError:
                 break  # next to these values the chain cannot be simulated
-        normal, right = _normal(columns, gram, design, residual, z, away, sample_weight)
+        # The best z for x leaves nothing that a step of z alone would take off.
+        pull = np.zeros(count) if linear else sample_weight * (columns.T @ residual) - z
+        normal, right = _normal(columns, gram, design, residual, pull, away, sample_weight)
         step = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
         if fitted is not None:
             step = _within(normal, right, step, x, fitted, count)
@@ -281,7 +302,7 @@ def fit(
             if fitted is not None:
                 new_x = np.clip(new_x, fitted.lower, fitted.upper)
             try:
-                new_residual, new_z = residual_of(new_z, new_x)
+                new_residual, new_z, new_output = residual_of(new_z, new_x)
             except InputError:
                 continue
             new = misfit_of(new_residual, new_z, new_x)
@@ -291,7 +312,7 @@ def fit(
         if not better:
             break
         gained = misfit - new
-        z, x, residual, misfit = new_z, new_x, new_residual, new
+        z, x, residual, output, misfit = new_z, new_x, new_residual, new_output, new
         if gained < enough:
             break
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
@@ -378,7 +399,7 @@ def is_bounded(values: Array) -> bool:
 
 
 def _normal(
-    columns: Array, gram: Array, design: Array, residual: Array, z: Array, away: Array, weight: float
+    columns: Array, gram: Array, design: Array, residual: Array, pull: Array, away: Array, weight: float
 ) -> tuple[Array, Array]:
     count, size = columns.shape[1], design.shape[1]
     normal = np.empty((count + size, count + size))
@@ -387,7 +408,7 @@ def _normal(
     normal[count:, count:] = weight * (design.T @ design)
     prior = _prior_weight(away)
     normal[np.diag_indices(count + size)] += np.concatenate([np.ones(count), prior])
-    return normal, np.concatenate([weight * (columns.T @ residual) - z, weight * (design.T @ residual) - prior * away])
+    return normal, np.concatenate([pull, weight * (design.T @ residual) - prior * away])
 
 
 def _prior_misfit(away: Array) -> float:

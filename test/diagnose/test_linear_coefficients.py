@@ -26,7 +26,7 @@ PLANT = TransferFunction((1.0,), (1.0 / (2 * np.pi * 400.0) ** 2, 0.2 / (2 * np.
 
 
 def model_of(*stages) -> Model:
-    tolerance = {"transfer_function.denominator": [0.05, 0.05, 0.05]}
+    tolerance = {"den": 0.05}
     return Model("m", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain(stages), "foh", tolerance=tolerance)
 
 
@@ -36,7 +36,9 @@ def linearised_of(*truth) -> Linearised:
     measured = blank.simulate(blank.model.chain.stages)[:, None]
     measured = measured + NOISE * np.random.default_rng(1).standard_normal(measured.shape)
     problem = Problem(model_of(PLANT), (Piece(COMMAND, measured),), STEP, "foh", np.array([NOISE]))
-    return Linearised(problem, scatter_of(problem.model))
+    found = Linearised(problem, scatter_of(problem.model))
+    assert found.count == 3
+    return found
 
 
 LAG = TransferFunction((1.0,), (1.0 / (2 * np.pi * 900.0), 1.0))
@@ -66,6 +68,17 @@ def test_it_ends_where_a_fit_of_scipy_does():
     assert independent.cost - 1e-6 < found.misfit < independent.cost + 1.0 + 1e-3 * independent.cost
     assert found.x == pytest.approx(independent.x[linearised.count :], abs=0.02)
     assert found.z == pytest.approx(independent.x[: linearised.count], abs=0.05)
+
+
+def test_products_are_those_of_what_a_shrunk_least_squares_fit_leaves():
+    linearised = linearised_of(PLANT, LAG)
+    vectors = np.random.default_rng(2).standard_normal((ROWS, 3)) + linearised.columns[:, :3]
+    weight = np.sqrt(linearised.problem.weight)
+    # The coefficients' prior as rows of its own: a plain least-squares problem.
+    rows = np.vstack([weight * linearised.columns, np.eye(linearised.count)])
+    padded = np.vstack([weight * vectors, np.zeros((linearised.count, 3))])
+    left = padded - rows @ np.linalg.lstsq(rows, padded, rcond=None)[0]
+    assert linearised.unexplained_products(vectors) == pytest.approx(left.T @ left / weight**2, rel=1e-9, abs=1e-6)
 
 
 def test_where_nothing_else_scatters_it_is_the_fit_of_the_chain():
