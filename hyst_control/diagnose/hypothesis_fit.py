@@ -262,7 +262,7 @@ def fit(
         if linear and is_bounded(found):
             z = linearised.explaining(found)
             found -= columns @ z
-        # where it ran away, 0 times it were none
+        # chosen, not multiplied: 0 times what ran away to infinity is no number
         return (found if weight is None else np.where(weight > 0, found, 0.0)), z, output
 
     def misfit_of(residual: Array, z: Array, x: Array) -> float:
