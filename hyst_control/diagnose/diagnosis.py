@@ -26,6 +26,7 @@ from hyst_control.diagnose.hypothesis import Candidate
 from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.hypothesis_search import Found, Scored, search
 from hyst_control.diagnose.null_distribution import threshold
+from hyst_control.diagnose.parameter_uncertainty import idle_tolerances
 from hyst_control.diagnose.passed_error import passed_error
 from hyst_control.diagnose.policy import contenders, decide
 from hyst_control.diagnose.prepared_axis import clean_rows, is_used, nominal_residuals, prepare, with_noise
@@ -344,6 +345,8 @@ def problem_of(
         outside = float(np.mean((commands < valid[0] - 1e-9) | (commands > valid[1] + 1e-9)))
         if outside > 0:
             notes.append(f"{outside:.1%} of the command lies outside the {valid[0]:g} … {valid[1]:g} V that the model is valid for")
+    if not model.uncertainty and (idle := idle_tolerances(model)):
+        notes.append(f"tolerance of {', '.join(idle)}: no parameter of the model's chain scatters by this name; see the model file")
     return with_noise(problem, nominal_residuals(problem), configuration), notes
 
 

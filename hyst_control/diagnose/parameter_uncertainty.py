@@ -252,6 +252,35 @@ def _named(stage: Stage, tolerance: Mapping[str, float]) -> dict[str, float]:
     return found
 
 
+def idle_tolerances(model: Model) -> list[str]:
+    """Names under `tolerance` of a model file by which no parameter of its chain scatters: misspelled, or of another model.
+
+    Parameters
+    ----------
+    model : Model
+        Model whose tolerance is read.
+
+    Returns
+    -------
+    names : list of str
+        In the order of the file.
+
+    """
+    known = {name for stage in model.chain.stages for name in _names_that_scatter(stage)}
+    return [name for name, share in model.tolerance.items() if np.any(share) and name not in known]
+
+
+def _names_that_scatter(stage: Stage) -> set[str]:
+    """Names that a tolerance can have of a stage and of those within it: of a parameter, or `stage.parameter`."""
+    inner = {name for chain in stage.inner_chains for member in chain for name in _names_that_scatter(member)}
+    own = [
+        name
+        for name, declaration in stage.declarations().items()
+        if declaration.scatter not in (Scattering.NONE, Scattering.COMPANION) and getattr(stage, name) is not None
+    ]
+    return inner | {*own, *(f"{stage.name}.{name}" for name in own)}
+
+
 def _spread(stage: Stage, tolerance: Mapping[str, float], axes: int) -> Stage:
     """A stage whose uncertain parameters are lists with an entry per axis: axes scatter on their own."""
     if stage.inner_chains:

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hyst_control.chain.coordinates import chain_coordinates
+from hyst_control.diagnose.configuration import CONFIGURATION
+from hyst_control.diagnose.diagnosis import problem_of
 from hyst_control.diagnose.hypothesis_fit import Linearised
 from hyst_control.diagnose.hypothesis_search import inflated
-from hyst_control.diagnose.parameter_uncertainty import scatter_of
+from hyst_control.diagnose.parameter_uncertainty import idle_tolerances, scatter_of
 from hyst_control.diagnose.problem import Piece, Problem, split
 from hyst_control.errors import InputError
 from hyst_control.model_file import load_model, model_from_document, model_to_document, save_model, simulate
+from hyst_control.records.record import Record, Signal
 from test.diagnose.conftest import nominal
 
 NAMES = ["transfer_function.frequency[0]", "transfer_function.damping[0]", "delay.tau"]
@@ -113,3 +117,30 @@ def test_an_uncertainty_that_makes_no_sense_is_refused(changed, line):
     with pytest.raises(InputError) as caught:
         model_from_document(document)
     assert str(caught.value).startswith(line)
+
+
+def test_a_tolerance_that_no_parameter_takes_is_named_in_the_notes():
+    """A misspelled name leaves its coefficients exact; nothing said so, and what is off by it would be called an effect."""
+    model = replace(nominal("pea_published"), tolerance={"weights": 0.01, "asscending": 0.01, "delay.num": 0.02, "delay.b": 0.0})
+    time = model.sample_time * np.arange(400)
+    command = 20.0 - 20.0 * np.cos(2 * np.pi * 50.0 * time)[:, None]
+    record = Record(
+        {
+            "command": Signal(time, command, model.axes, "V"),
+            "measurement": Signal(time, simulate(model, command), model.axes, "um"),
+        },
+        "a",
+    )
+    _, notes = problem_of([record], model, 0.0, CONFIGURATION)
+    assert [note for note in notes if "tolerance" in note] == [
+        "tolerance of asscending, delay.num: no parameter of the model's chain scatters by this name; see the model file"
+    ]
+    _, notes = problem_of(
+        [record], replace(model, tolerance={"modified_prandtl_ishlinskii.m1": 0.05, "num": 0.02}), 0.0, CONFIGURATION
+    )
+    assert not notes
+
+
+@pytest.mark.parametrize("path", sorted((Path(__file__).parents[2] / "config/models").glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_tolerance_of_a_shipped_model_is_taken(path):
+    assert not idle_tolerances(load_model(path))
