@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from importlib.util import find_spec
@@ -328,9 +328,10 @@ def measure(
         each[stage]["realtime_priority"] = priority
     if watched is not Watched.NOT:
         each["live_view"] = {name: each[stage][name] for name in ("schedule", "rate_hz", "axes", "unit")}
-    with _running(case, subject, each, outside, stage) as (processes, plant):
+    with ExitStack() as stack:
+        processes, plant = stack.enter_context(_running(case, subject, each, outside, stage))
         pids = [process.pid for name, process in processes.running.items() if name != "monitor"]
-        log = _Diagnostics(processes.log("monitor"))
+        log = stack.enter_context(closing(_Diagnostics(processes.log("monitor"))))
         _until(lambda: int(log.read().get(plant, {}).get("ticks", 0)) > 0, processes, START_TIMEOUT)
         if watched is Watched.ON_A_PAGE:
             _open_page(processes)
@@ -510,6 +511,9 @@ class _Diagnostics:
                 entry = json.loads(line)
                 self._values[entry["node"]] = {**entry["values"], "stamp": repr(entry["stamp"])}
         return self._values
+
+    def close(self) -> None:
+        self._file.close()
 
 
 def _until(condition: Callable[[], bool], processes: Processes, timeout: float) -> None:

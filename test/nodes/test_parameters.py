@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from contextlib import contextmanager
 
 import pytest
 import yaml
@@ -54,18 +55,23 @@ NEEDED = {
 FILES = sorted((config_folders()[0] / "nodes").glob("*.yaml"))
 
 
+@contextmanager
 def started(name, context, folder):
-    """The node of that name, with no more than it needs."""
+    """The node of that name, with no more than it needs; it is closed as at the end of a run."""
     given = (
         {"output": str(folder / "output"), **NEEDED.get(name, {})} if name in ("recorder", "diagnosis") else NEEDED.get(name, {})
     )
-    return NODES[name](context=context, parameter_overrides=[Parameter(key, value=value) for key, value in given.items()])
+    node = NODES[name](context=context, parameter_overrides=[Parameter(key, value=value) for key, value in given.items()])
+    try:
+        yield node
+    finally:
+        node.close()
+        node.destroy_node()
 
 
 @pytest.mark.parametrize("name", NODES)
 def test_every_parameter_of_a_node_is_described(name, ros_context, tmp_path):
-    node = started(name, ros_context, tmp_path)
-    try:
+    with started(name, ros_context, tmp_path) as node:
         settings = {setting.name: setting for setting in (*COMMON, *node.SETTINGS)}
         declared = [parameter for parameter in node._parameters if parameter in settings]
         assert {setting.name for setting in node.SETTINGS} <= set(declared)
@@ -73,14 +79,12 @@ def test_every_parameter_of_a_node_is_described(name, ros_context, tmp_path):
             described = node.describe_parameter(parameter).description
             assert settings[parameter].text in described
             assert not settings[parameter].unit or f"[{settings[parameter].unit}]" in described
-    finally:
-        node.destroy_node()
 
 
 @pytest.mark.parametrize("name", NODES)
 def test_every_parameter_says_what_it_is_and_numbers_their_unit_and_range(name, ros_context, tmp_path):
-    node = started(name, ros_context, tmp_path)
-    node.destroy_node()
+    with started(name, ros_context, tmp_path) as node:
+        pass
     for setting in (*COMMON, *node.SETTINGS):
         value = setting.default[0] if isinstance(setting.default, tuple) else setting.default
         assert setting.text, setting.name
@@ -107,9 +111,8 @@ def test_a_shipped_file_holds_what_its_nodes_declare(file, ros_context, tmp_path
         given = entry["ros__parameters"]
         settings = {setting.name: setting for setting in COMMON}
         if name in NODES:
-            node = started(name, ros_context, tmp_path)
-            settings |= {setting.name: setting for setting in node.SETTINGS}
-            node.destroy_node()
+            with started(name, ros_context, tmp_path) as node:
+                settings |= {setting.name: setting for setting in node.SETTINGS}
         signal = set()
         if name == "reference_generator" and given["signal"] in KINDS:
             signal = set(KINDS[given["signal"]].__code__.co_varnames)
