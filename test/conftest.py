@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import browser as browsers
+import numpy as np
 import pytest
 
 from hyst_control.parallel import compute_serially
@@ -21,9 +22,25 @@ ROOT = Path(__file__).resolve().parent.parent
 collect_ignore_glob = [] if find_spec("rclpy") else ["nodes/*"]
 
 
+LONG, SHORT = 30.0, 4.0
+"""About what a file marked `long_file` takes, and any other, s."""
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files marked `long_file` come first: begun last, one of them would keep one worker busy while the others have nothing to do."""
-    items.sort(key=lambda item: item.get_closest_marker("long_file") is None)  # stable: the order within stays
+    """Files marked `long_file` come first: begun last, one of them would keep one worker busy while the others have nothing to do.
+
+    Tests of nodes mostly wait: their files are spread among those that compute, so that there is always something to compute.
+    """
+    files: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        files.setdefault(item.path, []).append(item)
+    seconds = {path: LONG if file[0].get_closest_marker("long_file") else SHORT for path, file in files.items()}
+    begins: dict[Path, float] = {}  # as a share of the time of all files of its kind
+    for kind in (True, False):
+        own = sorted((path for path in files if ("nodes" in path.parts) is kind), key=lambda path: -seconds[path])
+        times = np.cumsum([0.0] + [seconds[path] for path in own])
+        begins |= dict(zip(own, times[:-1] / times[-1]))
+    items[:] = [item for path in sorted(files, key=begins.__getitem__) for item in files[path]]
 
 
 @pytest.fixture

@@ -278,11 +278,8 @@ class SearchSettings:
 class NullSettings:
     """Simulated null."""
 
-    records: int = _setting("records", "records without a gap that are simulated")
+    records: int = _setting("records", "records without a gap that are drawn")
     quantile: float = _setting("1", "quantile of the best score in them that a claim must exceed")
-    rounds: int = _setting(
-        "steps", "most steps of the coefficients' fit: what their scatter leaves beyond its linear part is no effect"
-    )
     starts: int = _setting("starts", "starts of an effect that are tried")
     estimated_spectrum: float = _setting("1", "factor where the spectrum of the model's own error comes from a few clean records")
 

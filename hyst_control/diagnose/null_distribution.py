@@ -1,9 +1,14 @@
 """Null distribution: the best candidate's score on records without a gap, and the threshold for any claim.
 
 With tens of thousands of samples, an information criterion alone accepts almost any effect. Records without a gap are therefore
-simulated from the nominal model with scattered coefficients, the user's own command and noise. Each is searched with linearized
+drawn: from the nominal model with scattered coefficients, the user's own command and noise. Each is searched with linearized
 candidates; the threshold is a quantile of the best scores. It is cached; the key contains all that it depends on: model, command,
 sample time, rows that count, noise, the catalogue's ranges and priors, the configuration and the version of this package.
+
+About the coefficients that a record was drawn with, all is linear as far as noise leads away from them: a record is its noise v and
+J z, the model's deviation from its nominal output. With candidate d, S = I + w J Jᵀ and w the weight of a sample, fitting z alone and
+z with x differ by ½ w² (dᵀS⁻¹y)² / (w dᵀS⁻¹d + 1) for y = v + J z: the logarithm of a ratio of Gaussian densities, in which z is
+integrated out. So no record has to be simulated and fitted.
 """
 
 from __future__ import annotations
@@ -23,7 +28,7 @@ from platformdirs import user_cache_path
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NullSettings
 from hyst_control.diagnose.hypothesis import Candidate, Member
-from hyst_control.diagnose.hypothesis_fit import Linearised, effect_columns, fit, is_bounded
+from hyst_control.diagnose.hypothesis_fit import Linearised, effect_columns, is_bounded
 from hyst_control.diagnose.problem import Problem
 from hyst_control.effects.effect import Surroundings
 from hyst_control.errors import InputError
@@ -111,36 +116,36 @@ def null_scores(
 
     """
     designs = tangents(linearised, members, settings.starts)
+    if not designs:
+        return np.zeros(settings.records)
     known = [linearised.unexplained(design) for design in designs]
     weight = linearised.problem.weight
     inverses = [
         np.linalg.inv(design.T @ left + np.eye(design.shape[1]) / weight) for design, left in zip(designs, known, strict=True)
     ]
-    flat = np.concatenate(known, axis=1) if known else np.zeros((len(linearised.measured), 0))
+    flat = np.concatenate(known, axis=1)
     edges = np.cumsum([0, *(left.shape[1] for left in known)])
+    of_coefficients = flat.T @ linearised.columns
 
-    def residual_of(index: int) -> Array | None:
-        """Simulate a record and fit its coefficients: the residual (M,), or None if the drawn coefficients make no valid model."""
+    def record(index: int) -> tuple[Array, Array] | None:
+        """Draw noise (M,) and coefficients (K,) of a record, or None if these make no valid model."""
         random = np.random.default_rng([seed, index])
         z = random.standard_normal(linearised.count)
+        noise = np.asarray(random.standard_normal(len(flat)) / np.sqrt(weight), dtype=np.float64)
+        if not _is_rounded(linearised.problem):
+            return noise, z
         try:
-            simulated = linearised.simulate(z)
-            noise = _noise(linearised.problem, simulated, random)
-            record = simulated + noise
-            solution = fit(linearised, measured=record, rounds=settings.rounds)
+            return _rounded(linearised.problem, linearised.simulate(z), noise), z
         except InputError:
             return None
-        # Far from the nominal model the fit may end beside its minimum: the coefficients that were drawn are at least as good.
-        drawn = 0.5 * (weight * float(noise @ noise) + float(z @ z))
-        return solution.residual if solution.misfit <= drawn else noise
 
     def best(block: int) -> list[float]:
         indices = range(TOGETHER * block, min(TOGETHER * (block + 1), settings.records))
-        residuals = [residual for residual in map(residual_of, indices) if residual is not None]
-        if not residuals or not known:
-            return [0.0] * len(residuals)
-        # What the coefficients could still explain is projected out: as good as one more step.
-        right = flat.T @ np.column_stack(residuals)
+        drawn = [found for found in map(record, indices) if found is not None]
+        if not drawn:
+            return []
+        noise, z = (np.column_stack(part) for part in zip(*drawn))
+        right = flat.T @ noise + of_coefficients @ z
         gains = [
             0.5 * weight * np.sum(right[a:b] * (inverse @ right[a:b]), axis=0)
             for a, b, inverse in zip(edges[:-1], edges[1:], inverses, strict=True)
@@ -155,17 +160,19 @@ def null_scores(
     return np.array(scores)
 
 
-def _noise(problem: Problem, simulated: Array, random: np.random.Generator) -> Array:
-    """Noise (M,) of a simulated record, in units of the noise; where the measurement lies on a lattice, what rounding makes of it.
+def _is_rounded(problem: Problem) -> bool:
+    """Whether the measurement lies on a lattice whose steps are part of the noise."""
+    return any(problem.steps) and problem.weight >= 1.0 and problem.own_spectrum is None
+
+
+def _rounded(problem: Problem, simulated: Array, noise: Array) -> Array:
+    """Noise (M,) of a simulated record, in units of the noise, of which a part is what rounding makes of the record.
 
     The error of rounding in coarse steps follows the signal, so that effects gain more by it than by white noise.
     """
-    noise: Array = np.asarray(random.standard_normal(len(simulated)) / np.sqrt(problem.weight), dtype=np.float64)
-    if not any(problem.steps) or problem.weight < 1.0 or problem.own_spectrum is not None:
-        return noise
     step = np.array(problem.steps) / problem.sigma
     rest = np.sqrt(np.maximum(1.0 - step**2 / 12.0, 0.0))
-    exact, rows = simulated.reshape(-1, len(step)), noise.reshape(-1, len(step))
+    exact, rows = simulated.reshape(-1, len(step)), noise.reshape(-1, len(step)).copy()
     for axis in np.flatnonzero(step):
         met = exact[:, axis] + rest[axis] * rows[:, axis]
         rows[:, axis] = step[axis] * np.rint(met / step[axis]) - exact[:, axis]

@@ -15,7 +15,7 @@ from hyst_control.errors import InputError
 
 pytestmark = pytest.mark.long_file
 
-SEED, COUNT, INJECTED = 11, 15, 5
+SEED, COUNT, INJECTED = 11, 11, 5
 DURATION = 0.4
 """Length of a simulated record, s."""
 

@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from hyst_control.chain import Chain
 from hyst_control.chain.linear import TransferFunction
 from hyst_control.diagnose import null_distribution
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
-from hyst_control.diagnose.hypothesis import Member
+from hyst_control.diagnose.hypothesis import Candidate, Member
 from hyst_control.diagnose.hypothesis_catalogue import catalogue
-from hyst_control.diagnose.hypothesis_fit import Linearised
+from hyst_control.diagnose.hypothesis_fit import Linearised, fit
 from hyst_control.diagnose.null_distribution import cache_key, threshold
 from hyst_control.diagnose.parameter_uncertainty import scatter_of
 from hyst_control.diagnose.problem import Piece, Problem
@@ -26,10 +27,12 @@ FEW = replace(CONFIGURATION, null_distribution=replace(CONFIGURATION.null_distri
 COMMAND = 10.0 * np.random.default_rng(1).standard_normal((COUNT, 1)).cumsum(axis=0) / np.sqrt(COUNT)
 
 
-def linearised(sigma: float = 1e-2, seed: int = 2, step: float = STEP, **pieces: Any) -> Linearised:
-    """A first-order lag with 1 % tolerances, and a measurement of it with noise of this seed."""
+def linearised(sigma: float = 1e-2, seed: int = 2, step: float = STEP, tolerance: float = 0.01, **pieces: Any) -> Linearised:
+    """A first-order lag with these tolerances, and a measurement of it with noise of this seed."""
     lag = TransferFunction((2.0,), (0.01, 1.0))
-    model = Model("lag", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain((lag,)), tolerance={"num": 0.01, "den": 0.01})
+    model = Model(
+        "lag", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain((lag,)), tolerance={"num": tolerance, "den": tolerance}
+    )
     problem = Problem(model, (Piece(COMMAND, np.zeros_like(COMMAND)),), step, "zoh", np.array([sigma]))
     clean = problem.rows(problem.simulate(model.chain.stages))
     noisy = clean + sigma * np.random.default_rng(seed).standard_normal(clean.shape)
@@ -116,19 +119,45 @@ def test_a_spoilt_threshold_in_the_cache_is_computed_anew(text, tmp_path, monkey
     assert 1.0 <= found <= 3.0 and threshold(one, members(one), configuration=FEW) == found
 
 
-def test_a_fit_that_ends_beside_its_minimum_does_not_set_the_threshold(monkeypatch):
-    """The coefficients that a record was drawn with explain it up to its noise: what is left is never more than that."""
-    here = linearised()
-    few = replace(CONFIGURATION.null_distribution, records=20)
-    usual = null_distribution.null_scores(here, members(here), 0, few)
-    solve = null_distribution.fit
+def test_scores_are_what_fits_gain_on_simulated_records():
+    """Each record is simulated with the coefficients and the noise drawn for it, and fitted with and without every effect.
 
-    def stuck(problem: Linearised, measured: np.ndarray, rounds: int) -> Any:
-        return replace(solve(problem, measured=measured, rounds=rounds), residual=100.0 + measured, misfit=1e9)
+    Of effects of either sign: that a delay is never negative, the scores do not know.
+    """
+    here, some = linearised(), replace(CONFIGURATION.null_distribution, records=12)
+    both_signs = [member for member in members(here) if member.name != "delay"]
+    scores = null_distribution.null_scores(here, both_signs, 0, some)
+    gained = []
+    for index in range(12):
+        random = np.random.default_rng([0, index])
+        z = random.standard_normal(here.count)
+        measured = here.simulate(z) + random.standard_normal(len(here.measured))
+        alone = fit(here, measured=measured, rounds=20).misfit
+        candidates = [Candidate((member,)) for member in both_signs]
+        fits = [fit(here, each.unknowns(), x, measured=measured, rounds=20) for each in candidates for x in each.starts()]
+        gained.append(alone - min(one.misfit for one in fits))
+    np.testing.assert_allclose(scores, gained, rtol=0.05, atol=0.05)
 
-    monkeypatch.setattr(null_distribution, "fit", stuck)
-    found = null_distribution.null_scores(here, members(here), 0, few)
-    assert found.max() < 3.0 * usual.max() + 10.0
+
+@pytest.mark.parametrize("tolerance", [1e-3, 0.3])
+def test_scores_are_ratios_of_gaussian_densities(tolerance):
+    """Of a gain alone, beside coefficients that noise hardly tells or tells well, with the covariance of the record written out."""
+    here = linearised(tolerance=tolerance)
+    offsets = [member for member in members(here) if member.name == "offset"]
+    some = replace(CONFIGURATION.null_distribution, records=5)
+    scores = null_distribution.null_scores(here, offsets, 0, some)
+    [design] = {tuple(design[:, 0]) for design in null_distribution.tangents(here, offsets, some.starts)}
+    covariance = np.eye(len(here.measured)) + here.columns @ here.columns.T
+    for index, score in enumerate(scores):
+        random = np.random.default_rng([0, index])
+        z = random.standard_normal(here.count)
+        record = random.standard_normal(len(here.measured)) + here.columns @ z
+        places = np.linspace(-6.0, 6.0, 5) / np.linalg.norm(design)  # in usual sizes of the offset, which noise tells well
+        none, *densities = (
+            multivariate_normal.logpdf(record, x * np.array(design), covariance) - 0.5 * x**2 for x in (0.0, *places)
+        )
+        curve = np.polynomial.Polynomial.fit(places, np.array(densities) - none, 2)
+        assert score == pytest.approx(curve(curve.deriv().roots()[0]), rel=1e-6)
 
 
 def test_scores_of_many_records_at_once_are_those_of_each(monkeypatch):
@@ -145,7 +174,8 @@ def test_records_without_a_gap_are_rounded_where_the_measurement_is():
     """Coarse steps of a converter let effects gain more than white noise of the same size: the threshold has to know of it."""
     white = linearised(sigma=0.3)
     coarse = Linearised(replace(white.problem, steps=(1.0,)), white.scatter)
-    drawn = null_distribution._noise(coarse.problem, coarse.nominal, np.random.default_rng(3))
+    noise = np.random.default_rng(3).standard_normal(len(coarse.nominal))
+    drawn = null_distribution._rounded(coarse.problem, coarse.nominal, noise)
     steps = (coarse.nominal + drawn) * 0.3
     np.testing.assert_allclose(steps, np.rint(steps), atol=1e-9)
     assert np.std(drawn) == pytest.approx(1.0, rel=0.15)
