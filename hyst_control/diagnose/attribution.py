@@ -115,12 +115,12 @@ def _rank(effect: Named) -> tuple[bool, float, float]:
 def _waveforms(diagnosis: Diagnosis) -> list[Named]:
     found: dict[str, list[tuple[AxisDiagnosis, Scored, int, float]]] = {}
     for part in diagnosis.parts:
-        seen = set()
-        for scored in part.listed:
+        seen: set[str] = set()
+        for scored in part.listed:  # of the first that has an effect: on coupled axes it may have it on each
             for index, name in enumerate(scored.names):
                 if name not in seen:
-                    seen.add(name)
                     found.setdefault(name, []).append((part, scored, index, part.decision.of(name)))
+            seen |= set(scored.names)
     if not found:
         return []
     settings = diagnosis.configuration.reduction
@@ -137,8 +137,9 @@ def _waveforms(diagnosis: Diagnosis) -> list[Named]:
         each = [_values(part, scored, index, diagnosis.configuration.attribution) for part, scored, index, _ in places]
         values = _joined(each)
         if EFFECTS[name].couples and len(places) > 1:  # a way from one axis to another is not that back
-            for (part, *_), own in zip(places, each, strict=True):
-                values |= {f"{one}_{diagnosis.model.axes[part.axes[0]]}": value for one, value in own.items()}
+            for (part, scored, index, _), own in zip(places, each, strict=True):
+                axis = diagnosis.model.axes[_axes_of(part, scored, index)[0]]
+                values |= {f"{one}_{axis}": value for one, value in own.items()}
         axes = tuple(diagnosis.model.axes[axis] for part, scored, index, _ in places for axis in _axes_of(part, scored, index))
         # On axes that this effect is not on, what explains those: effects that are named together shrink the gap together.
         chosen = {
@@ -150,7 +151,8 @@ def _waveforms(diagnosis: Diagnosis) -> list[Named]:
         before, after, before_fitted, after_fitted = _series(diagnosis, none, chosen)
         value, ci90 = shrink(before, after, diagnosis.seed, settings)
         fitted, _ = shrink(before_fitted, after_fitted, diagnosis.seed, settings)
-        probability = 1.0 - float(np.prod([1.0 - p for *_, p in places]))
+        by_part = {part.axes: p for part, _, _, p in places}
+        probability = 1.0 - float(np.prod([1.0 - p for p in by_part.values()]))
         share = sum(
             shares(part.linearised, scored)[index] * float(none[part.axes].before.sum()) / whole
             for part, scored, index, _ in places

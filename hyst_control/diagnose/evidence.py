@@ -306,6 +306,8 @@ class HypothesisEvidence:
         What it leaves beyond the model's own error, octave by octave, nats; 0 where the error's spectrum is unknown.
     taken_up : float
         Energy that its coefficients take off by what of their distance is not believed, noise energies.
+    axes : tuple of (int or None)
+        Axis of each effect, None where it is on all; empty where the record has one axis.
 
     """
 
@@ -321,6 +323,12 @@ class HypothesisEvidence:
     local: float = np.inf
     beyond: float = 0.0
     taken_up: float = np.inf
+    axes: tuple[int | None, ...] = ()
+
+    @property
+    def together(self) -> int:
+        """Most effects that act on one axis."""
+        return max((sum(own in (None, axis) for own in self.axes) for axis in self.axes), default=len(self.names))
 
 
 @dataclass(frozen=True)

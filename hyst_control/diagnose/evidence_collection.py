@@ -368,6 +368,7 @@ def _hypothesis(found: Found, scored: Scored, believed: float) -> HypothesisEvid
         local=_local_energy(problem, found.none, scored),
         beyond=0.0 if problem.own_spectrum is None else beyond_own_error(problem, solution.residual),
         taken_up=taken_up,
+        axes=() if scored.candidate is None or len(problem.model.axes) == 1 else tuple(m.axis for m in scored.candidate.members),
     )
 
 

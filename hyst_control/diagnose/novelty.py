@@ -52,7 +52,7 @@ def signs(
         share = unexplained(evidence, chosen, thresholds) / thresholds.named_unexplained_share
         found[Reason.UNEXPLAINED_SHARE] = min(share, max(beyond, one.farthest / thresholds.many_tolerances))
     if _too_many(evidence, chosen, thresholds):
-        found[Reason.TOO_MANY_EFFECTS] = len(one.names) / thresholds.most_effects
+        found[Reason.TOO_MANY_EFFECTS] = one.together / thresholds.most_effects
     for test, sign in changes(evidence, chosen, thresholds):
         reason = Reason(f"distortion_{test.variable}")
         found[reason] = max(sign, found.get(reason, 0.0))
@@ -207,13 +207,13 @@ def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
     They are not where few of them explain nearly all: the others are then details beside them.
     """
     names = set(evidence.hypotheses[chosen].names)
-    if len(evidence.hypotheses[chosen].names) <= thresholds.most_effects:
+    if evidence.hypotheses[chosen].together <= thresholds.most_effects:
         return False
     before = max(evidence.hypotheses[0].energy - evidence.stated, 1e-12)
     return not any(
         one.energy - evidence.stated <= thresholds.unknown_share * before
         for one in evidence.hypotheses
-        if one.names and len(one.names) <= thresholds.most_effects and set(one.names) < names
+        if one.names and one.together <= thresholds.most_effects and set(one.names) < names
     )
 
 

@@ -216,6 +216,16 @@ ROWS = (
         ("a+b",),
     ),
     Row("three effects at once", evidence(effect("a+b+c")), V.UNKNOWN, (R.TOO_MANY_EFFECTS,), ("a+b+c",), remainder=0.0),
+    Row(
+        "three effects at once, one of them alone on an axis",
+        evidence(effect("a+b+b", axes=(1, 1, 0))),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a+b+b",),
+    ),
+    Row(
+        "two on an axis and one on all", evidence(effect("a+b+c", axes=(1, 1, None))), V.UNKNOWN, (R.TOO_MANY_EFFECTS,), ("a+b+c",)
+    ),
     Row("an effect that leaves a tenth", evidence(effect("a", left=11.0)), V.UNKNOWN, (R.ENERGY_LEFT,), ("a",), remainder=0.1),
     Row(
         "three effects that leave a tenth",

@@ -23,30 +23,53 @@ STEP = 5e-3
 TIME = STEP * np.arange(6000)
 
 
-def test_a_gain_of_all_coupled_axes_is_one_effect():
-    """Both axes of a coupled plant are 4 % weak: one value on both, not an effect per axis."""
+def coupled(measured, noise=2e-3):
+    """A plant with two axes whose modes both of them share, its command, and a record: `measured` of model and command, with noise."""
     w = 2 * np.pi * 300.0
     a = w * np.array([[-0.2, -1.0, 0.0, 0.0], [1.0, -0.2, 0.0, 0.0], [0.0, 0.0, -0.3, -1.3], [0.0, 0.0, 1.3, -0.3]])
     b, c = w * np.array([[1.0, 0.2], [0.0, 0.1], [0.3, 1.0], [0.1, 0.0]]), np.array([[0.2, 1.0, 0.1, 0.3], [0.1, 0.2, 0.0, 1.0]])
     plant = StateSpace(a, b, c, np.zeros((2, 2)))
-    model = Model("coupled", ("x", "y"), {"command": "V", "measurement": "mrad"}, 2e-4, Chain((plant,)), noise={"sigma": 2e-3})
+    model = Model("coupled", ("x", "y"), {"command": "V", "measurement": "mrad"}, 2e-4, Chain((plant,)), noise={"sigma": noise})
     random = np.random.default_rng(3)
     command = np.repeat(random.uniform(0.0, 1.0, (250, 2)), 16, axis=0)
     command[:300] = 0.0
-    weak = replace(model, chain=Chain((replace(plant, C=0.96 * c),)))
-    measured = simulate(weak, command) + 2e-3 * random.standard_normal(command.shape)
+    values = measured(model, command) + noise * random.standard_normal(command.shape)
     time = 2e-4 * np.arange(len(command))
-    record = Record(
-        {"command": Signal(time, command, ("x", "y"), "V"), "measurement": Signal(time, measured, ("x", "y"), "mrad")}, "weak"
-    )
+    signals = {"command": Signal(time, command, ("x", "y"), "V"), "measurement": Signal(time, values, ("x", "y"), "mrad")}
+    return model, command, Record(signals, "coupled")
+
+
+def test_a_gain_of_all_coupled_axes_is_one_effect():
+    """Both axes of a coupled plant are 4 % weak: one value on both, not an effect per axis."""
+
+    def weak(model, command):
+        (plant,) = model.chain.stages
+        return simulate(replace(model, chain=Chain((replace(plant, C=0.96 * np.array(plant.C)),))), command)
+
+    model, command, record = coupled(weak)
     others = [name for name in EFFECTS if name not in ("gain", "gain_drift", "delay", "cross_coupling", "resonance")]
     report, _, better = diagnosed([record], model, without=others)
     first = report["effects"][0]
     assert (first["name"], first["axis"]) == ("gain", ["x", "y"])
     low, high = first["parameters"]["gain"]["ci90"]
     assert low < -0.04 < high and high - low < 0.02
-    left = measured - simulate(better, command)
+    left = record.signal("measurement").values - simulate(better, command)
     assert np.sqrt(np.mean(left**2)) < 1.1 * 2e-3
+
+
+def test_an_effect_on_each_of_two_coupled_axes_and_another_on_one_are_two_effects():
+    """Hum on both axes and a vibration on one: three sizes, but no more than two effects on an axis."""
+
+    def disturbed(model, command):
+        time = 2e-4 * np.arange(len(command))
+        hum = np.column_stack([0.02 * np.sin(2 * np.pi * 50.0 * time), 0.03 * np.sin(2 * np.pi * 50.0 * time + 1.0)])
+        return simulate(model, command) + hum + np.column_stack([np.zeros(len(time)), 0.025 * np.sin(2 * np.pi * 87.3 * time)])
+
+    model, _, record = coupled(disturbed)
+    others = [name for name in EFFECTS if name not in ("mains_hum", "vibration", "gain", "offset")]
+    report, _, _ = diagnosed([record], model, without=others)
+    assert report["verdict"] == "effect"
+    assert {row["name"]: row["axis"] for row in report["effects"]} == {"mains_hum": ["x", "y"], "vibration": ["y"]}
 
 
 def test_outliers_are_told_from_noise_of_any_colour():
