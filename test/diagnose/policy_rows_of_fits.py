@@ -10,6 +10,7 @@ from test.diagnose.made_evidence import (
     MISFIT,
     NULL,
     QUIET,
+    SAMPLES,
     SMALL,
     UNRELATED,
     changing,
@@ -23,6 +24,14 @@ from test.diagnose.policy_rows import R, Row, V
 
 CHANGING_PAIR = replace(effect("a+b"), residual=replace(changing(0.8).residual, energy=1.5))
 """Two effects of which the size of one would have to change with the level."""
+SLIGHT = none(energy=0.68, misfit=0.5 * SAMPLES * 0.68, beyond=30.0, residual=replace(QUIET, energy=0.68))
+"""Less than the own error and the noise, all frequencies together, but not at each."""
+
+FEW_LINES = replace(
+    effect("a", 50.0, left=0.67), misfit=SLIGHT.misfit - 57.0, beyond=0.0, residual=replace(QUIET, energy=0.67, predictable=1.0)
+)
+"""Takes off what exceeds them."""
+
 
 ROWS = (
     Row(
@@ -282,6 +291,19 @@ ROWS = (
         V.EFFECT,
         (R.ONE_EXPLANATION,),
         ("a",),
+    ),
+    Row(
+        "an effect that stands far out of the model's own error at a few frequencies, which are a small share of all",
+        evidence(replace(FEW_LINES, local=9.5), base=SLIGHT, whitened=True),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
+        "the same at many frequencies, at each of which it stays within that error",
+        evidence(replace(FEW_LINES, local=2.9), base=SLIGHT, whitened=True),
+        V.NO_GAP,
+        (R.BELOW_PRACTICAL_SIZE,),
     ),
     Row(
         "a second effect that only takes off what stays under the model's own error",
