@@ -23,13 +23,15 @@ demo: env
 
 # Processes that run tests: one more than the two cores that the limit of time is meant for, as tests of nodes mostly wait for events.
 WORKERS ?= 3
+# Ends a process whose test hangs in a library that keeps Python's lock, so that no other timeout comes to work.
+WATCHDOG = -o faulthandler_timeout=330 -o faulthandler_exit_on_timeout=true
 # Without files of byte code each of the many processes of a run would compile all of the sources for itself.
 test: env
-	env -u PYTHONDONTWRITEBYTECODE $(VENV)/bin/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
+	env -u PYTHONDONTWRITEBYTECODE $(VENV)/bin/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(WATCHDOG) $(ARGS)
 
 # What failed in the last run, alone: tells what a busy machine did from what the code does. Nothing to run is a failure too.
 test-again: env
-	$(VENV)/bin/python -m pytest --last-failed --last-failed-no-failures none $(ARGS)
+	$(VENV)/bin/python -m pytest --last-failed --last-failed-no-failures none $(WATCHDOG) $(ARGS)
 
 fuzz: env
 	PYTHONPATH=. $(VENV)/bin/python test/fuzz $(ARGS)
