@@ -27,7 +27,7 @@ WORKERS ?= 3
 WATCHDOG = -o faulthandler_timeout=330 -o faulthandler_exit_on_timeout=true
 # Without files of byte code each of the many processes of a run would compile all of the sources for itself.
 test: env
-	env -u PYTHONDONTWRITEBYTECODE $(VENV)/bin/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(WATCHDOG) $(ARGS)
+	env -u PYTHONDONTWRITEBYTECODE $(VENV)/bin/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart=3 $(WATCHDOG) $(ARGS)
 
 # What failed in the last run, alone: tells what a busy machine did from what the code does. Nothing to run is a failure too.
 test-again: env
