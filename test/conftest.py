@@ -45,7 +45,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Leave what is there by now out of every later collection of garbage: all modules, and thousands of tests."""
+    """Spare the garbage collector the modules and the thousands of tests, which stay to the end."""
     gc.collect()
     gc.freeze()
 

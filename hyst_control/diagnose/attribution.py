@@ -116,7 +116,7 @@ def _waveforms(diagnosis: Diagnosis) -> list[Named]:
     found: dict[str, list[tuple[AxisDiagnosis, Scored, int, float]]] = {}
     for part in diagnosis.parts:
         seen: set[str] = set()
-        for scored in part.listed:  # of the first that has an effect: on coupled axes it may have it on each
+        for scored in part.listed:  # the first one that has an effect counts; it may have it on each of several coupled axes
             for index, name in enumerate(scored.names):
                 if name not in seen:
                     found.setdefault(name, []).append((part, scored, index, part.decision.of(name)))

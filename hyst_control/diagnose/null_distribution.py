@@ -5,8 +5,8 @@ drawn: from the nominal model with scattered coefficients, the user's own comman
 candidates; the threshold is a quantile of the best scores. It is cached; the key contains all that it depends on: model, command,
 sample time, rows that count, noise, the catalogue's ranges and priors, the configuration and the version of this package.
 
-About the coefficients that a record was drawn with, all is linear as far as noise leads away from them: a record is its noise v and
-J z, the model's deviation from its nominal output. With candidate d, S = I + w J Jᵀ and w the weight of a sample, fitting z alone and
+Close to the coefficients z that a record was drawn with, its output is linear in them. So a record is taken as its noise v plus J z,
+where J holds the columns of the coefficients. With candidate d, S = I + w J Jᵀ and w the weight of a sample, fitting z alone and
 z with x differ by ½ w² (dᵀS⁻¹y)² / (w dᵀS⁻¹d + 1) for y = v + J z: the logarithm of a ratio of Gaussian densities, in which z is
 integrated out. So no record has to be simulated and fitted.
 """
@@ -94,7 +94,7 @@ def null_scores(
     settings: NullSettings = CONFIGURATION.null_distribution,
     progress: Callable[[int], None] = lambda _: None,
 ) -> Array:
-    """Gain of the best candidate on every simulated record without a gap.
+    """Gain of the best candidate on every record that is drawn without a gap.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def null_scores(
 
 
 def _is_rounded(problem: Problem) -> bool:
-    """Whether the measurement lies on a lattice whose steps are part of the noise."""
+    """True where the measurement is rounded in steps so coarse that their error is part of the noise."""
     return any(problem.steps) and problem.weight >= 1.0 and problem.own_spectrum is None
 
 

@@ -314,7 +314,7 @@ def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thres
     # What leaves no more than the model leaves on clean records is no gap.
     if before - one.energy > least and (unweighted or before > evidence.stated):
         return True
-    # A few frequencies at which the model errs least are a small share of all, however far an effect stands out of its error there.
+    # A slow effect has few frequencies, a small share of all, however far it stands out of the model's own error there.
     if _has_own_error(evidence) and one.names and not within and _stands_out(evidence.hypotheses[0], one, evidence, thresholds):
         return True
     if unweighted and evidence.stated >= thresholds.own_error_energy:
