@@ -5,8 +5,11 @@ from __future__ import annotations
 import gc
 import os
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
+from weakref import WeakSet
 
 import browser as browsers
 import numpy as np
@@ -60,18 +63,31 @@ def domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 
 @pytest.fixture
-def ros_context(domain: int) -> Iterator[object]:
-    """A private rclpy context on that domain."""
+def ros_context(domain: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
+    """A private rclpy context on that domain; nodes that a test leaves over go with it."""
     import rclpy
+    from rclpy.exceptions import InvalidHandle
+    from rclpy.node import Node
 
+    nodes: WeakSet[Node] = WeakSet()
+    begin = Node.__init__
+
+    def noted(node: Node, *arguments: Any, **options: Any) -> None:
+        nodes.add(node)
+        begin(node, *arguments, **options)
+
+    monkeypatch.setattr(Node, "__init__", noted)
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=domain)
     try:
         yield context
     finally:
         rclpy.try_shutdown(context=context)
-        # A node that is left over would be destroyed beside those of another test, where Fast DDS may wait for itself for ever.
-        gc.collect()
+        # One whose constructor refused its parameters, say. The garbage collector would destroy it at any later time, beside the nodes
+        # of another test, where Fast DDS may wait for itself for ever.
+        for node in list(nodes):
+            with suppress(AttributeError, InvalidHandle), node.handle:  # it never came to be, or is destroyed
+                Node.destroy_node(node)
 
 
 @pytest.fixture(scope="module")

@@ -74,28 +74,22 @@ def commands(case: Case) -> Array:
     return np.concatenate([np.zeros((20, axes)), ramp[:, None] * rows[0], rows])
 
 
-def run_case(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True, later: bool = False) -> dict[str, Array]:
+def run_case(case: Case, **included: bool) -> dict[str, Array]:
     """Simulate a case.
 
     Parameters
     ----------
     case
         The case.
-    effects
-        Include its effects.
-    noisy
-        Include the noise.
-    scattered
-        Include the scatter of its plant.
-    later
-        Another session of the same plant: noise, lost samples, and the phases of the mains and of vibrations are others.
+    **included
+        What it includes, and which session it is: the options of `plant_of`.
 
     Returns
     -------
     dict[str, Array]
         Signals (N, A) by topic.
     """
-    truth = plant_of(case, effects, noisy, scattered, later)
+    truth = plant_of(case, **included)
     rows, setup = commands(case), SETUPS[case.plant]
     if case.excitation != "closed_loop":
         first = truth.reset(rows[0])

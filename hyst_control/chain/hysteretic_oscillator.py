@@ -48,7 +48,7 @@ class Law:
     falling: Array
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def branch_slope(z: float, upward: bool, formula: Array, knots: Array, rising: Array, falling: Array) -> float:
     """Slope dz/dy of the branch through a force.
 
@@ -80,6 +80,87 @@ def branch_slope(z: float, upward: bool, formula: Array, knots: Array, rising: A
     return inside
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def force_rate(z: float, v: float, unbent: bool, formula: Array, knots: Array, rising: Array, falling: Array) -> float:
+    """Rate of the force along its branch; as `branch_slope` inlined by numba, since calls in the integration cost more than what they do.
+
+    Parameters
+    ----------
+    z, v
+        Force, V, and velocity, measurement unit/s.
+    unbent
+        Whether the law is a formula of exponent 1. Where it is, the branches run straight from z, and where the compiler knows it,
+        the integration takes a third of the time.
+    formula, knots, rising, falling
+        As in `Law`.
+
+    Returns
+    -------
+    float
+        V/s.
+    """
+    if unbent:
+        against = formula[1] if (z > 0.0) == (v > 0.0) else -formula[1]
+        slope = formula[0] - (against + formula[2]) * abs(z)
+    else:
+        slope = branch_slope(z, v > 0.0, formula, knots, rising, falling)
+    rate: float = v * slope
+    return rate
+
+
+@njit(cache=True, error_model="numpy")
+def advance_interval(
+    at: tuple[float, float, float],
+    drive: tuple[float, float],
+    unbent: bool,
+    step: float,
+    steps: int,
+    mechanics: Array,
+    formula: Array,
+    knots: Array,
+    rising: Array,
+    falling: Array,
+) -> tuple[float, float, float]:
+    """Integrate over one interval by the classical Runge-Kutta method of fourth order.
+
+    Parameters
+    ----------
+    at
+        y, ẏ, z at its begin.
+    drive
+        Command at its begin, V, and what it rises by in a step.
+    unbent, step, steps, mechanics, formula, knots, rising, falling
+        As in `force_rate` and `advance_oscillator`.
+
+    Returns
+    -------
+    tuple of float
+        y, ẏ, z at its end.
+    """
+    y, v, z = at
+    u, rise = drive
+    mass, damping, stiffness = mechanics
+    half, sixth = 0.5 * step, step / 6.0
+    for _ in range(steps):
+        middle = u + 0.5 * rise
+        a1 = (u - damping * v - stiffness * y - z) / mass
+        f1 = force_rate(z, v, unbent, formula, knots, rising, falling)
+        v2, z2 = v + half * a1, z + half * f1
+        a2 = (middle - damping * v2 - stiffness * (y + half * v) - z2) / mass
+        f2 = force_rate(z2, v2, unbent, formula, knots, rising, falling)
+        v3, z3 = v + half * a2, z + half * f2
+        a3 = (middle - damping * v3 - stiffness * (y + half * v2) - z3) / mass
+        f3 = force_rate(z3, v3, unbent, formula, knots, rising, falling)
+        u += rise
+        v4, z4 = v + step * a3, z + step * f3
+        a4 = (u - damping * v4 - stiffness * (y + step * v3) - z4) / mass
+        f4 = force_rate(z4, v4, unbent, formula, knots, rising, falling)
+        y += sixth * (v + 2.0 * (v2 + v3) + v4)
+        v += sixth * (a1 + 2.0 * (a2 + a3) + a4)
+        z += sixth * (f1 + 2.0 * (f2 + f3) + f4)
+    return y, v, z
+
+
 @njit(cache=True, error_model="numpy")
 def advance_oscillator(
     command: Array,
@@ -94,7 +175,7 @@ def advance_oscillator(
     state: Array,
     output: Array,
 ) -> None:
-    """Integrate one axis over a block by the classical Runge-Kutta method of fourth order.
+    """Integrate one axis over a block.
 
     Parameters
     ----------
@@ -111,30 +192,15 @@ def advance_oscillator(
     state
         (6,): y, ẏ, z, command before, least and greatest z so far; updated.
     """
-    mass, damping, stiffness = mechanics
     y, v, z, before, least, greatest = state
-    half, sixth = 0.5 * step, step / 6.0
+    unbent = knots.size == 0 and formula[3] == 1.0
     for row in range(command.size):
         now = command[row]
-        slope = 0.0 if held else (now - before) / steps
-        u = now if held else before
-        for _ in range(steps):
-            middle = u + 0.5 * slope
-            a1 = (u - damping * v - stiffness * y - z) / mass
-            f1 = v * branch_slope(z, v > 0.0, formula, knots, rising, falling)
-            v2, z2 = v + half * a1, z + half * f1
-            a2 = (middle - damping * v2 - stiffness * (y + half * v) - z2) / mass
-            f2 = v2 * branch_slope(z2, v2 > 0.0, formula, knots, rising, falling)
-            v3, z3 = v + half * a2, z + half * f2
-            a3 = (middle - damping * v3 - stiffness * (y + half * v2) - z3) / mass
-            f3 = v3 * branch_slope(z3, v3 > 0.0, formula, knots, rising, falling)
-            u += slope
-            v4, z4 = v + step * a3, z + step * f3
-            a4 = (u - damping * v4 - stiffness * (y + step * v3) - z4) / mass
-            f4 = v4 * branch_slope(z4, v4 > 0.0, formula, knots, rising, falling)
-            y += sixth * (v + 2.0 * (v2 + v3) + v4)
-            v += sixth * (a1 + 2.0 * (a2 + a3) + a4)
-            z += sixth * (f1 + 2.0 * (f2 + f3) + f4)
+        drive = (now, 0.0) if held else (before, (now - before) / steps)
+        if unbent:
+            y, v, z = advance_interval((y, v, z), drive, True, step, steps, mechanics, formula, knots, rising, falling)
+        else:
+            y, v, z = advance_interval((y, v, z), drive, False, step, steps, mechanics, formula, knots, rising, falling)
         before = now
         least, greatest = min(least, z), max(greatest, z)
         output[row] = y

@@ -37,7 +37,7 @@ from hyst_control.diagnose.error_on_other_commands import (
 from hyst_control.diagnose.initial_memory import has_whole_loop, initial_memory, is_new_ground, wiped_out
 from hyst_control.diagnose.noise_floor import noise_between_periods
 from hyst_control.diagnose.problem import Piece, Problem, check_units
-from hyst_control.diagnose.same_command import Match, beside_periods, between_periods, matching, repeating_rows
+from hyst_control.diagnose.same_command import Match, matching, period_differences, repeating_rows
 from hyst_control.diagnose.session import CarriedError, LearnedError, SessionZero
 from hyst_control.errors import InputError
 from hyst_control.identify.error_spectrum import ErrorSpectrum
@@ -328,9 +328,9 @@ def _carried(
         if len(errors) == 1:
             clean_piece, shift = found[0].clean, found[0].shift
             rows = repeating_rows(clean_piece.command, begin + shift, end + shift, settings)
-            single = clean_piece.command[rows], clean_errors[0][rows], rows.start, settings
-            differences += between_periods(*single)
-            run_to_run += beside_periods(*single)
+            successive, about_mean = period_differences(clean_piece.command[rows], clean_errors[0][rows], rows.start, settings)
+            differences += successive
+            run_to_run += about_mean
     repeatability = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if differences else np.zeros(len(spans))
     usual = np.fmin(np.max(zeros, axis=0), np.array(settings.usual_share) * spans[:, None])
     # Both records of a difference have noise, and the mean of n clean ones a part of it; what is carried has none.

@@ -129,8 +129,8 @@ def repeating_rows(command: Array, begin: int, end: int, settings: BaselineSetti
     return slice(begin, end)
 
 
-def between_periods(command: Array, error: Array, before: int, settings: BaselineSettings) -> list[Array]:
-    """Differences of an error between successive periods of a periodic command.
+def period_differences(command: Array, error: Array, before: int, settings: BaselineSettings) -> tuple[list[Array], list[Array]]:
+    """The part of an error that does not repeat from period to period of a periodic command.
 
     Parameters
     ----------
@@ -145,37 +145,19 @@ def between_periods(command: Array, error: Array, before: int, settings: Baselin
 
     Returns
     -------
-    list of ndarray, shape (P, A)
-        Without their zeros and drifts; empty if the command is not periodic.
-    """
-    whole = _whole_periods(command, error, before, settings)
-    return [without_zero(later - earlier)[0] for earlier, later in zip(whole[:-1], whole[1:], strict=True)]
-
-
-def beside_periods(command: Array, error: Array, before: int, settings: BaselineSettings) -> list[Array]:
-    """The error without its mean over the periods of a periodic command.
-
-    Parameters
-    ----------
-    command : ndarray, shape (N, A)
-        V.
-    error : ndarray, shape (N, A)
-        Measured minus simulated, measurement unit.
-    before : int
-        Rows of the clean record before these.
-    settings : BaselineSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    list of ndarray, shape (M, A)
-        One, without zero and drift; empty if the command is not periodic.
+    successive : list of ndarray, shape (P, A)
+        Differences between successive periods, without their zeros and drifts; empty if the command is not periodic.
+    about_mean : list of ndarray, shape (M, A)
+        One, the error without its mean over the periods, without zero and drift; empty if the command is not periodic.
     """
     whole = _whole_periods(command, error, before, settings)
     if not len(whole):
-        return []
-    beside = (whole - whole.mean(axis=0)) / np.sqrt(1.0 - 1.0 / len(whole))
-    return [without_zero(beside.reshape(-1, error.shape[1]))[0]]
+        return [], []
+    about_mean = (whole - whole.mean(axis=0)) / np.sqrt(1.0 - 1.0 / len(whole))
+    return (
+        [without_zero(later - earlier)[0] for earlier, later in zip(whole[:-1], whole[1:], strict=True)],
+        [without_zero(about_mean.reshape(-1, error.shape[1]))[0]],
+    )
 
 
 def _whole_periods(command: Array, error: Array, before: int, settings: BaselineSettings) -> Array:

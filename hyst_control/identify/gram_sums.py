@@ -324,6 +324,7 @@ def gram_matrices(
         passing = _Pass(window, operators, systems[Sampling(window.sample_time, 1, window.hold)], theta)
         n = len(window.command)
         place = np.r_[0 : columns + size, columns + size + window.group * extra + np.arange(extra), total - 1]
+        square = np.ix_(place, place)
         length = max(min(BLOCK, n // HELD_OUT_BLOCKS), 1)
         together, chunk = -(-n // (length * MOST_BLOCKS)), length * max(BLOCK // length, 1)
         buffer = np.empty((length, len(place)))
@@ -344,7 +345,7 @@ def gram_matrices(
             # Every third block is held out of the choice between structures: a part of every experiment in the record.
             part = 1 if begin // length % 3 == 2 else 0
             product = np.zeros((total, total))
-            product[np.ix_(place, place)] = gram_product(block)
+            product[square] = gram_product(block)
             grams[part] += product
             rows[part] += len(block)
             if used_blocks % together:

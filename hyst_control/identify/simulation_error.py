@@ -240,6 +240,7 @@ def gram_matrices(
     together, count = -(-everything // (length * MOST_BLOCKS)), 0
     for window in windows:
         place = np.r_[0:size, size + window.group * extra + np.arange(extra), total - 1]
+        square = np.ix_(place, place)
         sampling = Sampling(window.sample_time, 1, window.hold)
         if sampling not in clocks:
             clocks[sampling] = Bundle(chains, sampling)
@@ -264,7 +265,7 @@ def gram_matrices(
             for begin in range(max(window.skip - chunk, 0), stop - chunk, length):
                 block = columns[begin : begin + length]
                 product = np.zeros((total, total))
-                product[np.ix_(place, place)] = gram_product(np.ascontiguousarray(block))
+                product[square] = gram_product(np.ascontiguousarray(block))
                 if count % together:
                     blocks[-1] += product
                 else:
