@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -224,7 +225,7 @@ def _greatest_integral(
     for time in [0.0, *(sample_time * np.geomspace(0.1, 1e4, 26 if roll_off else 51))]:
         shape = (time + sample_time * z / (z - 1.0)) / (static * sample_time)
         loops, above = rolled * shape, best[1] * static * sample_time
-        if roll_off and above and _phase_margin(above * loops, limits[3]).min() < limits[1]:
+        if roll_off and above and _phase_margin(_courses(loops), limits[3], above).min() < limits[1]:
             continue  # no greater integral gain than the best so far
         scale = _largest_scale(loops, *limits, above=above)
         gains = scale * time / (static * sample_time), scale / (static * sample_time)
@@ -301,9 +302,12 @@ def _largest_scale(
     ultimate = _crossing_180(loops).max() * (1.0 + error)
     highest = 1.0 / (max(ultimate, 1e-12) * gain_margin)
 
+    courses = _courses(loops)
+
     def kept(scale: float) -> bool:
-        scaled = scale * loops
-        return bool(1.0 <= peak_sensitivity * _least_distance(scaled, error) and _phase_margin(scaled, error).min() >= phase_margin)
+        if 1.0 > peak_sensitivity * _least_distance(scale * loops, error):
+            return False
+        return bool(_phase_margin(courses, error, scale).min() >= phase_margin)
 
     if highest <= above:
         return 0.0
@@ -345,20 +349,33 @@ def _least_distance(loops: Complex, error: float) -> float:
     return float((np.abs(1.0 + loops) - error * np.abs(loops)).min())
 
 
-def _phase_margin(loops: Complex, error: float = 0.0) -> Array:
-    """Least distance (M,) in rad of the phase from -180 degrees where |L| of loops (M, F) crosses 1; pi where it never does.
+class _Courses(NamedTuple):
+    """Loops (M, F) between neighboring points: ln |L| (M, F) at all of them, arg L (M, F - 1) and what it turns by up to the next."""
+
+    size: Array
+    phase: Array
+    turn: Array
+
+
+def _courses(loops: Complex) -> _Courses:
+    return _Courses(np.log(np.abs(loops)), np.angle(loops[:, :-1]), np.angle(loops[:, 1:] / loops[:, :-1]))
+
+
+def _phase_margin(courses: _Courses, error: float = 0.0, scale: float = 1.0) -> Array:
+    """Least distance (M,) in rad of the phase from -180 degrees where |L| of `scale` times the loops crosses 1; pi where it never does.
 
     A relative error turns the phase by its arc sine, and moves the crossing to where |L| is between 1 / (1 + error) and
     1 / (1 - error).
     """
-    if error:
-        ends = [_phase_margin(loops * factor) for factor in (1.0 - error, 1.0, 1.0 + error)]
-        return np.asarray(np.min(ends, axis=0) - np.arcsin(error))
-    size, turn = np.log(np.abs(loops)), np.angle(loops[:, 1:] / loops[:, :-1])
-    change = size[:, :-1] - size[:, 1:]
-    phase = np.angle(loops[:, :-1]) + turn * size[:, :-1] / np.where(change == 0.0, 1.0, change)
-    distance = np.abs(np.mod(phase, 2.0 * np.pi) - np.pi)
-    return np.asarray(np.where(size[:, :-1] * size[:, 1:] <= 0.0, distance, np.pi).min(axis=1))
+    least = np.full(len(courses.size), np.pi)
+    for factor in (1.0 - error, 1.0, 1.0 + error) if error else (1.0,):
+        size = courses.size + np.log(factor * scale)
+        loop, at = np.nonzero(size[:, :-1] * size[:, 1:] <= 0.0)
+        before = size[loop, at]
+        change = before - size[loop, at + 1]
+        phase = courses.phase[loop, at] + courses.turn[loop, at] * before / np.where(change == 0.0, 1.0, change)
+        np.minimum.at(least, loop, np.abs(np.mod(phase, 2.0 * np.pi) - np.pi))
+    return least - np.arcsin(error)
 
 
 def margins(loop: Complex, z: Complex, sample_time: float, error: float = 0.0) -> Margins:
@@ -387,7 +404,7 @@ def margins(loop: Complex, z: Complex, sample_time: float, error: float = 0.0) -
     below = np.flatnonzero(closed < np.sqrt(0.5))
     return Margins(
         gain_margin=-20.0 * float(np.log10(crossing)) if crossing > 0.0 else np.inf,
-        phase_margin=float(np.degrees(_phase_margin(loop[None], error)[0])),
+        phase_margin=float(np.degrees(_phase_margin(_courses(loop[None]), error)[0])),
         peak_sensitivity=1.0 / _least_distance(loop, error),
         crossover=float(frequency[above[-1]]) if len(above) else 0.0,
         bandwidth=float(frequency[below[0]]) if len(below) else 0.5 / sample_time,
