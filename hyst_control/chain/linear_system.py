@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy.linalg import block_diag
+from numpy.typing import NDArray
 from scipy.linalg.lapack import dgebal
 
 from hyst_control.chain.bounded_cache import remembered
@@ -54,9 +55,31 @@ class LinearSystem:
         return LinearSystem(a, self.B / scale[:, None], self.C * scale, self.D, self.bias)
 
 
+def block_diagonal(*blocks: NDArray[np.floating[Any]]) -> Array:
+    """Put real matrices along the diagonal of one; `scipy.linalg.block_diag` takes twenty times as long to look at its arguments.
+
+    Parameters
+    ----------
+    *blocks
+        Matrices of any shape.
+
+    Returns
+    -------
+    Array
+        The matrix, zero beside them.
+    """
+    whole = np.zeros((sum(len(block) for block in blocks), sum(block.shape[1] for block in blocks)))
+    row = column = 0
+    for block in blocks:
+        rows, columns = block.shape
+        whole[row : row + rows, column : column + columns] = block
+        row, column = row + rows, column + columns
+    return whole
+
+
 def stacked(systems: list[LinearSystem]) -> LinearSystem:
     """One system of several `systems` side by side, each on its own inputs and outputs."""
-    a, b, c, d = (block_diag(*(getattr(system, part) for system in systems)) for part in "ABCD")
+    a, b, c, d = (block_diagonal(*(getattr(system, part) for system in systems)) for part in "ABCD")
     return LinearSystem(a, b, c, d, np.concatenate([system.bias for system in systems]))
 
 

@@ -375,7 +375,7 @@ def _phase_margin(courses: _Courses, error: float = 0.0, scale: float = 1.0) -> 
         change = before - size[loop, at + 1]
         phase = courses.phase[loop, at] + courses.turn[loop, at] * before / np.where(change == 0.0, 1.0, change)
         np.minimum.at(least, loop, np.abs(np.mod(phase, 2.0 * np.pi) - np.pi))
-    return least - np.arcsin(error)
+    return np.asarray(least - np.arcsin(error))
 
 
 def margins(loop: Complex, z: Complex, sample_time: float, error: float = 0.0) -> Margins:

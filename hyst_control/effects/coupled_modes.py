@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar, cast
 
 import numpy as np
-from scipy.linalg import block_diag
 
-from hyst_control.chain.linear import LinearStage, LinearSystem, stacked
+from hyst_control.chain.linear import LinearStage
+from hyst_control.chain.linear_system import LinearSystem, block_diagonal, stacked
 from hyst_control.chain.parameter import AllAxes, all_axes
 from hyst_control.chain.stage import Modifier, Stage, register
 from hyst_control.effects.coupled_resonance import ChangedTogether
@@ -69,7 +69,7 @@ class CoupledModes(Modifier):
             leaving.append(np.stack([in_phase[:, driven], quadrature[:, driven]], axis=2).reshape(axes, -1))
         return [
             LinearSystem(
-                block_diag(whole.A, *states),
+                block_diagonal(whole.A, *states),
                 np.vstack([whole.B, *entering]),
                 np.hstack([whole.C, *leaving]),
                 whole.D + np.array(self.static, dtype=float),

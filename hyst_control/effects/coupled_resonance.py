@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar, cast
 
 import numpy as np
-from scipy.linalg import block_diag
 
-from hyst_control.chain.linear import LinearStage, LinearSystem, stacked
+from hyst_control.chain.linear import LinearStage
+from hyst_control.chain.linear_system import LinearSystem, block_diagonal, stacked
 from hyst_control.chain.parameter import AllAxes, all_axes
 from hyst_control.chain.stage import Modifier, Stage, register
 from hyst_control.effects.modifiers import Changed
@@ -62,7 +62,7 @@ class CoupledResonance(Modifier):
         )
         return [
             LinearSystem(
-                block_diag(whole.A, mode), np.vstack([whole.B, entering]), np.hstack([whole.C, leaving]), whole.D, whole.bias
+                block_diagonal(whole.A, mode), np.vstack([whole.B, entering]), np.hstack([whole.C, leaving]), whole.D, whole.bias
             )
         ]
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar, cast
 
 import numpy as np
-from scipy.linalg import block_diag
 
-from hyst_control.chain.linear import LinearStage, LinearSystem
+from hyst_control.chain.linear import LinearStage
+from hyst_control.chain.linear_system import LinearSystem, block_diagonal
 from hyst_control.chain.parameter import ScalarPerAxis, declared, scalar
 from hyst_control.chain.stage import Modifier, Stage, frozen, per_axis_scalars, register
 from hyst_control.effects.coupled_resonance import CoupledResonance
@@ -58,7 +58,7 @@ class Resonance(Modifier):
                 c[row, 2 * row : 2 * row + 2] = gain[i], quadrature[i]
             changed.append(
                 LinearSystem(
-                    block_diag(system.A, *blocks),
+                    block_diagonal(system.A, *blocks),
                     np.vstack([system.B, b @ system.static_gain()]),
                     np.hstack([system.C, c]),
                     system.D + np.diag(static[list(own)]) @ system.static_gain(),
