@@ -35,11 +35,11 @@ class CourseFit:
     def __init__(self, values: Array, shapes: Array, white: float, walk: float) -> None:
         place = np.arange(len(values), dtype=float)
         factor = cho_factor(white * np.eye(len(values)) + walk * np.minimum.outer(place + 1.0, place + 1.0))
-        ones = np.ones(len(values))
-        weight = cho_solve(factor, ones)
+        solved = cho_solve(factor, np.column_stack([np.ones(len(values)), values, shapes]))
+        weight = solved[:, 0]
         level = float(weight @ values / weight.sum())
-        rest = cho_solve(factor, values - level)
-        information = np.einsum("ij,ij->j", shapes, cho_solve(factor, shapes)) - (weight @ shapes) ** 2 / weight.sum()
+        rest = solved[:, 1] - level * weight
+        information = np.einsum("ij,ij->j", shapes, solved[:, 2:]) - (weight @ shapes) ** 2 / weight.sum()
         self._variance = 1.0 / information
         self._size = (rest @ shapes) / information
         self._level = level
