@@ -67,8 +67,7 @@ def test_creep_is_named_where_the_tolerances_leave_it_room():
     assert named["parameters"]["gamma"]["value"] == pytest.approx(0.03, rel=0.1)
 
 
-@pytest.mark.parametrize("name, change", [("offset_drift", -0.15), ("gain_drift", 0.03)])
-@pytest.mark.parametrize("tau", [0.1, 0.3])
+@pytest.mark.parametrize("name, change, tau", [("offset_drift", -0.15, 0.1), ("gain_drift", 0.03, 0.3)])
 def test_a_drift_that_ends_within_the_record_is_named(answer, name, change, tau):
     """Straight for this time of the 0.34 s, then constant (law 1 of the plant)."""
     document, _, _ = answer(PEA, (("name", name), ("change", change), ("tau", tau), ("law", 1)))
