@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib.util import find_spec
@@ -33,15 +34,22 @@ LONG, SHORT = 30.0, 4.0
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files marked `long_file` come first: begun last, one of them would keep one worker busy while the others have nothing to do.
 
-    Tests of nodes mostly wait: their files are spread among those that compute, so that there is always something to compute.
+    They take turns by folder: files of one folder, begun at once, would have each worker compile the same kernels. Tests of nodes
+    mostly wait: their files are spread among those that compute, so that there is always something to compute.
     """
     files: dict[Path, list[pytest.Item]] = {}
     for item in items:
         files.setdefault(item.path, []).append(item)
     seconds = {path: LONG if file[0].get_closest_marker("long_file") else SHORT for path, file in files.items()}
+    seen: Counter[tuple[Path, float]] = Counter()
+    turns: dict[Path, int] = {}
+    for path in files:
+        seen[path.parent, seconds[path]] += 1
+        turns[path] = seen[path.parent, seconds[path]]
     begins: dict[Path, float] = {}  # as a share of the time of all files of its kind
     for kind in (True, False):
-        own = sorted((path for path in files if ("nodes" in path.parts) is kind), key=lambda path: -seconds[path])
+        of_kind = [path for path in files if ("nodes" in path.parts) is kind]
+        own = sorted(of_kind, key=lambda path: (seconds[path], -turns[path], path), reverse=True)
         times = np.cumsum([0.0] + [seconds[path] for path in own])
         begins |= dict(zip(own, times[:-1] / times[-1]))
     items[:] = [item for path in sorted(files, key=begins.__getitem__) for item in files[path]]

@@ -14,6 +14,8 @@ from hyst_control.cli import main
 from hyst_control.config_files import config_path
 from hyst_control.control.feedforward import KINDS
 
+pytestmark = pytest.mark.long_file
+
 MODELS = sorted(path.name for path in Path(config_path("models/pea_hampi.yaml")).parent.glob("*.yaml"))
 INVERSE = str(config_path("models/fsm_mhl_inverse.yaml"))
 FEEDFORWARDS = {
