@@ -82,7 +82,7 @@ def branch_slope(z: float, upward: bool, formula: Array, knots: Array, rising: A
 
 @njit(cache=True, error_model="numpy")
 def unbent_slope(z: float, upward: bool, formula: Array) -> float:
-    """`branch_slope` of a formula whose exponent is 1: so little that the integration takes a third of the time.
+    """`branch_slope` of a formula whose exponent is 1, short enough for the compiler to inline it: a third of the time.
 
     Parameters
     ----------
