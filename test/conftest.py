@@ -6,13 +6,11 @@ import gc
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
-from weakref import WeakSet
 
 import browser as browsers
+import left_over_nodes
 import numpy as np
 import pytest
 
@@ -71,31 +69,17 @@ def domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 
 @pytest.fixture
-def ros_context(domain: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
+def ros_context(domain: int) -> Iterator[object]:
     """A private rclpy context on that domain; nodes that a test leaves over go with it."""
     import rclpy
-    from rclpy.exceptions import InvalidHandle
-    from rclpy.node import Node
 
-    nodes: WeakSet[Node] = WeakSet()
-    begin = Node.__init__
-
-    def noted(node: Node, *arguments: Any, **options: Any) -> None:
-        nodes.add(node)
-        begin(node, *arguments, **options)
-
-    monkeypatch.setattr(Node, "__init__", noted)
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=domain)
-    try:
-        yield context
-    finally:
-        rclpy.try_shutdown(context=context)
-        # One whose constructor refused its parameters, say. The garbage collector would destroy it at any later time, beside the nodes
-        # of another test, where Fast DDS may wait for itself for ever.
-        for node in list(nodes):
-            with suppress(AttributeError, InvalidHandle), node.handle:  # it never came to be, or is destroyed
-                Node.destroy_node(node)
+    with left_over_nodes.destroyed():
+        context = rclpy.Context()
+        rclpy.init(context=context, domain_id=domain)
+        try:
+            yield context
+        finally:
+            rclpy.try_shutdown(context=context)
 
 
 @pytest.fixture(scope="module")

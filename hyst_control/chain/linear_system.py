@@ -56,7 +56,7 @@ class LinearSystem:
 
 
 def block_diagonal(*blocks: NDArray[np.floating[Any]]) -> Array:
-    """Put real matrices along the diagonal of one; `scipy.linalg.block_diag` takes twenty times as long to look at its arguments.
+    """Put real matrices along the diagonal of one; `scipy.linalg.block_diag` takes twenty times as long, for its checks.
 
     Parameters
     ----------

@@ -35,6 +35,8 @@ class CourseFit:
     def __init__(self, values: Array, shapes: Array, white: float, walk: float) -> None:
         place = np.arange(len(values), dtype=float)
         factor = cho_factor(white * np.eye(len(values)) + walk * np.minimum.outer(place + 1.0, place + 1.0))
+        mean = float(values.mean())
+        values = values - mean  # a level far above the scatter would cost digits below
         solved = cho_solve(factor, np.column_stack([np.ones(len(values)), values, shapes]))
         weight = solved[:, 0]
         level = float(weight @ values / weight.sum())
@@ -42,7 +44,7 @@ class CourseFit:
         information = np.einsum("ij,ij->j", shapes, solved[:, 2:]) - (weight @ shapes) ** 2 / weight.sum()
         self._variance = 1.0 / information
         self._size = (rest @ shapes) / information
-        self._level = level
+        self._level = mean + level
         self._means = (weight @ shapes) / weight.sum()
         self.likelihood = -float(np.log(np.diag(factor[0])).sum() + 0.5 * np.log(weight.sum()) + 0.5 * (values - level) @ rest)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hyst_control.fleet.change_points import find_changes
+from hyst_control.fleet.course_fit import CourseFit
 from hyst_control.fleet.outliers import find_outliers
 
 UNITS, NIGHTS = 200, 50
@@ -48,6 +49,16 @@ def test_units_and_nights_are_found():
 def test_a_fleet_without_changes_names_hardly_any_unit(walk):
     named = [len(found_in(fleet(seed, affected=0, walk=walk)[0])) for seed in range(5)]
     assert sum(named) <= 1, "of 1,000 units"
+
+
+def test_a_level_far_above_the_scatter_changes_nothing():
+    """Values on a lattice of 2^-10, so that adding 2^40 is exact."""
+    values = np.rint(1024.0 * np.random.default_rng(3).standard_normal(40)) / 1024.0
+    shapes = np.triu(np.ones((40, 40)))[:, 3:-3]
+    plain, far = (CourseFit(each, shapes, 1.0, 0.01) for each in (values, values + 2.0**40))
+    assert far.likelihood == pytest.approx(plain.likelihood, rel=1e-9)
+    np.testing.assert_allclose(far.evidence(3.0)[1], plain.evidence(3.0)[1], rtol=1e-9)
+    assert far.level(5, 1.0) - 2.0**40 == pytest.approx(plain.level(5, 1.0), abs=1e-3)
 
 
 def test_short_and_constant_series_are_left_out():
