@@ -368,7 +368,7 @@ def message_loss(bag: Path) -> tuple[float, int]:
         Number of rows expected.
     """
     missing = sum(missing_rows(bag).values())
-    expected = missing + sum(len(signal.time) for signal in read_bag(bag).signals.values())
+    expected = missing + sum(len(signal.time) for signal in read_bag(bag, topics=SIGNALS).signals.values())
     return 100.0 * missing / expected, expected
 
 
@@ -389,7 +389,7 @@ def missing_rows(bag: Path) -> dict[str, int]:
         Missing rows by topic.
     """
     missing = {}
-    for topic, signal in read_bag(bag).signals.items():
+    for topic, signal in read_bag(bag, topics=SIGNALS).signals.items():
         step = float(np.median(np.diff(signal.time)))
         missing[topic] = round((signal.time[-1] - signal.time[0]) / step) + 1 - len(signal.time)
     return missing

@@ -11,6 +11,7 @@ from pathlib import Path
 from hyst_control.errors import InputError
 from hyst_control.fleet.manifest import Entry
 from hyst_control.fleet.record_jobs import bag_stamp
+from hyst_control.records.actuator_following import APPLIED
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
@@ -84,6 +85,8 @@ def _split(bag: str, folder: Path, namespace: str | None, unit: str) -> dict[str
         raise InputError(f"{bag}: command and measurement must have the same axes to be split")
     if any(signal.timing == "receive" for signal in signals.values()):
         raise InputError(f"{bag}: has times of reception: --split-axes needs sample times, see hyst import")
+    if APPLIED in record.signals and record.signals[APPLIED].axes == axes:
+        signals[APPLIED] = record.signals[APPLIED]
     if len(axes) > 1 and not place.is_dir():
         part = place.with_name(place.name + ".part")
         shutil.rmtree(part, ignore_errors=True)

@@ -13,10 +13,10 @@ from hyst_control.control.command_watchdog import CommandWatchdog
 from hyst_control.errors import InputError
 from hyst_control.nodes.base import SignalNode
 from hyst_control.nodes.parameters import Setting
+from hyst_control.records.actuator_following import APPLIED, INTERVAL
 
 Array = NDArray[np.float64]
 
-APPLIED_INTERVAL = 0.005  # s, at least, between two messages that say what is applied
 CLOSE = 1e-9
 """V; a voltage that differs by less was not limited."""
 
@@ -44,7 +44,7 @@ class Actuator:
     def __init__(self, node: SignalNode, limits: CommandLimits | None = None) -> None:
         self.node, self.limits = node, limits or CommandLimits()
         self.command = node.input("command", "V")
-        self.output = node.output("applied", "V")
+        self.output = node.output(APPLIED, "V")
         self.limited = 0
         """Ticks whose command was beyond the limits."""
         given, axes = node.settings, len(node.axes)
@@ -119,7 +119,7 @@ class Actuator:
             node.warn("stale", f"no command for {node.longest_age:g} s: the actuator goes to its safe value")
         elif self._contradicted:
             node.warn("contradicted", "two sources of command: the actuator goes to its safe value")
-        if tick - self._said >= APPLIED_INTERVAL / node.period:
+        if tick - self._said >= INTERVAL / node.period:
             self._said = tick
             self.output.send(tick, watchdog.applied[None])
 

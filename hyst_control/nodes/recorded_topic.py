@@ -36,6 +36,8 @@ class RecordedTopic:
         Least number of rows stored in one message, unless `write` is called.
     ticks : int
         Number of ticks that are recorded in lockstep, 0 for all.
+    sparse : bool
+        Missing ticks are no loss: the source speaks only where it has something to say.
     """
 
     def __init__(
@@ -46,8 +48,9 @@ class RecordedTopic:
         repeated: Callable[[], None],
         merge: int = 1,
         ticks: int = 0,
+        sparse: bool = False,
     ) -> None:
-        self._node, self._store, self._repeated, self._merge = node, store, repeated, merge
+        self._node, self._store, self._repeated, self._merge, self._sparse = node, store, repeated, merge, sparse
         self._ticks = ticks if node.lockstep else 0
         self._encoder: Encoder | None = None
         self.rows = node.signal_rows(topic, Missing.HOLD if node.lockstep else Missing.SKIP)
@@ -137,7 +140,7 @@ class RecordedTopic:
 
     def _count_missed(self, before: int) -> None:
         """Count the ticks given up since `missed` had this value."""
-        if self.rows.missed > before:
+        if self.rows.missed > before and not self._sparse:
             self._node.counts[f"{self.name}: missed ticks"] += self.rows.missed - before
             if self._node.lockstep:
                 first, end = self.rows.gaps[-1]

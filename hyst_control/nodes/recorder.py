@@ -14,6 +14,7 @@ from hyst_control.nodes.message_io import QUEUE
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.recorded_topic import RecordedTopic
 from hyst_control.nodes.run import main as run_main
+from hyst_control.records.actuator_following import APPLIED
 from hyst_control.records.bag_writer import BagWriter
 from hyst_control.records.row_repetition import REPEAT_INTERVAL, RepetitionBackoff
 
@@ -32,6 +33,9 @@ class Recorder(SignalNode):
     It publishes on `recorded` the last tick up to which every topic is complete, for a plant that waits for it. With `ticks` it stores
     that many rows of every topic and ends. Values are stored as received, NaN included, because they are evidence. `merge` stores
     several rows of a topic in one message of the same layout, which makes bags smaller and writing cheaper.
+
+    Under the timer, what the plant says on `applied` is stored beside `command`: rows at which the actuator did not follow it are no
+    answer to it. Nothing is said there while it does, so no run waits for this topic.
 
     Parameters
     ----------
@@ -69,6 +73,8 @@ class Recorder(SignalNode):
         ]
         for topic in self._topics:
             self._writer.add_topic(topic.name)
+        beside = not self.lockstep and "command" in self.settings.topics and APPLIED not in self.settings.topics
+        self._beside = [RecordedTopic(self, APPLIED, self.store, self.repeat_progress, sparse=True)] if beside else []
         self.every(DRAIN_INTERVAL[self.settings.schedule], self._drain)
         self.every(0.5, self._flush)
         if self.settings.duration:
@@ -130,7 +136,7 @@ class Recorder(SignalNode):
             self._writer.abandon()
             return
         try:
-            for topic in self._topics:
+            for topic in (*self._topics, *self._beside):
                 topic.drain()
                 topic.close()
             if not self.lockstep:
@@ -157,7 +163,7 @@ class Recorder(SignalNode):
     def _drain(self) -> None:
         if not self.finished.done():
             with delayed():  # rows taken from the queues must reach the bag
-                for topic in self._topics:
+                for topic in (*self._topics, *self._beside):
                     topic.drain()
             self.progress()
 
@@ -165,7 +171,7 @@ class Recorder(SignalNode):
         if not self.finished.done():
             try:
                 with delayed():
-                    for topic in self._topics:
+                    for topic in (*self._topics, *self._beside):
                         topic.write()
                     self._writer.flush()
             except OSError as error:

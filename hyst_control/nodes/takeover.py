@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.nodes.base import SignalNode
+from hyst_control.records.actuator_following import APPLIED
 from hyst_control.records.foreign_rows import Refusal, admit
 from hyst_control.records.signal_message import label_for
 
 Array = NDArray[np.float64]
 
-TOPIC = "applied"
 FRESH = 1.0
 """s, for which what was heard counts."""
 DISCOVERY = 0.3
@@ -37,7 +37,7 @@ class Takeover:
     def __init__(self, node: SignalNode) -> None:
         self._node = node
         self._label = label_for(node.axes, "V")
-        self._intake = node.intake(TOPIC)
+        self._intake = node.intake(APPLIED)
         self.forget()
 
     def forget(self) -> None:
@@ -59,15 +59,15 @@ class Takeover:
         now = time.monotonic()
         if self._since is None:
             self._since = now
-        for label, block, _ in self._intake.take(lambda reason: self._node.drop(TOPIC, "unreadable", reason)):
+        for label, block, _ in self._intake.take(lambda reason: self._node.drop(APPLIED, "unreadable", reason)):
             tick = admit(block, self._node.period) if len(block) and label == self._label else None
             if isinstance(tick, int):
                 self.tick, self.command, self._heard = tick + len(block) - 1, block[-1, 1:].copy(), now
             elif isinstance(tick, Refusal):
-                self._node.drop(TOPIC, tick.kind, tick.reason)
+                self._node.drop(APPLIED, tick.kind, tick.reason)
         if self.command is not None and now - self._heard > FRESH:
             self.tick, self.command = -1, None
         if self.command is not None:
             return True
         listened = now - self._since
-        return listened >= patience or listened >= DISCOVERY and not self._node.count_publishers(TOPIC)
+        return listened >= patience or listened >= DISCOVERY and not self._node.count_publishers(APPLIED)

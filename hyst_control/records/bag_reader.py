@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from hyst_control.errors import InputError
 from hyst_control.foreign_readers import first_line
+from hyst_control.records.actuator_following import APPLIED
 from hyst_control.records.decompression import Budget, Damage, Expanded, decompress
 from hyst_control.records.mcap_stream import MAGIC, PIECE, CutOff, McapStream
-from hyst_control.records.record import Record, Signal, axis_names, check_times, increasing
+from hyst_control.records.record import Record, Signal, axis_names, check_times, commonest_step, increasing
 from hyst_control.records.row_store import RowStore
 from hyst_control.records.signal_message import MESSAGE_TYPE, decode, parse_label
 from hyst_control.records.sqlite_bag import sqlite_messages
@@ -101,7 +102,27 @@ def read_bag(
             notes.append(f"{path}: {name}: holds no rows")
     if any(signal.timing == "receive" for signal in signals.values()):
         notes.append(f"{path}: messages without a layout: the time of reception stands for the sample time, with its jitter")
-    return Record(signals, str(path), tuple(notes), bag.hold)
+    record = Record(signals, str(path), tuple(notes), bag.hold)
+    return replace(record, notes=(*record.notes, *_not_followed(record)))
+
+
+def _not_followed(record: Record) -> list[str]:
+    """A note on the samples that are no answer to their command, because the actuator did not follow it."""
+    if not {"command", "measurement", APPLIED} <= set(record.signals):
+        return []
+    command, measurement = record.signals["command"].time, record.signals["measurement"].time
+    if min(len(command), len(measurement)) < 2:
+        return []
+    step = commonest_step(command)
+    begin, end = max(command[0], measurement[0]), min(command[-1], measurement[-1])
+    parts = [part for part in record.not_followed(step) if part.start * step <= end and part.stop * step > begin]
+    if not parts:
+        return []
+    seconds = sum(min(part.stop * step, end) - max(part.start * step, begin) for part in parts)
+    return [
+        f"{record.source}: the actuator did not follow the command for {seconds:.3g} s, the last time until t = "
+        f"{parts[-1].stop * step:g} s: not used as its answer"
+    ]
 
 
 def _by_last_part(path: Path, topics: Collection[str], namespace: str | None) -> dict[str, str]:

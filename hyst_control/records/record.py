@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.errors import InputError
+from hyst_control.records.actuator_following import APPLIED, ticks_not_followed
 from hyst_control.records.foreign_rows import admissible
 from hyst_control.records.row_store import blocks, empty_rows
 
@@ -256,10 +257,31 @@ class Record:
                 )
         return first
 
+    def not_followed(self, step: float) -> list[range]:
+        """Stretches of ticks at which the actuator did not follow the command, as said on `applied`; see `ticks_not_followed`.
+
+        Parameters
+        ----------
+        step
+            Sample time of the command, s.
+
+        Returns
+        -------
+        list[range]
+            Ticks round(t / step); none where nothing was said, or with the times of reception, which tell no ticks.
+        """
+        command, applied = self.signals.get("command"), self.signals.get(APPLIED)
+        if command is None or applied is None or "receive" in (command.timing, applied.timing):
+            return []
+        if applied.axes != command.axes or applied.unit != command.unit or not len(command.time):
+            return []
+        return ticks_not_followed((command.time, command.values), (applied.time, applied.values), step)
+
     def aligned(self, topics: Sequence[str], allow_gaps: bool = False) -> list[Aligned]:
         """Stretches without a gap in which every topic has every tick of the common clock.
 
-        Ticks are round(t / sample time).
+        Ticks are round(t / sample time). Where command and measurement are both wanted, ticks at which the actuator did not follow the
+        command are left out.
 
         Parameters
         ----------
@@ -276,7 +298,8 @@ class Record:
         Raises
         ------
         InputError
-            Values are not finite, times do not increase, topics share no tick, or ticks are missing and gaps are not allowed.
+            Values are not finite, times do not increase, topics share no tick, the actuator never followed its command, or ticks are
+            missing, or not followed amid the record, and gaps are not allowed.
         """
         self.check(topics)
         step = self.sample_time(topics)
@@ -284,8 +307,9 @@ class Record:
         axes = self.signal(topics[-1]).axes
         ranges = [self.signal(topic).consecutive_ticks(step) for topic in topics]
         known = [found for found in ranges if found is not None]
+        unusable = self.not_followed(step) if {"command", "measurement"} <= set(topics) else []
         begin, end = max((found.start for found in known), default=0), min((found.stop for found in known), default=0)
-        if len(known) == len(topics) and begin < end:
+        if len(known) == len(topics) and begin < end and not any(part.start < end and part.stop > begin for part in unusable):
             values = {
                 topic: self.signal(topic).values[begin - found.start : end - found.start]
                 for topic, found in zip(topics, known, strict=True)
@@ -312,12 +336,24 @@ class Record:
             common = np.intersect1d(common, ticks[topic], assume_unique=True)
         if not len(common):
             raise InputError(f"{self.source}: {', '.join(topics)} share no sample time: they are not of one run")
+        everywhere = common
+        for part in unusable:
+            common = common[(common < part.start) | (common >= part.stop)]
+        if not len(common):
+            raise InputError(
+                f"{self.source}: the actuator never followed the command, as {APPLIED} says: record while its stage is active, and longer "
+                "than it takes to approach the command"
+            )
         breaks = np.flatnonzero(np.diff(common) > 1)
         if len(breaks) and not allow_gaps:
-            lost = int((np.diff(common) - 1).sum())
             at = common[breaks[0] + 1] * step
+            within = everywhere[(everywhere >= common[0]) & (everywhere <= common[-1])]
+            lost = int((np.diff(within) - 1).sum())
+            trouble = [f"{lost} ticks are missing"] if lost else []
+            if unfollowed := len(within) - len(common):
+                trouble.append(f"the actuator did not follow the command in {unfollowed} ticks")
             raise InputError(
-                f"{self.source}: {lost} ticks are missing in {len(breaks)} gaps, the first before t = {at:g} s: record "
+                f"{self.source}: {', and '.join(trouble)} in {len(breaks)} gaps, the first before t = {at:g} s: record "
                 "again, or allow gaps to use the stretches between them"
             )
         edges = np.concatenate([[0], breaks + 1, [len(common)]])

@@ -16,6 +16,7 @@ import pytest
 
 from hyst_control.config_files import config_path
 from hyst_control.model_file import load_model, simulate
+from hyst_control.records.bag_reader import read_bag
 
 pytestmark = pytest.mark.long_file
 
@@ -58,6 +59,7 @@ def test_a_node_by_the_page_alone_is_recorded_and_identified(domain, tmp_path):
     answer = simulate(model, 40.0 + 8.0 * np.sin(2 * np.pi * time)[:, None], sample_time=0.02)[100:, 0]
     gain = abs(np.exp(-2j * np.pi * time[100:]) @ (answer - answer.mean())) / 400.0
     assert gain == pytest.approx(0.12 / abs(1 + 2j * np.pi * 0.020), rel=0.05), told
+    assert len(read_bag(folder / "bag").signals["applied"].time)  # the recorder has heard that the stage had no command at first
     assert json.loads((folder / "fit.json").read_text())["family"] == "linear"
 
 

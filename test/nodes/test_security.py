@@ -20,7 +20,7 @@ from hyst_control.processes import environment
 
 SETTINGS = {
     "reference_generator": {"signal": "rest", "duration": 1.0},
-    "recorder": {"topics": ["reference", "learned", "feedforward", "feedback", "command", "measurement"]},
+    "recorder": {"topics": ["reference", "learned", "feedforward", "feedback", "command", "measurement"], "schedule": "timer"},
     "plant": {"model": MODEL, "wait_for_recorder": True},
     "diagnosis": {"model": MODEL},
     "simulated_stage": {"autostart": False},
