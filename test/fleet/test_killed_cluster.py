@@ -24,7 +24,7 @@ from hyst_control.parallel import Workers
 from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
 
-UNITS, NIGHTS, TS = 5, 8, 1e-4
+UNITS, NIGHTS, TS = 4, 8, 1e-4
 
 
 @pytest.fixture(scope="module")
@@ -87,9 +87,9 @@ def test_a_study_outlives_its_workers_and_its_scheduler(entries, started, tmp_pa
 
     def note(line):
         noted.append(line)
-        if len(noted) == 8:
+        if len(noted) == 6:
             end(parts[1])  # a worker
-        if len(noted) == 20:
+        if len(noted) == 16:
             for process in parts:
                 end(process)
             parts[:] = cluster()
