@@ -48,10 +48,17 @@ ONE_PLACE = {  # what only one module may use, so that there is one way of doing
 
 
 @cache
+def import_statements(path: Path) -> list[ast.Import | ast.ImportFrom]:
+    """Import statements of a file, also those within functions."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return [node for node in ast.walk(tree) if isinstance(node, (ast.Import, ast.ImportFrom))]
+
+
+@cache
 def imported(path: Path) -> frozenset[str]:
     """Full names of all modules a file imports, also within functions."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in import_statements(path):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -82,9 +89,7 @@ def test_every_module_is_in_a_room():
 
 def test_ros_only_in_nodes():
     outside = [path for path in SOURCES if room(module_name(path)) != "nodes"]
-    assert not [
-        f"{module_name(path)} imports {name}" for path in outside for name in imported(path) if name.split(".")[0] in ROS
-    ]
+    assert not [f"{module_name(path)} imports {name}" for path in outside for name in imported(path) if name.split(".")[0] in ROS]
 
 
 def test_physics_shares_nothing_with_the_models():
@@ -112,7 +117,9 @@ def test_what_has_one_place_is_used_there_only():
     found = []
     for path in SOURCES:
         used = {name.split(".")[0] for name in imported(path)}
-        found += [f"{module_name(path)} uses {name}" for name, place in ONE_PLACE.items() if name in used and module_name(path) != place]
+        found += [
+            f"{module_name(path)} uses {name}" for name, place in ONE_PLACE.items() if name in used and module_name(path) != place
+        ]
     assert not found
 
 
@@ -137,7 +144,7 @@ def import_graph() -> dict[str, set[str]]:
     modules = {module_name(path): path for path in SOURCES}
     graph: dict[str, set[str]] = {name: set() for name in modules}
     for name, path in modules.items():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in import_statements(path):
             if isinstance(node, ast.Import):
                 graph[name] |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom):

@@ -224,7 +224,8 @@ def followed(command: Array, thresholds: Array, states: Array, rows: NDArray[np.
         for i in range(thresholds.size):
             present[i] = max(u - thresholds[i], min(u + thresholds[i], present[i]))
         if row == rows[index]:
-            kept[index] = present
+            for i in range(thresholds.size):  # one by one: the check of a whole row's shape takes two seconds to compile
+                kept[index, i] = present[i]
             index += 1
     return kept
 

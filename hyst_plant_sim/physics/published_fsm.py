@@ -149,7 +149,8 @@ def _madelung(block: Array, up: Array, down: Array, law: Array, points: Array, s
             if (u - last) * direction < 0.0:
                 direction = -direction
                 if count == points.shape[0]:
-                    points[:-2] = points[2:].copy()
+                    for i in range(count - 2):  # one by one: the check of a whole slice's shape takes two seconds to compile
+                        points[i, 0], points[i, 1] = points[i + 2, 0], points[i + 2, 1]
                     count -= 2
                 points[count, 0], points[count, 1] = last, y
                 count += 1

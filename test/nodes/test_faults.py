@@ -249,7 +249,7 @@ def test_bad_parameter_of_a_process_gives_one_line_and_status_2(tmp_path, domain
 
 def test_killed_feedforward_and_feedback_cost_time_only(tmp_path, domain):
     """kill -9 in a run under way, then a new process: the run goes on to its end; rows that died with a node are named."""
-    count = 3000
+    count = 2400
     settings = parameters(tmp_path, count, plant={"retry": 0.1}, recorder={"merge": 64})
     victims = ["hampi_feedforward", "pi_feedback", "reference_generator"]
     with Processes(tmp_path / "log", domain) as processes:
@@ -258,7 +258,7 @@ def test_killed_feedforward_and_feedback_cost_time_only(tmp_path, domain):
             processes.start(name, settings[name])
         bag = tmp_path / "bag" / "bag_0.mcap"
         for number, victim in enumerate(victims):
-            grown = (number + 1) * 40_000
+            grown = (number + 1) * 30_000
             end = time.monotonic() + 60
             while not (bag.exists() and bag.stat().st_size > grown):
                 assert time.monotonic() < end and processes.running["pipeline"].poll() is None

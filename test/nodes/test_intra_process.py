@@ -61,7 +61,7 @@ def test_nothing_goes_through_the_middleware_while_nobody_outside_listens(tmp_pa
 
 
 def test_who_joins_in_the_middle_hears_every_row_from_then_on_and_the_loop_goes_on_to_the_bit(tmp_path, ros_context, monkeypatch):
-    count = 12000
+    count = 6000
     settings = parameters(tmp_path, count)
     nodes = [make(ros_context, node_class(name), settings[name]) for name in DEFAULT]
     plant = nodes[DEFAULT.index("plant")]

@@ -28,7 +28,7 @@ from hyst_control.records.bag_reader import read_bag
 
 pytestmark = pytest.mark.long_file
 
-COUNT = 4000
+COUNT = 2400
 
 
 def wait_for_size(processes, bag, size):

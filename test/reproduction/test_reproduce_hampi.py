@@ -2,6 +2,7 @@
 
 import json
 
+import left_over_nodes
 import pytest
 
 from hyst_control.processes.node_processes import Processes
@@ -22,8 +23,8 @@ SMALL = hampi.Extent(
 )
 
 
-class OneProcess(Processes):
-    """The nodes of a run composed in one process, whose record is the same to the last bit (test_lockstep): starting five costs more."""
+class ThisProcess(Processes):
+    """Composes the nodes of a run in this process: the record is the same to the last bit (test_lockstep), and nothing is to be started."""
 
     def __init__(self, folder, domain):
         super().__init__(folder, domain)
@@ -33,15 +34,32 @@ class OneProcess(Processes):
         self.given[name] = parameters
 
     def wait(self, *names, timeout):
-        self.compose(self.given)
-        super().wait("pipeline", timeout=timeout)
+        import rclpy
+        from rclpy.parameter import Parameter
+
+        from hyst_control.nodes.pipeline import node_class
+        from hyst_control.nodes.run import run
+
+        context = rclpy.Context()
+        with left_over_nodes.destroyed():
+            rclpy.init(context=context, domain_id=int(self._environment["ROS_DOMAIN_ID"]))
+            try:
+                nodes = [
+                    node_class(name)(
+                        context=context, parameter_overrides=[Parameter(key, value=value) for key, value in own.items()]
+                    )
+                    for name, own in self.given.items()
+                ]
+                assert run(nodes, context, timeout=timeout) == 0
+            finally:
+                rclpy.try_shutdown(context=context)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("hampi")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(node_runs, "Processes", OneProcess)
+        patch.setattr(node_runs, "Processes", ThisProcess)
         hampi.run(str(folder / "hampi.json"), str(folder), extent=SMALL)
     return folder
 
