@@ -233,8 +233,8 @@ REOPENED = 5
 def outcomes(work: Callable[[Job], Result], jobs: Iterable[Job], workers: Workers) -> Iterator[Outcome[Job, Result]]:
     """Compute work(job) for many jobs, in the order in which they end; each costs at most itself.
 
-    A job that fails is tried once more. Where a worker of this computer is killed, nobody knows by which of the jobs under way: they
-    are computed one at a time until the guilty one is found. Where a cluster's scheduler is lost, it is looked for again.
+    A job that fails is tried once more. Where a worker is killed, nobody knows by which of the jobs under way: they are computed one at
+    a time until the guilty one is found, on a cluster when the others are done. Where a cluster's scheduler is lost, it is looked for again.
 
     Parameters
     ----------
@@ -325,8 +325,11 @@ def _drive(
                 yield Outcome(job, future.result())
             elif not isinstance(error, Exception):
                 raise error
-            elif type(error).__name__ == "KilledWorker":  # the cluster has tried it on several workers
-                yield Outcome(job, None, KILLED)
+            elif type(error).__name__ == "KilledWorker":  # a cluster blames every job that a killed worker had, the waiting ones too
+                if alone:
+                    yield Outcome(job, None, KILLED)
+                else:
+                    suspects.append((job, attempt))
             elif attempt + 1 < ATTEMPTS:
                 again.append((job, attempt + 1))
             else:

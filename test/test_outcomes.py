@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import os
+import queue
 import signal
 import socket
 import subprocess
 import sys
 import textwrap
+import threading
 import time
+from concurrent.futures import Future
+from contextlib import contextmanager, suppress
 
 import pytest
 
 from hyst_control import cluster
-from hyst_control.parallel import Workers
+from hyst_control.parallel import Workers, outcomes
 
 BEGIN = """
 import os, signal, sys, time
@@ -73,6 +77,49 @@ def test_a_job_costs_at_most_itself(tmp_path, cluster):
     done_once = [number for number in range(20) if number not in (3, 5, 6)]
     if not cluster:  # a cluster computes what a killed worker still held once more
         assert all(len((tmp_path / str(number)).read_text()) <= 3 for number in done_once)
+
+
+class Blaming:
+    """A cluster that gives its worker two jobs at a time, and blames both where one of them kills it, as Dask does."""
+
+    cluster = "tcp://nowhere"
+
+    def __init__(self, killer):
+        self.killer, self.due = killer, queue.Queue()
+        threading.Thread(target=self.compute, daemon=True).start()
+
+    @contextmanager
+    def open(self):
+        yield self, lambda: 1
+        self.due.put(None)
+
+    def submit(self, function, work, job):
+        future = Future()
+        self.due.put((future, work, job))
+        return future
+
+    def compute(self):
+        while (first := self.due.get()) is not None:
+            held = [first]
+            with suppress(queue.Empty):
+                held += [self.due.get(timeout=0.2)]
+            dead = any(job == self.killer for _, _, job in held)
+            for future, work, job in held:
+                if dead:
+                    future.set_exception(KilledWorker())
+                else:
+                    future.set_result(work(job))
+
+
+class KilledWorker(Exception):
+    """Named as Dask's."""
+
+
+@pytest.mark.parametrize("killer", [0, 3])
+def test_a_job_is_taken_for_a_killer_only_where_it_was_alone(killer):
+    found = list(outcomes(lambda number: number * number, range(6), Blaming(killer)))
+    assert sorted(outcome.job for outcome in found) == list(range(6))
+    assert [(outcome.job, "killed" in outcome.reason) for outcome in found if outcome.result is None] == [(killer, True)]
 
 
 def test_jobs_are_drawn_as_they_are_needed(tmp_path):
