@@ -233,8 +233,9 @@ REOPENED = 5
 def outcomes(work: Callable[[Job], Result], jobs: Iterable[Job], workers: Workers) -> Iterator[Outcome[Job, Result]]:
     """Compute work(job) for many jobs, in the order in which they end; each costs at most itself.
 
-    A job that fails is tried once more. Where a worker is killed, nobody knows by which of the jobs under way: they are computed one at
-    a time until the guilty one is found, on a cluster when the others are done. Where a cluster's scheduler is lost, it is looked for again.
+    A job that fails is tried once more. Where a worker is killed, nobody knows by which of the jobs under way: they are computed
+    one at a time until the guilty one is found, on a cluster when the others are done. Where a cluster's scheduler is lost, it is
+    looked for again.
 
     Parameters
     ----------
