@@ -193,7 +193,7 @@ def test_the_smaller_part_of_the_rows_is_held_out(lengths, kept, held):
 
 def test_a_long_record_is_taken_in_parts(monkeypatch):
     """A slow sweep, of which no part excites the whole band, and a rest at its end: as good as whole, and never held twice."""
-    rows, part = 2**17, 2**13
+    rows, part = 2**16, 2**12
     time = np.arange(rows) * SAMPLE_TIME
     command = (10 + 5 * np.sin(2 * np.pi * (5 * time + 1500 * time**2 / (2 * time[-1]))))[:, None]
     command[-2 * part :] = command[-2 * part]
