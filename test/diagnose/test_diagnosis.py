@@ -24,7 +24,6 @@ DELAY = (("name", "delay"), ("tau", 2e-4))
 BACKLASH = (("name", "backlash"), ("half_width", 0.03))
 SINGLES = [
     (PEA, DELAY),
-    (PEA, (("name", "sensor_lowpass"), ("cutoff", 900.0))),
     (PEA, (("name", "amplifier_lowpass"), ("cutoff", 900.0), ("order", 2))),
     (PEA, (("name", "resonance"), ("frequency", 700.0), ("damping", 0.03), ("gain", 0.03))),
     (PEA, BACKLASH),
