@@ -87,6 +87,7 @@ $(CHECKS_READY): $(READY)
 
 $(INSTALLED): $(READY) setup.py setup.cfg hyst_control/processes/node_list.py
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	$(VENV)/bin/python -m compileall -q hyst_control hyst_plant_sim
 	touch $@
 
 clean:

@@ -127,6 +127,7 @@ EXAMPLES = {
         {"output_scale": 2.0, "k1": -2e-5, "k2": 1e-3, "tau": 1.3e-4, **MECHANICS},
         {"degree": 3, "structure": "modes=1,delay", "nuisance": "offset"},
         scatter=("output_scale", "k1", "k2", "tau", "den[1]"),
+        repeats=FEW,
     ),
     "bouc_wen": Example(
         (BoucWen(10.0 / W**2, 6.0 / W, 6.0, 4.0, 0.5, -0.2),),

@@ -23,7 +23,7 @@ def test_a_short_run_measures_rate_and_load(case, subject, schedule, tmp_path, m
     # s: no figure here depends on how far a run has settled, but processes of a busy computer take a while to find each other.
     monkeypatch.setattr(loops, "SETTLING", 2.0 if case == "processes" else 0.2)
     bag = tmp_path / "bag" if subject == "hyst" else None
-    measured = loops.measure(case, subject, schedule, 1.0, bag)
+    measured = loops.measure(case, subject, schedule, 0.5, bag)
     assert measured.rate > 20 and measured.cpu > 1 and min(measured.memory) > 10
     if schedule == "timer":
         assert measured.rate < 1100
