@@ -312,7 +312,7 @@ def test_feedback_that_ends_leaves_nothing_behind(tmp_path, domain, schedule):
             wait_for_commands(3, watcher, processes)
             assert set(processes.stop().values()) == {0}
             assert "Traceback" not in processes.log("pi_feedback").read_text()
-        assert watcher.last == (SAFE,)
+            wait(lambda: watcher.last == (SAFE,), processes)  # what was sent last may still be on its way to the watcher
         watcher.check()
         values = [row[0] for row in watcher.applied]
         assert schedule == "lockstep" or max(np.abs(np.diff(values)), default=0.0) <= SLEW
