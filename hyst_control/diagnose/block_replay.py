@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hyst_control.diagnose.configuration import CONFIGURATION, ReplaySettings
 from hyst_control.errors import InputError
+from hyst_control.records.actuator_following import APPLIED
 from hyst_control.records.record import Record
 
 
@@ -104,8 +105,9 @@ def _feedback(record: Record, settings: ReplaySettings) -> Block | None:
 
 
 def _transport(record: Record) -> Block | None:
+    sent = replace(record, signals={topic: each for topic, each in record.signals.items() if topic != APPLIED})
     try:
-        stretches = record.aligned(("command", "measurement"), allow_gaps=True)
+        stretches = sent.aligned(("command", "measurement"), allow_gaps=True)
         step = record.sample_time(("command", "measurement"))
     except InputError:
         return None

@@ -318,7 +318,7 @@ def problem_of(
             if dead:
                 raise InputError(f"{record.source}: the measurement of {', '.join(dead)} never moves: check sensor and import")
             keep = None
-            if i or stretch is not stretches[0]:
+            if i or stretch.amid:
                 # The piece does not begin at rest: its first rows fill the hysteresis' memory and do not count.
                 keep = np.arange(len(command)) >= len(command) // configuration.record.memory_part
             elif warm_up:

@@ -353,7 +353,7 @@ def datasets_of(
             measurement.axes,
             measurement.unit,
             hold or record.hold,
-            "unknown" if index else start,
+            "unknown" if index or part.amid and start == "settled" else start,
         )
         datasets.append(data)
     return datasets

@@ -164,13 +164,17 @@ def regular_times(count: int, step: float) -> Array:
 
 @dataclass(frozen=True)
 class Aligned:
-    """Signals on one clock, without a gap: sample times (N,) from 0, values (N, A) by topic, sample time in s."""
+    """Signals on one clock, without a gap: sample times (N,) from 0, values (N, A) by topic, sample time in s.
+
+    amid: it begins after a gap, or where the actuator began to follow the command, not with the record.
+    """
 
     time: Array
     values: Mapping[str, Array]
     sample_time: float
     axes: tuple[str, ...]
     units: Mapping[str, str]
+    amid: bool = False
 
 
 @dataclass(frozen=True)
@@ -363,5 +367,6 @@ class Record:
             values = {
                 topic: np.ascontiguousarray(self.signal(topic).values[np.searchsorted(ticks[topic], wanted)]) for topic in topics
             }
-            stretches.append(Aligned((wanted - wanted[0]) * step, values, step, axes, units))
+            amid = bool(wanted[0] > everywhere[0])
+            stretches.append(Aligned((wanted - wanted[0]) * step, values, step, axes, units, amid))
         return stretches

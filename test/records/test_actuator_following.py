@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hyst_control.diagnose.block_replay import replay as replayed
 from hyst_control.errors import InputError
 from hyst_control.identify.workflow import datasets_of, identify_bags
 from hyst_control.model_file import load_model
@@ -90,6 +91,10 @@ def test_rows_amid_a_record_are_a_gap_that_has_to_be_allowed():
     parts = stopped.aligned(("command", "measurement"), allow_gaps=True)
     assert [len(part.time) for part in parts] == [199 - approach, 450 - 205]
     assert np.array_equal(parts[1].values["command"], made.signals["command"].values[205:])
+    assert all(part.amid for part in parts)
+    assert [data.start for data in datasets_of(made, start="settled")] == ["unknown"]
+    transport = replayed(made)[-1]
+    assert transport.text == "every tick is there"
 
 
 def test_an_actuator_that_never_followed_is_refused():
