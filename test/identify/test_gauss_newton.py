@@ -84,7 +84,7 @@ def test_it_finds_the_minimum_of_a_general_solver(seed, a, b):
     problem = Curve((a, b, 0.3), 0.05, seed)
     found = minimize(problem, started(problem), RULES)
     general = least_squares(problem.residual, [1.0, 0.5, 0.0], method="lm", xtol=1e-12, ftol=1e-12)
-    assume(general.success)  # of a decay that is nearly a line neither finds the end of the valley
+    assume(general.success and general.x[1] > 0.05)  # the valley of a decay that is nearly a line ends far away
     assert found.point.cost <= 2 * general.cost * (1 + 1e-6)
 
 
