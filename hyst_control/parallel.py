@@ -326,8 +326,8 @@ def _drive(
                 yield Outcome(job, future.result())
             elif not isinstance(error, Exception):
                 raise error
-            elif type(error).__name__ == "KilledWorker":  # a cluster blames every job that a killed worker had, the waiting ones too
-                if alone:
+            elif type(error).__name__ == "KilledWorker":
+                if alone:  # a cluster blames every job that a killed worker had, the waiting ones too
                     yield Outcome(job, None, KILLED)
                 else:
                     suspects.append((job, attempt))
