@@ -23,7 +23,7 @@ LOST = 4
 """Successive messages that may be lost while the actuator still does not follow."""
 
 CLOSE = 1e-3
-"""Share of the command's range; a voltage that differs by less is the command, in the steps of a converter."""
+"""Share of the command's range: a voltage that differs by less is the command, rounded by a converter."""
 
 
 def ticks_not_followed(command: tuple[Array, Array], applied: tuple[Array, Array], step: float) -> list[range]:
@@ -44,7 +44,7 @@ def ticks_not_followed(command: tuple[Array, Array], applied: tuple[Array, Array
     Returns
     -------
     list[range]
-        Ticks round(t / step), in order. They begin with the command that was not applied first, and end where it may be applied at last.
+        Ticks round(t / step), in order: from the first command that was not applied to where the next message would be due.
     """
     time, values = command
     said, voltages = applied

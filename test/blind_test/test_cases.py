@@ -126,7 +126,7 @@ def test_a_gap_under_the_noise_is_labelled_none_whatever_its_kind():
 )
 def test_of_a_pair_it_is_told_which_could_be_seen_beside_the_other(excitation, gamma, shown):
     effects = ({"name": "creep", "gamma": gamma}, {"name": "delay", "tau": 5e-4})
-    label = with_label(Case("", "pea_published", "pair", excitation, 5e-4, 3, effects, duration=0.5)).label
+    label = with_label(Case("", "pea_published", "pair", excitation, 5e-4, 3, effects)).label
     assert (label["kind"], label["names"], label["shown"]) == ("pair", ["creep", "delay"], shown)
 
 

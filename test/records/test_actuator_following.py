@@ -25,7 +25,7 @@ def command(count, seed=1):
 
 
 def approached(wanted, rate=10.0, rest=0.0):
-    """What a stage applies that comes from `rest` by `rate` V a tick, and the ticks until the command is met."""
+    """Voltages of a stage that goes from `rest` to its command by at most `rate` V a tick, and the ticks until it is there."""
     applied = np.array(wanted)
     voltage, tick = rest, 0
     while abs(wanted[tick] - voltage) > rate:
