@@ -197,7 +197,7 @@ def advance_oscillator(
         before = now
         least, greatest = min(least, z), max(greatest, z)
         output[row] = y
-    state[:] = y, v, z, before, least, greatest
+    state[0], state[1], state[2], state[3], state[4], state[5] = y, v, z, before, least, greatest
 
 
 @njit(cache=True, error_model="numpy")
@@ -245,7 +245,8 @@ def advance_without_inertia(
                 z += h * (f1 + 2.0 * (f2 + f3) + f4) / 6.0
             before = now
         output[row] = (now - z) / stiffness
-    state[:] = (before - z) / stiffness, 0.0, z, before, min(state[4], z), max(state[5], z)
+    state[0], state[1], state[2], state[3] = (before - z) / stiffness, 0.0, z, before
+    state[4], state[5] = min(state[4], z), max(state[5], z)
 
 
 BRANCH = """

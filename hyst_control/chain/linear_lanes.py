@@ -139,12 +139,12 @@ def group_matrices(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array
     for lane in range(lanes):
         # An input of 1 at one tap: the two that are older than the first row miss what acted before it.
         for tap in range(3):
-            pulse[:] = b[lane, 2 - tap]
+            for i in range(n):
+                pulse[i] = b[lane, 2 - tap, i]
             for row in range(TOGETHER):
                 if row > 0:
-                    later = b[lane, 2 - tap + row] if tap - row >= 0 else np.zeros(n)
                     for i in range(n):
-                        following[i] = later[i]
+                        following[i] = b[lane, 2 - tap + row, i] if tap - row >= 0 else 0.0
                         for j in range(n):
                             following[i] += a[lane, i, j] * pulse[j]
                     for i in range(n):
@@ -155,17 +155,19 @@ def group_matrices(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array
                 if tap == 2:  # the same for every input of these rows, each later by a row
                     for first in range(TOGETHER - row):
                         outputs[lane, 2 + first, first + row] = value
-                    driven[lane, TOGETHER + 1 - row] = pulse
+                    for i in range(n):
+                        driven[lane, TOGETHER + 1 - row, i] = pulse[i]
                 else:
                     outputs[lane, tap, row] = value
             if tap < 2:
-                driven[lane, tap] = pulse
+                for i in range(n):
+                    driven[lane, tap, i] = pulse[i]
         for row in range(TOGETHER):
             outputs[lane, row + 2, row] += d[lane, 0]
             outputs[lane, row + 1, row] += d[lane, 1]
         for column in range(n):
-            pulse[:] = 0.0
-            pulse[column] = 1.0
+            for i in range(n):
+                pulse[i] = 1.0 if i == column else 0.0
             for row in range(TOGETHER):
                 value = 0.0
                 for i in range(n):
@@ -176,7 +178,8 @@ def group_matrices(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array
                     pulse[i] = following[i] if abs(following[i]) > TINY else 0.0
                     value += c[lane, i] * pulse[i]
                 outputs[lane, TOGETHER + 2 + column, row] = value
-            transition[lane, :, column] = pulse
+            for i in range(n):
+                transition[lane, i, column] = pulse[i]
     return driven, transition, outputs
 
 

@@ -5,12 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import matplotlib
-
 from hyst_control.identify.dataset import TriedRow
-
-matplotlib.use("Agg")
-from matplotlib import pyplot
 
 
 def write_choice(path: str | Path, rows: Sequence[TriedRow]) -> None:
@@ -23,7 +18,13 @@ def write_choice(path: str | Path, rows: Sequence[TriedRow]) -> None:
     rows
         A row per family.
     """
-    figure, axes = pyplot.subplots(figsize=(7.2, 4.5), layout="constrained")
+    # Here, not above: the families are looked for in every module of this folder, and few runs draw.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 4.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
     for index, row in enumerate(rows):
         if row["held_out_nrmse"] is None:
             continue
@@ -42,4 +43,3 @@ def write_choice(path: str | Path, rows: Sequence[TriedRow]) -> None:
     axes.grid(True, which="both", alpha=0.3)
     axes.legend(title="large: each family's choice\nsmall: structures of G(s) tried", fontsize=8, title_fontsize=8)
     figure.savefig(path)
-    pyplot.close(figure)

@@ -90,7 +90,8 @@ def test_noise_has_its_share_of_the_gap_and_stands_behind_what_is_more(answer):
 def test_a_second_effect_is_named_beside_one_that_takes_off_a_thousand_times_as_much():
     """The slew limit alone leaves some noise and coefficients far off; creep brings them back, in a record that is long beside it."""
     record = record_of(PEA, [{"name": "slew_limit", "rate": 34000.0}, {"name": "creep", "gamma": 0.032}], duration=0.7)
-    document, found, _ = diagnosed([record], nominal(PEA))
+    rivals = ("slew_limit", "creep", "amplifier_lowpass", "sensor_lowpass", "delay", "gain", "hysteresis_width", "offset_drift")
+    document, found, _ = diagnosed([record], nominal(PEA), without=[name for name in EFFECTS if name not in rivals])
     assert document["verdict"] == "effect"
     assert {row["name"] for row in document["effects"]} == {"slew_limit", "creep"}
     z = found.parts[0].chosen.solution.z
