@@ -58,8 +58,9 @@ def test_no_kind_of_compensator_is_missing():
 
 @pytest.mark.parametrize("name", FEEDFORWARDS)
 def test_a_compensator_compiles_and_equals_python(name, tmp_path):
+    """By the first compiler that is here; the other ones have the published models, whose stages are the same."""
     export(*FEEDFORWARDS[name], output=tmp_path)
-    compared(tmp_path)
+    compared(tmp_path, f"COMPILERS={next(filter(shutil.which, ('gcc', 'clang')), 'gcc')}")
 
 
 def test_a_controller_a_twin_and_float_too(tmp_path):

@@ -79,11 +79,11 @@ def test_a_study_outlives_its_workers_and_its_scheduler(entries, started, tmp_pa
         port = server.getsockname()[1]
     address = f"tcp://127.0.0.1:{port}"
 
-    def cluster():
+    def cluster(workers):
         scheduler = started("dask_scheduler", "--port", str(port), "--no-jupyter")
-        return [scheduler, *(started("dask_worker", address, "--nthreads", "1", "--no-nanny") for _ in range(2))]
+        return [scheduler, *(started("dask_worker", address, "--nthreads", "1", "--no-nanny") for _ in range(workers))]
 
-    parts, noted = cluster(), []
+    parts, noted = cluster(2), []
 
     def note(line):
         noted.append(line)
@@ -92,7 +92,7 @@ def test_a_study_outlives_its_workers_and_its_scheduler(entries, started, tmp_pa
         if len(noted) == 16:
             for process in parts:
                 end(process)
-            parts[:] = cluster()
+            parts[:] = cluster(1)
 
     options = {"only": ONSETS}
     study = run_study("diagnose", entries, tmp_path / "cluster", options, Workers(None, address), note)
