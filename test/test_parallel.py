@@ -184,7 +184,8 @@ def test_a_command_whose_worker_is_killed_ends_with_one_line(tmp_path):
         assert begun.poll() is None and time.monotonic() < until
     os.kill(found[0], signal.SIGKILL)
     _, told = begun.communicate(timeout=120)
-    assert begun.returncode == 2 and told.startswith("hyst cases: a worker process was killed") and told.count("\n") == 1
+    assert begun.returncode == 2, told
+    assert told.startswith("hyst cases: a worker process was killed") and told.count("\n") == 1
 
 
 GARBAGE = """
