@@ -47,7 +47,7 @@ def test_a_gain_of_all_coupled_axes_is_one_effect():
         return simulate(replace(model, chain=Chain((replace(plant, C=0.96 * np.array(plant.C)),))), command)
 
     model, command, record = coupled(weak)
-    others = [name for name in EFFECTS if name not in ("gain", "gain_drift", "delay", "cross_coupling", "resonance")]
+    others = [name for name in EFFECTS if name not in ("gain", "gain_drift", "delay", "cross_coupling", "creep")]
     report, _, better = diagnosed([record], model, without=others)
     first = report["effects"][0]
     assert (first["name"], first["axis"]) == ("gain", ["x", "y"])

@@ -25,7 +25,7 @@ from hyst_control.records.row_repetition import KEPT_ROWS, REPEAT_INTERVAL
 from hyst_plant_sim.node import PlantNode
 
 PERIOD = 1e-3
-MOST = 500
+MOST = 250
 LABELS = {"reference": "t[s],x[um]", "measurement": "t[s],x[um]", "feedforward": "t[s],x[V]", "command": "t[s],x[V]"}
 
 
