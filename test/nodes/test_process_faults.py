@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from loop_case import MODEL, RATE, SIGNALS, assert_same_bits, offline, parameters, recorded, write_record
+from pipeline_thread import ProcessesBesideThread
 from rclpy.parameter import Parameter
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
@@ -73,7 +74,7 @@ def assert_rosbags_reads_the_repaired(bag, target):
 
 def test_killed_recorder_leaves_what_was_flushed_and_a_new_one_goes_on(tmp_path, domain):
     settings = parameters(tmp_path, COUNT, recorder={"merge": 8})
-    with Processes(tmp_path / "log", domain) as processes:
+    with ProcessesBesideThread(tmp_path / "log", domain) as processes:
         processes.compose({name: own for name, own in settings.items() if name != "recorder"})
         recorder = processes.start("recorder", settings["recorder"])
         wait_for_rows(processes, tmp_path / "bag", 100)
@@ -100,7 +101,7 @@ def test_full_disk_ends_the_recorder_with_one_line_and_a_readable_bag(tmp_path, 
     settings = parameters(tmp_path, COUNT, recorder={"merge": 8, "ticks": 0})
     (tmp_path / "limited.py").write_text(LIMITED)
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}:{config_folders()[0].parent}")
-    with Processes(tmp_path / "log", domain) as processes:
+    with ProcessesBesideThread(tmp_path / "log", domain) as processes:
         processes.compose({name: own for name, own in settings.items() if name != "recorder"})
         file = tmp_path / "recorder.json"
         file.write_text(json.dumps({"/**": {"ros__parameters": settings["recorder"]}}))
@@ -115,7 +116,7 @@ def test_full_disk_ends_the_recorder_with_one_line_and_a_readable_bag(tmp_path, 
 
 def test_killed_plant_is_started_again_and_the_run_goes_on_to_its_end(tmp_path, domain):
     settings = parameters(tmp_path, COUNT, plant={"retry": 0.1}, recorder={"merge": 64})
-    with Processes(tmp_path / "log", domain) as processes:
+    with ProcessesBesideThread(tmp_path / "log", domain) as processes:
         processes.compose({name: own for name, own in settings.items() if name != "plant"})
         plant = processes.start("plant", settings["plant"])
         wait_for_size(processes, tmp_path / "bag", 80_000)
@@ -137,7 +138,7 @@ def test_killed_diagnosis_leaves_the_loop_alone_and_starts_again(tmp_path, domai
     """It listens only: the run is to the last bit what it is without it."""
     settings = parameters(tmp_path, COUNT, recorder={"merge": 64})
     watching = {"model": MODEL, "rate_hz": RATE, "output": str(tmp_path / "diagnosis")}
-    with Processes(tmp_path / "log", domain) as processes:
+    with ProcessesBesideThread(tmp_path / "log", domain) as processes:
         processes.start("monitor", {})
         diagnosis = processes.start("diagnosis", watching)
         wait_for_diagnostics(processes, "diagnosis", 1)

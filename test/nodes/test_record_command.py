@@ -6,8 +6,7 @@ import subprocess
 import sys
 
 from loop_case import assert_same_bits, offline, parameters, recorded
-
-from hyst_control.processes.node_processes import Processes
+from pipeline_thread import ProcessesBesideThread
 
 COMMAND = "import sys; from hyst_control.cli import main; raise SystemExit(main(sys.argv[1:]))"
 
@@ -16,7 +15,7 @@ def test_lockstep_run_is_recorded_whole(tmp_path, domain):
     settings = parameters(tmp_path, 500)
     del settings["recorder"]
     bag = tmp_path / "bag"
-    with Processes(tmp_path / "log", domain) as processes:
+    with ProcessesBesideThread(tmp_path / "log", domain) as processes:
         processes.compose(settings)
         ended = subprocess.run(
             [
