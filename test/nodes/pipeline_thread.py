@@ -9,9 +9,9 @@ from typing import Any
 
 import left_over_nodes
 import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.parameter import Parameter
 
+from hyst_control.nodes import interrupts
 from hyst_control.nodes.pipeline import node_class
 from hyst_control.nodes.run import run
 from hyst_control.processes.node_processes import Processes
@@ -36,7 +36,7 @@ class PipelineThread:
         status: int | None = 1
         try:
             status = run(self._nodes, self._context)
-        except ExternalShutdownException:
+        except KeyboardInterrupt:
             status = 0
         finally:
             self._left_over.__exit__(None, None, None)
@@ -53,7 +53,9 @@ class PipelineThread:
         return self.returncode
 
     def send_signal(self, number: int) -> None:
-        rclpy.try_shutdown(context=self._context)
+        """Whatever its number: the thread that hears signals tells the run of them in this way."""
+        if interrupts._receiver is not None:
+            interrupts._receiver()
 
 
 class ProcessesBesideThread(Processes):
