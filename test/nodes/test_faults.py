@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from loop_case import MODEL, RATE, parameters, recorded
+from pipeline_thread import ProcessesBesideThread
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
@@ -247,12 +248,12 @@ def test_bad_parameter_of_a_process_gives_one_line_and_status_2(tmp_path, domain
             processes.wait("plant", timeout=60)
 
 
-def test_killed_feedforward_and_feedback_cost_time_only(tmp_path, domain):
+def test_killed_feedforward_and_feedback_cost_time_only(tmp_path, domain, capfd):
     """kill -9 in a run under way, then a new process: the run goes on to its end; rows that died with a node are named."""
     count = 2400
     settings = parameters(tmp_path, count, plant={"retry": 0.1}, recorder={"merge": 64})
     victims = ["hampi_feedforward", "pi_feedback", "reference_generator"]
-    with Processes(tmp_path / "log", domain) as processes:
+    with ProcessesBesideThread(tmp_path / "log", domain) as processes:
         processes.compose({name: own for name, own in settings.items() if name not in victims})
         for name in victims:
             processes.start(name, settings[name])
@@ -267,7 +268,8 @@ def test_killed_feedforward_and_feedback_cost_time_only(tmp_path, domain):
             processes.running[victim].wait()
             processes.start(victim, settings[victim])
         processes.wait("pipeline", timeout=60)
-    told = (tmp_path / "log" / "pipeline.log").read_text()
+    told = capfd.readouterr().err
+    assert "[recorder]: ready" in told
     for topic, rows in recorded(tmp_path / "bag").items():
         ticks = np.rint(rows[:, 0] * RATE)
         assert ticks[0] == 0 and ticks[-1] == count - 1

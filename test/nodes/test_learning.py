@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from loop_case import MODEL, RATE, SIGNALS, parameters, recorded
+from pipeline_thread import ProcessesBesideThread
 from rclpy.parameter import Parameter
 
 from hyst_control.control.feedback_error_learning import FeedbackErrorLearning
@@ -20,7 +21,6 @@ from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_control.nodes.run import run
-from hyst_control.processes.node_processes import Processes
 from hyst_plant_sim.node import PlantNode
 
 CLASSES = {
@@ -112,7 +112,7 @@ def test_a_feedforward_in_a_process_of_its_own_learns_alike(tmp_path, domain):
     before = np.sin(2 * np.pi * np.arange(PERIOD) / PERIOD)[:, None]
     np.save(tmp_path / "before.npy", before)
     given = settings(tmp_path, **TRIALS, learned_file=str(tmp_path / "before.npy"))
-    with Processes(tmp_path / "log", domain) as processes:
+    with ProcessesBesideThread(tmp_path / "log", domain) as processes:
         processes.compose({name: own for name, own in given.items() if name != "hampi_feedforward"})
         processes.start("hampi_feedforward", given["hampi_feedforward"])
         processes.wait("pipeline", timeout=90)
