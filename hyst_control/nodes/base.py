@@ -207,6 +207,10 @@ class SignalNode(EndingNode):
             self.source_clocks.now = self.control_time
             self.source_clocks.heard(topic, newest)
 
+    def is_due(self, time: float) -> bool:
+        """Whether a row of this time (s) is no further ahead of the clock than the parameter `ahead` allows, under the timer."""
+        return not self.lockstep and time <= self.control_time + float(self.settings.ahead)
+
     @property
     def longest_age(self) -> float:
         """Age in s from which an input is stale, under the timer: the parameter `timeout`, but never less than two ticks."""

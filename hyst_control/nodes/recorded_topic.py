@@ -126,6 +126,10 @@ class RecordedTopic:
         """Take in rows (N, C) of successive ticks from this one on."""
         missed = self.rows.missed
         receipt = self.rows.receive(tick, block, time.monotonic())
+        if receipt is Receipt.AHEAD and self._sparse and self._node.is_due(float(block[-1, 0])):
+            self._collect()
+            self.rows.forget()  # it had nothing to say for longer than rows may lie ahead
+            receipt = self.rows.receive(tick, block, time.monotonic())
         self._count_missed(missed)
         if receipt is Receipt.ACCEPTED:
             self._collect()

@@ -139,3 +139,19 @@ def test_an_interrupt_while_nodes_are_closed_changes_nothing(listening):
     thread.start()
     thread.join()
     assert threads == [thread]
+
+
+def test_what_is_applied_is_recorded_after_a_long_silence_too(bench, tmp_path):
+    """A stage follows its command for longer than rows may lie ahead, then its watchdog takes over; a time to come is refused."""
+    node = bench.add(
+        Recorder, output=str(tmp_path / "bag"), topics=["command"], schedule="timer", rate_hz=1 / PERIOD, most_waiting=50
+    )
+    [applied] = node._beside
+    now = round(time.monotonic() / PERIOD)
+    ticks = [now - 5000, now - 4995, now - 200, now - 195, now]
+    for tick in ticks:
+        applied.receive("t[s],x[V]", np.array([[tick * PERIOD, 1.0]]))
+    applied.receive("t[s],x[V]", np.array([[(now + 10**6) * PERIOD, 1.0]]))
+    assert node.counts["/applied: far ahead"] == 1 and node.counts["/applied: missed ticks"] == 0
+    node.close()
+    np.testing.assert_array_equal(np.rint(recorded(tmp_path / "bag")["applied"][:, 0] / PERIOD), ticks)
