@@ -208,7 +208,7 @@ class SignalNode(EndingNode):
             self.source_clocks.heard(topic, newest)
 
     def is_due(self, time: float) -> bool:
-        """Whether a row of this time (s) is no further ahead of the clock than the parameter `ahead` allows, under the timer."""
+        """True when a row of this time (s) is no further ahead of the clock than the parameter `ahead` allows, under the timer."""
         return not self.lockstep and time <= self.control_time + float(self.settings.ahead)
 
     @property

@@ -28,6 +28,7 @@ from hyst_control.nodes.message_io import Sender
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.watched_signal import WatchedSignal
+from hyst_control.records.actuator_following import APPLIED, FollowingWatch
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.bag_writer import BagWriter
 from hyst_control.records.signal_message import Encoder, label_for
@@ -56,7 +57,8 @@ class DiagnosisNode(SignalNode):
     diagnostics. It only listens: no other node waits for it. Up to `bridge` ticks without a command count as held, as by a DAC. After
     a longer gap the model settles at the new command, and `settle` seconds are not judged, because the memory of the hysteresis has
     to fill; nor are they after the start. What the model leaves on the clean records of `baseline` counts as its own imperfection, which
-    raises no alarm.
+    raises no alarm. Under the timer nothing is compared while the actuator does not follow its command; the model then runs from
+    what the plant says on `applied`.
 
     `~/diagnose` starts `hyst diagnose` on the rows in the buffer, in a process of lower priority than the loop, and answers
     immediately. A call during the diagnosis returns its progress, the first call afterwards its result. A new folder below `output`
@@ -140,6 +142,8 @@ class DiagnosisNode(SignalNode):
         self._gap = Sender(self, "gap", GAP_LABEL, given.message_objects)
         self._command = WatchedSignal(self, "command", "V", self.reset)
         self._measurement = WatchedSignal(self, "measurement", self.unit, self.reset)
+        self._applied = None if self.lockstep else WatchedSignal(self, APPLIED, "V", self.reset, sparse=True)
+        self._following = FollowingWatch(self.period, len(self.axes))
         self._job: Job | None = None
         self._rate_reported: tuple[float, int]
         self._forget()
@@ -150,6 +154,8 @@ class DiagnosisNode(SignalNode):
     def reset(self) -> None:
         self._command.forget()
         self._measurement.forget()
+        if self._applied is not None:
+            self._applied.forget()
         self._forget()
 
     def changed(self, name: str, value: Any) -> None:
@@ -181,6 +187,7 @@ class DiagnosisNode(SignalNode):
             "rows compared": self._compared,
             "ticks bridged": self._bridged,
             "settled anew": self._settled_anew,
+            **({"ticks not followed": self._not_followed} if self._not_followed else {}),
             "diagnosis": self._job.text() if self._job else "none",
         }
 
@@ -208,7 +215,9 @@ class DiagnosisNode(SignalNode):
         self._from_rest = False  # the kept rows begin with the model settled, as a record should
         self._newest: Window | None = None
         self._last_comparison = time.monotonic()
-        self._compared = self._bridged = self._settled_anew = 0
+        self._compared = self._bridged = self._settled_anew = self._not_followed = 0
+        self._following.forget()
+        self._seen: int | None = None  # tick before which command and measurement had come by the last poll
         self._rate_reported = self._last_comparison, 0  # time of the last reported rate, and rows compared until then
 
     def _drain(self) -> None:
@@ -216,15 +225,38 @@ class DiagnosisNode(SignalNode):
         self._measurement.drain()
         command, measurement = self._command.rows, self._measurement.rows
         if command.end is not None and measurement.end is not None:
-            end = min(command.end, measurement.end)
-            (ticks, commands), (measured_ticks, measured) = command.take_before(end), measurement.take_before(end)
-            if len(ticks) and self.enabled:
-                breaks = np.flatnonzero(np.diff(ticks) > 1) + 1
-                for some, rows in zip(np.split(ticks, breaks), np.split(commands, breaks), strict=True):
-                    begin, stop = np.searchsorted(measured_ticks, (some[0], some[-1] + 1))
-                    self._follow(int(some[0]), rows, measured_ticks[begin:stop], measured[begin:stop])
+            end: int | None = min(command.end, measurement.end)
+            if self._applied is not None:
+                self._applied.drain()
+                end, self._seen = self._seen, end  # by the next poll all has come that the plant says of these ticks
+            if end is not None:
+                self._take(end)
         if not self.enabled:
             self._due = None
+
+    def _take(self, end: int) -> None:
+        """Use the rows before this tick."""
+        (ticks, commands), (measured_ticks, measured) = (each.rows.take_before(end) for each in (self._command, self._measurement))
+        if not len(ticks):
+            return
+        not_followed, voltages = self._driven(ticks, commands)
+        if not self.enabled:
+            return
+        breaks = np.flatnonzero((np.diff(ticks) > 1) | (np.diff(not_followed) != 0)) + 1
+        for part in np.split(np.arange(len(ticks)), breaks):
+            first = int(ticks[part[0]])
+            begin, stop = np.searchsorted(measured_ticks, (first, first + len(part)))
+            if not_followed[part[0]]:
+                self._not_followed += len(part)
+                self.alarm.interrupt()
+                stop = begin  # the model has the actuator's voltages, and nothing is compared
+            self._follow(first, voltages[part], measured_ticks[begin:stop], measured[begin:stop])
+
+    def _driven(self, ticks: NDArray[np.int64], commands: Array) -> tuple[NDArray[np.bool_], Array]:
+        """Whether the actuator does not follow its command (N, A) at these ticks, and what it has then, V."""
+        if self._applied is None:
+            return np.zeros(len(ticks), bool), commands
+        return self._following.look((ticks, commands), self._applied.rows.take_before(int(ticks[-1]) + 1))
 
     def _follow(self, first: int, commands: Array, ticks: NDArray[np.int64], measured: Array) -> None:
         """Run the model over successive commands (N, A) and compare it with the measurements (M, A) of these ticks that exist."""

@@ -30,10 +30,12 @@ class WatchedSignal:
         Topic, and the unit of its values.
     restarted : callable
         Called when the time of the signal was set back; must forget all rows received before.
+    sparse : bool
+        Missing ticks are no loss: the source speaks only where it has something to say.
     """
 
-    def __init__(self, node: SignalNode, topic: str, unit: str, restarted: Callable[[], None]) -> None:
-        self._node, self._topic, self._restarted = node, topic, restarted
+    def __init__(self, node: SignalNode, topic: str, unit: str, restarted: Callable[[], None], sparse: bool = False) -> None:
+        self._node, self._topic, self._restarted, self._sparse = node, topic, restarted, sparse
         self._label = label_for(node.axes, unit)
         self._intake = node.intake(topic)
         self.rows = node.signal_rows(topic, Missing.SKIP, drop_oldest=True, clock_may_be_set_back=True)
@@ -78,6 +80,9 @@ class WatchedSignal:
         node, state = self._node, self.rows
         missed, dropped, now = state.missed, state.dropped, time.monotonic()
         receipt = state.receive(tick, rows, now)
+        if receipt is Receipt.AHEAD and self._sparse and node.is_due((tick + len(rows) - 1) * node.period):
+            state.expect(tick)  # it had nothing to say for longer than rows may lie ahead
+            receipt = state.receive(tick, rows, now)
         if receipt is Receipt.CLOCK_RESET:
             node.counts["time ran backwards"] += 1
             self._restarted()
@@ -86,7 +91,7 @@ class WatchedSignal:
             node.drop(self._topic, "far ahead", f"tick {state.end} is next, got {tick}: does its source use the same clock?")
         elif receipt is not Receipt.ACCEPTED:
             node.counts[f"{self._topic}: duplicate"] += 1
-        elif state.missed > missed:
+        elif state.missed > missed and not self._sparse:
             node.counts[f"{self._topic}: missed ticks"] += state.missed - missed
-        if state.dropped > dropped:
+        if state.dropped > dropped and not self._sparse:
             node.drop(self._topic, "too many waiting", f"{state.available} rows are waiting for the other signal: has it stopped?")

@@ -26,7 +26,9 @@ CLOSE = 1e-3
 """Share of the command's range: a voltage that differs by less is the command, rounded by a converter."""
 
 
-def ticks_not_followed(command: tuple[Array, Array], applied: tuple[Array, Array], step: float) -> list[range]:
+def ticks_not_followed(
+    command: tuple[Array, Array], applied: tuple[Array, Array], step: float, close: Array | None = None
+) -> list[range]:
     """Stretches of ticks at which the actuator does not follow its command.
 
     At a tick it has the command of that tick, or the one before where the loop is a tick late. A plant that always says what it applies
@@ -40,6 +42,8 @@ def ticks_not_followed(command: tuple[Array, Array], applied: tuple[Array, Array
         The same (M,), (M, A) of what is on the actuator.
     step
         Sample time of the command, s.
+    close
+        (A,): difference up to which a voltage is the command, V; default: `CLOSE` of the command's range.
 
     Returns
     -------
@@ -52,12 +56,97 @@ def ticks_not_followed(command: tuple[Array, Array], applied: tuple[Array, Array
     said, voltages, newest = said[newest >= 0], voltages[newest >= 0], newest[newest >= 0]
     if not len(said):
         return []
-    close = CLOSE * np.ptp(values, axis=0)
+    close = CLOSE * np.ptp(values, axis=0) if close is None else close
     differs = [(np.abs(voltages - values[np.maximum(newest - late, 0)]) > close).any(axis=1) for late in (0, 1)]
     ticks = np.rint(said[differs[0] & differs[1]] / step).astype(np.int64)
     if not len(ticks):
         return []
-    interval = max(1, math.ceil(INTERVAL / step - 1e-6))
+    interval = _interval(step)
     ends = np.flatnonzero(np.diff(ticks) > (LOST + 1) * interval)
     firsts, lasts = ticks[np.append(0, ends + 1)], ticks[np.append(ends, len(ticks) - 1)]
     return [range(first - 1, last + interval) for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True)]
+
+
+def _interval(step: float) -> int:
+    """Ticks between two messages."""
+    return max(1, math.ceil(INTERVAL / step - 1e-6))
+
+
+class FollowingWatch:
+    """The same, of a running loop: its rows come part by part.
+
+    Parameters
+    ----------
+    step
+        Sample time, s.
+    axes
+        Number of axes.
+    """
+
+    def __init__(self, step: float, axes: int) -> None:
+        self._step, self._axes, self._patience = step, axes, (LOST + 1) * _interval(step)
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew: the next rows may have any tick."""
+        self._end = -math.inf  # tick from which on the actuator may follow again
+        self._lower, self._upper = np.full(self._axes, np.inf), np.full(self._axes, -np.inf)
+        self._time, self._values = np.zeros(0), np.zeros((0, self._axes))
+        self._said, self._voltages = np.zeros(0, np.int64), np.zeros((0, self._axes))  # the two newest messages
+
+    def look(
+        self, command: tuple[NDArray[np.int64], Array], applied: tuple[NDArray[np.int64], Array]
+    ) -> tuple[NDArray[np.bool_], Array]:
+        """Find the ticks at which the actuator does not follow its command, and what it has.
+
+        Parameters
+        ----------
+        command
+            Ticks (N,) in order, and values (N, A), V.
+        applied
+            The same (M,), (M, A) of all that is said of these ticks.
+
+        Returns
+        -------
+        not_followed : ndarray, shape (N,)
+            Whether the actuator does not follow at these ticks.
+        voltages : ndarray, shape (N, A)
+            V, its command where it follows; elsewhere between two messages on a straight line.
+        """
+        ticks, commands = command
+        found = np.zeros(len(ticks), bool)
+        if not len(ticks):
+            return found, commands
+        self._lower, self._upper = np.minimum(self._lower, commands.min(axis=0)), np.maximum(self._upper, commands.max(axis=0))
+        time = np.append(self._time, self._step * ticks).astype(np.float64)
+        values = np.concatenate([self._values, commands])
+        self._time, self._values = time[-1:], values[-1:]
+        found |= ticks < self._end
+        if len(applied[0]):
+            said = (self._step * applied[0]).astype(np.float64)
+            for stretch in ticks_not_followed((time, values), (said, applied[1]), self._step, CLOSE * (self._upper - self._lower)):
+                first = self._end if stretch.start - self._end <= self._patience else stretch.start
+                found |= (first <= ticks) & (ticks < stretch.stop)
+                self._end = stretch.stop
+            self._said, self._voltages = np.append(self._said, applied[0]), np.concatenate([self._voltages, applied[1]])
+        voltages = commands.copy()
+        if found.any():
+            voltages[found] = self._between(ticks[found], commands[found])
+        self._said, self._voltages = self._said[-2:], self._voltages[-2:]
+        return found, voltages
+
+    def _between(self, ticks: NDArray[np.int64], commands: Array) -> Array:
+        """Voltages (N, A) by the messages before and after; where none follows it goes on as before until it meets the command."""
+        said, voltages = self._said, self._voltages
+        found: Array = np.stack([np.interp(ticks, said, voltage) for voltage in voltages.T], axis=1)
+        before = np.searchsorted(said, ticks, side="right") - 1
+        for last in np.unique(before[before >= 0]):
+            if last + 1 < len(said) and said[last + 1] - said[last] <= self._patience:
+                continue
+            onward = before == last
+            known = last > 0 and said[last] - said[last - 1] <= self._patience
+            slope = (voltages[last] - voltages[last - 1]) / (said[last] - said[last - 1]) if known else np.zeros(self._axes)
+            line, wanted = voltages[last] + slope * (ticks[onward, None] - said[last]), commands[onward]
+            met = np.logical_or.accumulate((line - wanted) * (voltages[last] - wanted[0]) <= 0.0, axis=0)
+            found[onward] = np.where(met, wanted, line)
+        return found

@@ -147,6 +147,39 @@ def test_short_gaps_are_bridged_and_long_ones_settle_anew(talking):
     assert len(talking.rows("gap")) == windows  # within `settle`: not counted
 
 
+def test_ticks_at_which_the_actuator_does_not_follow_are_a_gap(talking):
+    """A stage that approaches its first command at a safe rate, and says so: neither compared nor learned from."""
+    commands, _ = record(6000)
+    commands = commands + 20.0
+    ramp = 0.02 * np.arange(6000)[:, None]
+    approach = int(np.argmax(ramp > commands))
+    applied = np.where(np.arange(6000)[:, None] < approach, ramp, commands)
+    measured = simulate(load_model(MODEL), applied, 1 / RATE) + 0.003 * np.random.default_rng(2).standard_normal((6000, 1))
+    assert approach > 1000
+    said = talking.sender("applied", "t[s],x[V]")
+    ticks, interval = np.arange(6000) + 10**6, round(0.005 * RATE)
+    for begin in range(0, 6000, interval):
+        stream(talking, ticks[begin : begin + interval], commands[begin : begin + interval], measured[begin : begin + interval])
+        if begin < approach:
+            said.send(np.column_stack([ticks[[begin]] / RATE, applied[[begin]]]))
+    talking.until(lambda: len(talking.rows("residual")) and talking.rows("residual")[-1, 0] == ticks[-1] / RATE)
+    rows = talking.rows("residual")
+    begin = int(np.rint(rows[0, 0] * RATE)) - 10**6
+    assert approach <= begin < approach + 2 * interval and len(rows) == 6000 - begin
+    assert talking.node.status()["ticks not followed"] == begin and talking.node.status()["settled anew"] == 0
+    assert np.abs(rows[:, 1]).max() < 6 * 0.003  # the memory of the hysteresis is that of the way there
+    assert talking.node.alarm.noise == pytest.approx(0.003, rel=0.1) and not talking.rows("gap")[:, 2].any()
+
+
+def test_what_is_applied_is_heard_after_a_long_silence_too(talking):
+    """A stage follows its command for longer than rows may lie ahead, then its watchdog takes over; a time to come is refused."""
+    applied, first = talking.node._applied, 10**6
+    for tick in (first, first + 2 * talking.node.settings.most_waiting, 10**12):
+        applied.receive(np.array([[tick / RATE, 1.0]]))
+    assert applied.rows.end == first + 2 * talking.node.settings.most_waiting + 1
+    assert talking.node.counts["applied: far ahead"] == 1 and talking.node.counts["applied: missed ticks"] == 0
+
+
 def test_bad_messages_are_refused_and_a_new_time_begins_anew(talking):
     commands, measured = record(3000)
     ticks = np.arange(3000) + 10**6

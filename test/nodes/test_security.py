@@ -22,7 +22,7 @@ SETTINGS = {
     "reference_generator": {"signal": "rest", "duration": 1.0},
     "recorder": {"topics": ["reference", "learned", "feedforward", "feedback", "command", "measurement"], "schedule": "timer"},
     "plant": {"model": MODEL, "wait_for_recorder": True},
-    "diagnosis": {"model": MODEL},
+    "diagnosis": {"model": MODEL, "schedule": "timer"},
     "simulated_stage": {"autostart": False},
     "pi_stage": {"autostart": False},
     "iio_stage": {"autostart": False},

@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from hyst_control.diagnose.block_replay import replay as replayed
 from hyst_control.errors import InputError
 from hyst_control.identify.workflow import datasets_of, identify_bags
 from hyst_control.model_file import load_model
-from hyst_control.records.actuator_following import INTERVAL, ticks_not_followed
+from hyst_control.records.actuator_following import INTERVAL, FollowingWatch, ticks_not_followed
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
@@ -127,3 +129,31 @@ def test_stretches_reach_from_the_first_word_to_where_the_next_would_be_due(step
     found = ticks_not_followed((time, values), (said * step, np.full((len(said), 1), -50.0)), step)
     assert found == [range(10 * interval - 1, 15 * interval), range(50 * interval - 1, 52 * interval)]
     assert ticks_not_followed((time, values), (said[:0] * step, np.zeros((0, 1))), step) == []
+
+
+@settings(max_examples=40, deadline=None)
+@given(cuts=st.lists(st.integers(1, 449), max_size=8), seed=st.integers(0, 100))
+def test_a_running_loop_finds_the_same_ticks_part_by_part(cuts, seed):
+    """A stage at 1 kHz that starts, and once more comes back from a fault. The tick before a stretch may be in the part before."""
+    step, count, first = 1e-3, 450, 10**6
+    wanted = 40.0 + 8.0 * np.sin(2 * np.pi * np.arange(count) / 150.0 + seed)
+    start, came_back = approached(wanted, rate=0.8), approached(wanted[250:], rate=1.1, rest=5.0)
+    applied = wanted.copy()
+    applied[start[1]], applied[250 + came_back[1]] = start[0][start[1]], came_back[0][came_back[1]]
+    said = np.concatenate([start[1][::5], 250 + came_back[1][::5]])
+    ticks = first + np.arange(count)
+    whole = np.zeros(count, bool)
+    for stretch in ticks_not_followed((ticks * step, wanted[:, None]), ((first + said) * step, applied[said, None]), step):
+        whole[max(stretch.start - first, 0) : stretch.stop - first] = True
+    watch, found, edges = FollowingWatch(step, 1), [], sorted({0, *cuts, count})
+    for begin, end in zip(edges, edges[1:]):
+        part = said[(begin <= said) & (said < end)]
+        found.append(watch.look((ticks[begin:end], wanted[begin:end, None]), (first + part, applied[part, None])))
+    not_followed, voltages = (np.concatenate(each) for each in zip(*found))
+    assert whole.any() and not whole.all()
+    assert set(np.flatnonzero(not_followed != whole)) <= {edge - 1 for edge in edges}
+    np.testing.assert_array_equal(voltages[~not_followed, 0], wanted[~not_followed])
+    for begin, way in ((0, start[1][::5]), (250, came_back[1][::5])):  # straight ways; where the command is met is not said
+        there = np.arange(begin + way[1], begin + way[-1] + 1)  # the first message alone does not tell how fast it goes
+        there = there[not_followed[there]]
+        np.testing.assert_allclose(voltages[there, 0], applied[there], atol=1e-9)
