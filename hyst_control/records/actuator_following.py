@@ -73,7 +73,7 @@ def _interval(step: float) -> int:
 
 
 class FollowingWatch:
-    """The same, of a running loop: its rows come part by part.
+    """Ticks of a running loop at which its actuator does not follow its command, found as the rows come.
 
     Parameters
     ----------
