@@ -275,6 +275,7 @@ class SignalNode(EndingNode):
         drop_oldest: bool = False,
         clock_may_be_set_back: bool = False,
         replace: bool = False,
+        sparse: bool = False,
     ) -> SignalRows:
         """Create the state of a signal that the node receives.
 
@@ -290,6 +291,8 @@ class SignalNode(EndingNode):
             Distinguish rows that go back by the parameter `backwards` from duplicates.
         replace : bool
             Let a second row of a tick replace the first; see `SignalRows`.
+        sparse : bool
+            Its source speaks only where it has something to say: rows may lie far ahead of those before, as long as they are due.
 
         Returns
         -------
@@ -304,6 +307,7 @@ class SignalNode(EndingNode):
             (lambda: float(self.settings.backwards)) if clock_may_be_set_back else (lambda: math.inf),
             drop_oldest,
             replace,
+            (lambda end: self.is_due((end - 1) * self.period)) if sparse else (lambda end: False),
         )
         return self.received[topic]
 

@@ -253,7 +253,7 @@ class DiagnosisNode(SignalNode):
             self._follow(first, voltages[part], measured_ticks[begin:stop], measured[begin:stop])
 
     def _driven(self, ticks: NDArray[np.int64], commands: Array) -> tuple[NDArray[np.bool_], Array]:
-        """Whether the actuator does not follow its command (N, A) at these ticks, and what it has then, V."""
+        """Mask (N,) of the ticks at which the actuator does not follow its command (N, A), and its voltages (N, A), V, at all of them."""
         if self._applied is None:
             return np.zeros(len(ticks), bool), commands
         return self._following.look((ticks, commands), self._applied.rows.take_before(int(ticks[-1]) + 1))

@@ -53,7 +53,7 @@ class RecordedTopic:
         self._node, self._store, self._repeated, self._merge, self._sparse = node, store, repeated, merge, sparse
         self._ticks = ticks if node.lockstep else 0
         self._encoder: Encoder | None = None
-        self.rows = node.signal_rows(topic, Missing.HOLD if node.lockstep else Missing.SKIP)
+        self.rows = node.signal_rows(topic, Missing.HOLD if node.lockstep else Missing.SKIP, sparse=sparse)
         self.recorded = 0
         """Number of rows taken for the bag."""
         self._pending: list[Array] = []  # blocks (N, C) of successive ticks that are merged into one message
@@ -126,10 +126,6 @@ class RecordedTopic:
         """Take in rows (N, C) of successive ticks from this one on."""
         missed = self.rows.missed
         receipt = self.rows.receive(tick, block, time.monotonic())
-        if receipt is Receipt.AHEAD and self._sparse and self._node.is_due(float(block[-1, 0])):
-            self._collect()
-            self.rows.forget()  # it had nothing to say for longer than rows may lie ahead
-            receipt = self.rows.receive(tick, block, time.monotonic())
         self._count_missed(missed)
         if receipt is Receipt.ACCEPTED:
             self._collect()

@@ -38,7 +38,7 @@ class WatchedSignal:
         self._node, self._topic, self._restarted, self._sparse = node, topic, restarted, sparse
         self._label = label_for(node.axes, unit)
         self._intake = node.intake(topic)
-        self.rows = node.signal_rows(topic, Missing.SKIP, drop_oldest=True, clock_may_be_set_back=True)
+        self.rows = node.signal_rows(topic, Missing.SKIP, drop_oldest=True, clock_may_be_set_back=True, sparse=sparse)
 
     def forget(self) -> None:
         """Start again; the next rows may have any tick."""
@@ -80,9 +80,6 @@ class WatchedSignal:
         node, state = self._node, self.rows
         missed, dropped, now = state.missed, state.dropped, time.monotonic()
         receipt = state.receive(tick, rows, now)
-        if receipt is Receipt.AHEAD and self._sparse and node.is_due((tick + len(rows) - 1) * node.period):
-            state.expect(tick)  # it had nothing to say for longer than rows may lie ahead
-            receipt = state.receive(tick, rows, now)
         if receipt is Receipt.CLOCK_RESET:
             node.counts["time ran backwards"] += 1
             self._restarted()

@@ -97,7 +97,7 @@ class FollowingWatch:
     def look(
         self, command: tuple[NDArray[np.int64], Array], applied: tuple[NDArray[np.int64], Array]
     ) -> tuple[NDArray[np.bool_], Array]:
-        """Find the ticks at which the actuator does not follow its command, and what it has.
+        """Find the ticks at which the actuator does not follow its command, and its voltage at every tick.
 
         Parameters
         ----------
@@ -109,9 +109,9 @@ class FollowingWatch:
         Returns
         -------
         not_followed : ndarray, shape (N,)
-            Whether the actuator does not follow at these ticks.
+            Mask of the ticks at which it does not.
         voltages : ndarray, shape (N, A)
-            V, its command where it follows; elsewhere between two messages on a straight line.
+            V: the command where the actuator follows it; elsewhere on a straight line between two messages.
         """
         ticks, commands = command
         found = np.zeros(len(ticks), bool)
@@ -136,7 +136,7 @@ class FollowingWatch:
         return found, voltages
 
     def _between(self, ticks: NDArray[np.int64], commands: Array) -> Array:
-        """Voltages (N, A) by the messages before and after; where none follows it goes on as before until it meets the command."""
+        """Voltages (N, A) on straight lines between messages; after the last one the line goes on until it meets the command."""
         said, voltages = self._said, self._voltages
         found: Array = np.stack([np.interp(ticks, said, voltage) for voltage in voltages.T], axis=1)
         before = np.searchsorted(said, ticks, side="right") - 1

@@ -115,6 +115,9 @@ class SignalRows:
     replace : bool
         Let other values of a tick replace those that came first, as of a sensor with a clock of its own that falls twice into one
         tick, unless that happens in `MAX_REPLACED` ticks in a row, as with two sources: that is a `CONFLICT`.
+    may_leap : callable
+        Tells of rows that lie far ahead, by the tick after them, whether they are taken all the same: their source had nothing to say
+        for so long.
 
     Attributes
     ----------
@@ -143,7 +146,9 @@ class SignalRows:
         clock_reset_threshold: Callable[[], float] = lambda: math.inf,
         drop_oldest: bool = False,
         replace: bool = False,
+        may_leap: Callable[[int], bool] = lambda end: False,
     ) -> None:
+        self._may_leap = may_leap
         self.missing, self.max_queued_rows, self.drop_oldest, self.replace = missing, max_queued_rows, drop_oldest, replace
         self.arrived = now
         self.missed = self.dropped = 0
@@ -212,8 +217,8 @@ class SignalRows:
                 first, new = end, rows[end - tick :]
             elif self.missing is Missing.REFUSE:
                 return Receipt.GAP
-            elif tick - end > self.max_queued_rows and tick != self._leap_end:  # a single one may come from anybody
-                self._leap_end = tick + len(rows)
+            elif tick - end > self.max_queued_rows and tick != self._leap_end and not self._may_leap(tick + len(rows)):
+                self._leap_end = tick + len(rows)  # a single one may come from anybody
                 return Receipt.AHEAD
             elif self.missing is Missing.HOLD:
                 self._hold(tick, rows, now)

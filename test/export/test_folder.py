@@ -58,9 +58,10 @@ def test_no_kind_of_compensator_is_missing():
 
 @pytest.mark.parametrize("name", FEEDFORWARDS)
 def test_a_compensator_compiles_and_equals_python(name, tmp_path):
-    """By the first compiler that is here; the other ones have the published models, whose stages are the same."""
+    """By the first compiler that is here; those whose stages no published model has by every one."""
     export(*FEEDFORWARDS[name], output=tmp_path)
-    compared(tmp_path, f"COMPILERS={next(filter(shutil.which, ('gcc', 'clang')), 'gcc')}")
+    first = next(filter(shutil.which, ("gcc", "clang")), "gcc")
+    compared(tmp_path, *(() if name in ("hampi", "whole inverse") else (f"COMPILERS={first}",)))
 
 
 def test_a_controller_a_twin_and_float_too(tmp_path):

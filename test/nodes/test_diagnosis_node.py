@@ -177,6 +177,7 @@ def test_what_is_applied_is_heard_after_a_long_silence_too(talking):
     for tick in (first, first + 2 * talking.node.settings.most_waiting, 10**12):
         applied.receive(np.array([[tick / RATE, 1.0]]))
     assert applied.rows.end == first + 2 * talking.node.settings.most_waiting + 1
+    assert applied.rows.available == 2, "what waits to be used stays"
     assert talking.node.counts["applied: far ahead"] == 1 and talking.node.counts["applied: missed ticks"] == 0
 
 
