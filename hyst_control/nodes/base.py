@@ -292,7 +292,7 @@ class SignalNode(EndingNode):
         replace : bool
             Let a second row of a tick replace the first; see `SignalRows`.
         sparse : bool
-            Its source speaks only where it has something to say: rows may lie far ahead of those before, as long as they are due.
+            Its source publishes at few ticks only: a row after a long silence is accepted unless its time is yet to come.
 
         Returns
         -------

@@ -37,7 +37,7 @@ class RecordedTopic:
     ticks : int
         Number of ticks that are recorded in lockstep, 0 for all.
     sparse : bool
-        Missing ticks are no loss: the source speaks only where it has something to say.
+        The source publishes at few ticks only: the others are not counted as lost.
     """
 
     def __init__(

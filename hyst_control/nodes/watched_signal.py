@@ -31,7 +31,7 @@ class WatchedSignal:
     restarted : callable
         Called when the time of the signal was set back; must forget all rows received before.
     sparse : bool
-        Missing ticks are no loss: the source speaks only where it has something to say.
+        The source publishes at few ticks only: the others are not counted as lost.
     """
 
     def __init__(self, node: SignalNode, topic: str, unit: str, restarted: Callable[[], None], sparse: bool = False) -> None:

@@ -116,8 +116,8 @@ class SignalRows:
         Let other values of a tick replace those that came first, as of a sensor with a clock of its own that falls twice into one
         tick, unless that happens in `MAX_REPLACED` ticks in a row, as with two sources: that is a `CONFLICT`.
     may_leap : callable
-        Tells of rows that lie far ahead, by the tick after them, whether they are taken all the same: their source had nothing to say
-        for so long.
+        Asked before rows far ahead of those received are refused, with the tick after them: True accepts them, as of a source that was
+        silent for a long time.
 
     Attributes
     ----------

@@ -58,7 +58,7 @@ def test_no_kind_of_compensator_is_missing():
 
 @pytest.mark.parametrize("name", FEEDFORWARDS)
 def test_a_compensator_compiles_and_equals_python(name, tmp_path):
-    """By the first compiler that is here; those whose stages no published model has by every one."""
+    """One compiler is enough where published models, which every compiler builds, contain the same stages."""
     export(*FEEDFORWARDS[name], output=tmp_path)
     first = next(filter(shutil.which, ("gcc", "clang")), "gcc")
     compared(tmp_path, *(() if name in ("hampi", "whole inverse") else (f"COMPILERS={first}",)))
