@@ -32,7 +32,7 @@ def frozen(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, (list, tuple)):
-        return tuple(map(frozen, value))
+        return tuple(value) if PLAIN.issuperset(map(type, value)) else tuple(map(frozen, value))
     return value
 
 
@@ -130,6 +130,8 @@ def per_axis_scalar(value: ScalarPerAxis, axes: int, field: str) -> Array:
     ndarray
         (A,).
     """
+    if type(value) is float:
+        return np.array([value] * axes)
     return np.array([float(item) for item in per_axis(value, axes, 0, field)])
 
 

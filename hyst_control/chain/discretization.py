@@ -46,23 +46,22 @@ def discretise(system: LinearSystem, fraction: Array, sampling: Sampling) -> Dis
     n, m = system.B.shape
     b_taps, d_taps = np.zeros((3, n, m)), np.zeros((2, len(system.D), m))
     transition = expm(system.A * ts)
-    carried = {f: expm(system.A * (1.0 - f) * ts) if f else transition for f in set(fraction.tolist())}
-    for j in range(m):
-        f = fraction[j]
-        column = system.B[:, j : j + 1]
-        first_start, first_end = _held_input(system.A, column, f * ts)
-        second_start, second_end = _held_input(system.A, column, (1.0 - f) * ts)
-        older, newer = carried[float(f)] @ np.hstack([first_start, first_end]), np.hstack([second_start, second_end])
+    carried = {f: expm(system.A * (1.0 - f) * ts) for f in set(fraction.tolist()) if f}
+    for j, f in enumerate(fraction.tolist()):
+        column, direct = system.B[:, j : j + 1], system.D[:, j]
+        newer = _held_input(system.A, column, (1.0 - f) * ts)
+        older = carried[f] @ _held_input(system.A, column, f * ts) if f else np.zeros((n, 2))
         if sampling.hold == "zoh":
             b_taps[0, :, j] = newer.sum(axis=1)
             b_taps[1, :, j] = older.sum(axis=1)
-            d_taps[0, :, j] = system.D[:, j]
+            d_taps[0, :, j] = direct
         else:
-            # Values at the start, the kink and the end of the interval from the samples w[k], w[k-1], w[k-2].
-            start, kink, end = np.array([0.0, 1.0 - f, f]), np.array([0.0, 1.0, 0.0]), np.array([1.0 - f, f, 0.0])
-            weights = np.outer(start, older[:, 0]) + np.outer(kink, older[:, 1] + newer[:, 0]) + np.outer(end, newer[:, 1])
-            b_taps[:, :, j] = weights
-            d_taps[:, :, j] = np.outer(end[:2], system.D[:, j])
+            # By the samples w[k], w[k-1], w[k-2], of which the interval's start, kink and end are made.
+            b_taps[0, :, j] = (1.0 - f) * newer[:, 1]
+            b_taps[1, :, j] = (1.0 - f) * older[:, 0] + (older[:, 1] + newer[:, 0]) + f * newer[:, 1]
+            b_taps[2, :, j] = f * older[:, 0]
+            d_taps[0, :, j] = (1.0 - f) * direct
+            d_taps[1, :, j] = f * direct
     return Discretised(transition, b_taps, system.C, d_taps, system.bias)
 
 
@@ -85,16 +84,18 @@ def discretise_average(system: LinearSystem, fraction: Array, sampling: Sampling
     return replace(step, A=fresh)
 
 
-def _held_input(a: Array, b: Array, time: float) -> tuple[Array, Array]:
-    """State reached from rest over `time` for an input that runs straight from 1 to 0, and from 0 to 1: two columns (n, 1)."""
+def _held_input(a: Array, b: Array, time: float) -> Array:
+    """State reached from rest over `time` for an input that runs straight from 1 to 0, and from 0 to 1: two columns (n, 2)."""
     n = len(a)
+    found = np.zeros((n, 2))
     if time <= 0.0 or n == 0:
-        return np.zeros((n, 1)), np.zeros((n, 1))
+        return found
     # Van Loan: the exponential of [[A, B, 0], [0, 0, 1/T], [0, 0, 0]] holds the step and the ramp response.
     block = np.zeros((n + 2, n + 2))
     block[:n, :n] = a
     block[:n, n : n + 1] = b
     block[n, n + 1] = 1.0 / time
     exponential = expm(block * time)
-    step, ramp = exponential[:n, n : n + 1], exponential[:n, n + 1 : n + 2]
-    return step - ramp, ramp
+    found[:, 1] = exponential[:n, n + 1]
+    found[:, 0] = exponential[:n, n] - found[:, 1]
+    return found

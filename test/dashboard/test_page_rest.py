@@ -4,11 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-pytest.importorskip("bokeh", reason="the extra dashboard, which make env installs")
-
-from bokeh.document import Document
-
-from hyst_control.dashboard import page
 from hyst_control.dashboard.live_state import LiveState
 
 
@@ -23,6 +18,11 @@ class Actions:
 
 
 def test_a_slow_drawing_is_followed_by_a_longer_rest(monkeypatch):
+    pytest.importorskip("bokeh", reason="the extra dashboard, which make env installs")
+    from bokeh.document import Document
+
+    from hyst_control.dashboard import page
+
     now = [100.0]
     monkeypatch.setattr(page.time, "monotonic", lambda: now[0])
     document = Document()

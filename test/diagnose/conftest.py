@@ -15,6 +15,7 @@ from hyst_control.blind_test.plant_setups import scatter
 from hyst_control.config_files import config_path
 from hyst_control.diagnose.diagnosis import Diagnosis
 from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model, load_model
 from hyst_control.records.excitation import build
 from hyst_control.records.record import Record, Signal
@@ -60,6 +61,12 @@ def record_of(
         {"command": Signal(time, command, axes, "V"), "measurement": Signal(time, measured, axes, "mrad" if mirror else "um")},
         "record",
     )
+
+
+def all_but(*names: str) -> tuple[str, ...]:
+    """Effects that a diagnosis is to leave out where these are all that a test is about: naming among all is what others ask."""
+    assert set(names) <= set(EFFECTS)
+    return tuple(name for name in EFFECTS if name not in names)
 
 
 def nominal(plant: str) -> Model:

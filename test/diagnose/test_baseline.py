@@ -23,15 +23,19 @@ from hyst_control.diagnose.problem import Piece
 from hyst_control.diagnose.same_command import matching
 from hyst_control.diagnose.session import CarriedError, SessionZero
 from hyst_control.diagnose.workflow import diagnosed
-from hyst_control.effects import EFFECTS
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal
+from test.diagnose.conftest import all_but
 
 pytestmark = pytest.mark.long_file
 
 RATE = 5000.0
 SETTINGS = CONFIGURATION.baseline
+WITHOUT = all_but(
+    *("delay", "sensor_lowpass", "amplifier_lowpass", "gain", "offset", "offset_drift", "gain_drift", "creep", "resonance"),
+    *("hysteresis_width", "sensor_nonlinearity"),
+)
 
 
 def sines(frequency: float, cycles: int = 5) -> np.ndarray:
@@ -126,7 +130,7 @@ def test_a_change_is_named_beside_a_clean_record_of_the_same_command(name):
     change, names, parameter, value = CASES[name]
     command = sines(50.0)
     new, clean = record(command, machine(command, 1, **change), "new"), record(command, machine(command, 2), "clean")
-    report, *_ = diagnosed([new], MODEL, cache=False, baseline=[clean])
+    report, *_ = diagnosed([new], MODEL, cache=False, baseline=[clean], without=WITHOUT)
     first = report["effects"][0]
     assert report["verdict"] == "effect" and first["name"] in names
     assert first["parameters"][parameter]["value"] == pytest.approx(value, rel=0.06)
@@ -155,7 +159,7 @@ def test_what_sessions_usually_differ_by_is_no_effect_beside_a_single_clean_reco
         record(command, machine(command, 1, sensor=lambda y: gain * y), "new"),
         record(command, machine(command, 2), "clean"),
     )
-    report, *_ = diagnosed([new], MODEL, cache=False, baseline=[clean])
+    report, *_ = diagnosed([new], MODEL, cache=False, baseline=[clean], without=WITHOUT)
     names = [effect["name"] for effect in report["effects"]]
     assert (report["verdict"] == "no_gap" and not names) if gain < 1.005 else names[0] == "gain"
 
@@ -171,7 +175,7 @@ def test_clean_records_of_other_commands_tell_the_model_from_the_machine():
     command, others = sines(25.0), [sines(20.0), sines(35.0)]
     clean = [record(other, machine(other, seed), "clean") for seed, other in enumerate(others)]
     changed = record(command, machine(command, 7, sensor=lowpass(15.0, 1)), "new")
-    report, *_ = diagnosed([changed], MODEL, cache=False, baseline=clean)
+    report, *_ = diagnosed([changed], MODEL, cache=False, baseline=clean, without=WITHOUT)
     assert not report["baseline"]["same_command"] and report["verdict"] in ("effect", "ambiguous")
     found = next(effect for effect in report["effects"] if effect["name"] in {"sensor_lowpass", "amplifier_lowpass"})
     assert found["parameters"]["cutoff"]["value"] == pytest.approx(15.0, rel=0.15)
@@ -190,14 +194,13 @@ def test_a_new_clean_record_of_another_command_is_no_gap():
 def test_a_sensor_may_have_its_zero_anywhere(change, names, taken_off):
     """Many times the range away in every session: that says nothing of an effect, and is usual, and so is no zero at all."""
     away, command, others = 40.0, sines(25.0), [sines(20.0), sines(35.0)]
-    rivals = ("delay", "gain", "offset", "offset_drift", "gain_drift", "creep", "sensor_lowpass", "sensor_nonlinearity")
     clean = [record(other, machine(other, seed) + away, "clean") for seed, other in enumerate(others)]
     report, *_ = diagnosed(
         [record(command, machine(command, 7, **change) + away - taken_off, "new")],
         MODEL,
         cache=False,
         baseline=clean,
-        without=[name for name in EFFECTS if name not in rivals],
+        without=all_but("delay", "gain", "offset", "offset_drift", "gain_drift", "creep", "sensor_lowpass", "sensor_nonlinearity"),
     )
     found = {effect["name"]: effect for effect in report["effects"]}
     assert set(found) >= names and not report["baseline"]["same_command"]
@@ -222,8 +225,7 @@ def test_what_fills_the_memory_of_a_clean_record_is_no_error_of_the_model(freque
     for added in (0.0, transient):
         clean = [record(command[0], machine(command[0], 2) + added, "clean")]
         new = record(command[1], machine(command[1], 1), "new")
-        others = [name for name in EFFECTS if name != "gain"]
-        report, *_ = diagnosed([new], MODEL, cache=False, baseline=clean, warm_up=begin, without=others)
+        report, *_ = diagnosed([new], MODEL, cache=False, baseline=clean, warm_up=begin, without=all_but("gain"))
         found.append(report["baseline"]["repeatability"][0])
     assert found[1] == pytest.approx(found[0], rel=0.1)
 

@@ -15,7 +15,7 @@ from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
 from hyst_control.files import write_json
 from hyst_control.model_file import load_model, save_model, simulate
-from test.diagnose.conftest import nominal, record_of
+from test.diagnose.conftest import all_but, nominal, record_of
 
 pytestmark = pytest.mark.long_file
 
@@ -60,7 +60,10 @@ def test_creep_is_named_where_the_tolerances_leave_it_room():
     """With 1 % throughout; the shipped, wider tolerances let the slow end of the transfer function take creep up."""
     model = nominal(PEA)
     model = replace(model, tolerance=dict.fromkeys(model.tolerance, 0.01))
-    document, _, _ = diagnosed([record_of(PEA, [{"name": "creep", "gamma": 0.03}])], model)
+    without = all_but(
+        "creep", "offset_drift", "gain_drift", "hysteresis_width", "hysteresis_rate", "gain", "delay", "sensor_lowpass"
+    )
+    document, _, _ = diagnosed([record_of(PEA, [{"name": "creep", "gamma": 0.03}])], model, without=without)
     (named,) = document["effects"]
     assert (document["verdict"], named["name"]) == ("effect", "creep")
     assert named["parameters"]["gamma"]["value"] == pytest.approx(0.03, rel=0.1)
@@ -69,19 +72,24 @@ def test_creep_is_named_where_the_tolerances_leave_it_room():
 @pytest.mark.parametrize("name, change, tau", [("offset_drift", -0.15, 0.1), ("gain_drift", 0.03, 0.3)])
 def test_a_drift_that_ends_within_the_record_is_named(answer, name, change, tau):
     """Straight for this time of the 0.34 s, then constant (law 1 of the plant)."""
-    document, _, _ = answer(PEA, (("name", name), ("change", change), ("tau", tau), ("law", 1)))
+    without = all_but("offset_drift", "gain_drift", "creep", "offset", "gain", "hysteresis_width", "sensor_nonlinearity", "delay")
+    document, _, _ = answer(PEA, (("name", name), ("change", change), ("tau", tau), ("law", 1)), without=without)
     assert (document["verdict"], [row["name"] for row in document["effects"]]) == ("effect", [name])
     assert document["effects"][0]["parameters"]["change"]["value"] == pytest.approx(change, rel=0.1)
 
 
 def test_two_effects_are_both_named(answer):
-    document, _, _ = answer(PEA, DELAY, BACKLASH)
+    without = all_but("delay", "backlash", "sensor_lowpass", "amplifier_lowpass", "gain", "hysteresis_width", "creep", "dac_hold")
+    document, _, _ = answer(PEA, DELAY, BACKLASH, without=without)
     assert {row["name"] for row in document["effects"]} >= {"delay", "backlash"}
     assert sum(row["share"] for row in document["effects"]) == pytest.approx(1.0)
 
 
 def test_noise_has_its_share_of_the_gap_and_stands_behind_what_is_more(answer):
-    document, _, _ = answer(PEA, DELAY, (("name", "sensor_noise"), ("rms", 0.03)))
+    without = all_but(
+        "delay", "sensor_noise", "flicker_noise", "quantization", "sensor_lowpass", "amplifier_lowpass", "gain", "creep"
+    )
+    document, _, _ = answer(PEA, DELAY, (("name", "sensor_noise"), ("rms", 0.03)), without=without)
     assert [row["name"] for row in document["effects"]] == ["delay", "sensor_noise"]
     shares = [row["share"] for row in document["effects"]]
     assert shares[0] == pytest.approx(1.0) and shares[1] == pytest.approx((0.03 / document["gap"]["rms"]) ** 2, rel=0.1)
@@ -90,8 +98,10 @@ def test_noise_has_its_share_of_the_gap_and_stands_behind_what_is_more(answer):
 def test_a_second_effect_is_named_beside_one_that_takes_off_a_thousand_times_as_much():
     """The slew limit alone leaves some noise and coefficients far off; creep brings them back, in a record that is long beside it."""
     record = record_of(PEA, [{"name": "slew_limit", "rate": 34000.0}, {"name": "creep", "gamma": 0.032}], duration=0.7)
-    rivals = ("slew_limit", "creep", "amplifier_lowpass", "sensor_lowpass", "delay", "gain", "hysteresis_width", "offset_drift")
-    document, found, _ = diagnosed([record], nominal(PEA), without=[name for name in EFFECTS if name not in rivals])
+    without = all_but(
+        "slew_limit", "creep", "amplifier_lowpass", "sensor_lowpass", "delay", "gain", "hysteresis_width", "offset_drift"
+    )
+    document, found, _ = diagnosed([record], nominal(PEA), without=without)
     assert document["verdict"] == "effect"
     assert {row["name"] for row in document["effects"]} == {"slew_limit", "creep"}
     z = found.parts[0].chosen.solution.z

@@ -13,6 +13,7 @@ from hyst_control.identify.dataset import Dataset
 from hyst_control.identify.workflow import identified
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal
+from test.diagnose.conftest import all_but
 from test.diagnose.test_baseline import bouc_wen
 
 RATE, SECONDS, NOISE = 1000.0, 4.0, 0.004
@@ -49,7 +50,10 @@ def report(model: Model, added: np.ndarray) -> dict:
         "command": Signal(TIME, command[:, None], ("x",), "V"),
         "measurement": Signal(TIME, measured[:, None], ("x",), "um"),
     }
-    return diagnosed([Record(signals, "new")], model)[0]
+    without = all_but(
+        "vibration", "mains_hum", "resonance", "flicker_noise", "offset_drift", "gain", "delay", "creep", "hysteresis_width"
+    )
+    return diagnosed([Record(signals, "new")], model, without=without)[0]
 
 
 def line(model: Model, frequency: float) -> tuple[float, np.ndarray]:

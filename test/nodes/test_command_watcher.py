@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from command_watcher import CommandWatcher
 from loop_case import MODEL, recorded
+from pipeline_thread import ProcessesBesideThread
 from rclpy.task import Future
 
 from hyst_control.nodes import reference_generator
@@ -18,7 +19,6 @@ from hyst_control.nodes.pi_feedback import RIVAL, PiFeedback
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_control.nodes.run import spin
-from hyst_control.processes.node_processes import Processes
 from hyst_control.records import row_repetition
 from hyst_plant_sim.node import PlantNode
 
@@ -293,7 +293,7 @@ def test_feedback_that_ends_leaves_nothing_behind(tmp_path, domain, schedule):
     common = {"schedule": schedule, "rate_hz": RATE, "timeout": 0.25}
     watcher = CommandWatcher(domain, PERIOD, LOWER, UPPER, SLEW * PERIOD)
     try:
-        with Processes(tmp_path / "log", domain) as processes:
+        with ProcessesBesideThread(tmp_path / "log", domain) as processes:
             processes.compose({name: {**own, **common} for name, own in PROCESSES.items()})
             for run, number in enumerate((signal.SIGTERM, signal.SIGKILL), 1):
                 feedback = processes.start("pi_feedback", {**FEEDBACK, **common})
