@@ -56,7 +56,7 @@ def discretise(system: LinearSystem, fraction: Array, sampling: Sampling) -> Dis
             b_taps[1, :, j] = older.sum(axis=1)
             d_taps[0, :, j] = direct
         else:
-            # By the samples w[k], w[k-1], w[k-2], of which the interval's start, kink and end are made.
+            # The input at the interval's start, kink and end lies between the samples w[k], w[k-1] and w[k-2]: their shares, in this order.
             b_taps[0, :, j] = (1.0 - f) * newer[:, 1]
             b_taps[1, :, j] = (1.0 - f) * older[:, 0] + (older[:, 1] + newer[:, 0]) + f * newer[:, 1]
             b_taps[2, :, j] = f * older[:, 0]

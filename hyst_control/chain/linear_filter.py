@@ -64,7 +64,7 @@ class LinearFilter(Filter):
 
     def another(self) -> LinearFilter:
         """A filter of the same systems with a state of its own."""
-        found = LinearFilter.__new__(LinearFilter)  # as `copy.copy`, in a quarter of its time
+        found = type(self).__new__(type(self))  # as `copy.copy`, without its detour over pickling
         vars(found).update(vars(self))
         found._begin()
         return found

@@ -20,9 +20,8 @@ pytestmark = pytest.mark.long_file
     [("composed", "plain rclpy", "lockstep"), ("composed", "hyst", "timer"), ("processes", "hyst", "lockstep")],
 )
 def test_a_short_run_measures_rate_and_load(case, subject, schedule, tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        loops, "SETTLING", 0.2
-    )  # s, from the plant's first tick on: no figure here depends on how far a run has settled
+    # s, from the plant's first tick on: no figure here depends on how far a run has settled.
+    monkeypatch.setattr(loops, "SETTLING", 0.2)
     bag = tmp_path / "bag" if subject == "hyst" else None
     measured = loops.measure(case, subject, schedule, 0.5, bag)
     assert measured.rate > 20 and measured.cpu > 1 and min(measured.memory) > 10

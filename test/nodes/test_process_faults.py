@@ -222,7 +222,7 @@ def test_nodes_that_join_late_find_the_loop_running(tmp_path, domain):
         processes.start("pi_feedback", settings["pi_feedback"])
         processes.start("recorder", settings["recorder"])
         processes.wait("recorder", timeout=60)
-        processes.stop()
+        assert set(processes.stop().values()) == {0}
         assert all("Traceback" not in processes.log(name).read_text() for name in ("pi_feedback", "recorder"))
     record = read_bag(tmp_path / "bag")
     assert all(len(record.signals[topic].time) >= 400 for topic in SIGNALS)
