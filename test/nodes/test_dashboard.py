@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import http.client
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -40,6 +41,9 @@ SEEN = """() => {
     loop: loop ? loop.data["command_x[V]"].length : 0, gap: gap ? gap.data.t.length : 0 };
 }"""
 
+
+STATE = r"(running|\d+ of \d+ Hz: \d+ ticks missed)"
+"""A node's state while the loop runs: with a browser on the same processors a tick comes now and then more than a period too late."""
 
 PATIENT = {"overrun_ticks": 0, "frozen_time": 0.0}
 """So that a busy machine is no fault of the loop, which would bring the command to 0 as well as the button does."""
@@ -133,8 +137,10 @@ def test_a_browser_shows_the_loop_and_its_buttons_act(running, tmp_path):
         first = until(look, lambda seen: seen["time"] > 0 and seen["loop"] > 10 and seen["gap"] > 0)
         assert {"t", "reference_x[um]", "command_x[V]", "measurement_x[um]", "error_x[um]"} <= set(first["columns"])
         until(look, lambda seen: seen["time"] > first["time"] + 0.5)  # curves move
-        assert "Running." in first["status"]
-        until(look, lambda seen: all(name in seen["nodes"] for name in ("pi_feedback running", "plant running", "diagnosis")))
+        until(look, lambda seen: "Running." in seen["status"])
+        until(
+            look, lambda seen: all(re.search(rf"\b{name} {STATE}", seen["nodes"]) for name in ("pi_feedback", "plant", "diagnosis"))
+        )
         press("record")
         until(look, lambda seen: "Recording to" in seen["status"] and seen["record"] == "end recording")
         until(lambda: recorded_commands(tmp_path), lambda rows: rows > 0)  # a bag is readable while it is written
