@@ -7,6 +7,7 @@ needs two exchanges over the network, about a millisecond each: 100 to 300 Hz ar
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,9 @@ Array = NDArray[np.float64]
 
 ERROR_CHECK_INTERVAL = 1.0
 """s, between two questions for the controller's error, which would cost a third exchange at every tick."""
+
+ANSWER_TIMEOUT = 1.0
+"""s, after which an answer that has not come is an error; the node does nothing else meanwhile."""
 
 
 class GcsController:
@@ -38,23 +42,41 @@ class GcsController:
 
     def __init__(self, host: str, port: int, axes: list[str]) -> None:
         try:
-            from pipython import GCSDevice
+            from pipython import GCSDevice, GCSError
             from pipython.pidevice.interfaces.pisocket import PISocket
         except ImportError as error:
             raise InputError(f"pipython cannot be imported ({error}): pip install PIPython") from None
+
+        class Gateway(PISocket):
+            """Socket that may be closed again, and after the controller has closed it: `GCSDevice` does so at its end."""
+
+            def close(self) -> None:
+                if self.connected:
+                    with suppress(OSError):
+                        super().close()
+
         try:
-            self._device: Any = GCSDevice(gateway=PISocket(host, port))
+            gateway = Gateway(host, port)
         except OSError as error:
             raise InputError(f"{host}:{port}: {error.strerror}: is the controller on, and is this its address?") from None
+        gateway.settimeout(ANSWER_TIMEOUT * 1e3)
         self._axes = axes
-        known = list(self._device.qSAI())
-        if unknown := [axis for axis in axes if axis not in known]:
-            raise InputError(
-                f"{host}: has no axis {', '.join(unknown)} (axes: {', '.join(known)}): set the parameter controller_axes"
-            )
-        self._device.SVO(axes, [False] * len(axes))  # the loop is closed here
-        self._device.errcheck = False
         self._checked = time.monotonic()
+        with ExitStack() as failed:  # a controller takes only few connections, so none may be left open
+            failed.callback(gateway.close)
+            try:
+                # Left as a context, the device is also forgotten by `pipython`, which would ask it again at the next connection.
+                self._device: Any = failed.enter_context(GCSDevice(gateway=gateway))
+                known = list(self._device.qSAI())
+                if unknown := [axis for axis in axes if axis not in known]:
+                    raise InputError(
+                        f"{host}: has no axis {', '.join(unknown)} (axes: {', '.join(known)}): set the parameter controller_axes"
+                    )
+                self._device.SVO(axes, [False] * len(axes))  # the loop is closed here
+                self._device.errcheck = False
+            except GCSError as error:
+                raise InputError(f"{host}:{port}: {error}: is this a controller of Physik Instrumente?") from None
+            self._connection = failed.pop_all()
 
     @property
     def identity(self) -> str:
@@ -80,8 +102,8 @@ class GcsController:
                 raise OSError(f"the controller reports error {code}")
 
     def close(self) -> None:
-        """End the connection; the controller holds its voltages."""
-        self._device.CloseConnection()
+        """End the connection, if the controller has not ended it; the controller holds its voltages."""
+        self._connection.close()
 
 
 class PhysikInstrumenteStage(StageNode):

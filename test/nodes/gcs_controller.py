@@ -18,17 +18,27 @@ class GcsController:
         self.servo = {"1": True, "2": True}
         self.error = 0
         self.lost: list[str] = []
-        self.silent = False
+        self._counting = threading.Lock()
+        self.silent = False  # takes commands and answers nothing
+        self.connections = 0  # open now
         controller = self
 
         class Handler(socketserver.StreamRequestHandler):
+            def setup(self) -> None:
+                super().setup()
+                with controller._counting:
+                    controller.connections += 1
+
             def handle(self) -> None:
                 for line in self.rfile:
-                    if controller.silent:
-                        return
                     answer = controller.answer(line.decode().split())
-                    if answer:
+                    if answer and not controller.silent:
                         self.wfile.write(answer.encode())
+
+            def finish(self) -> None:
+                super().finish()
+                with controller._counting:
+                    controller.connections -= 1
 
         class Server(socketserver.ThreadingTCPServer):
             allow_reuse_address = daemon_threads = True

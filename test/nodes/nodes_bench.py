@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from hyst_control.nodes.message_io import CallbackSubscription, Sender
-from hyst_control.nodes.run import spin
+from hyst_control.nodes.run import close, spin
 
 
 class Bench:
@@ -23,7 +23,7 @@ class Bench:
         self.context, self.executor = context, EventsExecutor(context=context)
         self.probe = rclpy.create_node("probe", context=context)
         self.executor.add_node(self.probe)
-        self.nodes = [self.probe]
+        self.nodes = []
         self.heard: dict[str, list[np.ndarray]] = {}
         self.said: dict[str, dict[str, str]] = {}
 
@@ -83,6 +83,6 @@ class Bench:
         return heard[0] if heard else np.zeros((0, 2))
 
     def close(self):
-        for node in self.nodes:
-            node.destroy_node()
+        """Close and destroy the nodes as an executable does at its end."""
+        close(self.nodes, self.probe.destroy_node)
         self.executor.shutdown()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import time
 
@@ -279,10 +280,14 @@ def wait(condition, processes, timeout=60.0):
         time.sleep(0.01)
 
 
+RUNNING = re.compile(r"\]: (running|\d+ of \d+ Hz: \d+ ticks missed)$", re.MULTILINE)
+"""What a feedback says once it commands; on a busy machine it may miss ticks from the start."""
+
+
 def wait_for_commands(run, watcher, processes):
     """Wait for the commands of this run of the feedback: those of the one before may still be on their way when it starts."""
     log = processes.log("pi_feedback")
-    wait(lambda: sum(line.endswith("]: running") for line in log.read_text().splitlines()) >= run, processes)
+    wait(lambda: RUNNING.search("".join(log.read_text().split("]: ready: ")[run : run + 1])), processes)
     count = len(watcher.command())
     wait(lambda: len(watcher.command()) > count + 60 and watcher.last[0] > 25.0, processes)
 

@@ -13,11 +13,12 @@ from std_srvs.srv import Trigger
 
 from hyst_control.control.command_limits import CommandLimits
 from hyst_control.errors import InputError
-from hyst_control.hardware import StageNode
+from hyst_control.hardware import StageNode, physik_instrumente
 from hyst_control.hardware import simulated_converter as simulated
 from hyst_control.hardware.linux_iio import IioStage
 from hyst_control.hardware.physik_instrumente import PhysikInstrumenteStage
 from hyst_control.model_file import Simulator, load_model, simulate
+from hyst_control.nodes.managed import UNCONFIGURED
 from hyst_control.nodes.pi_feedback import PiFeedback
 
 RATE = 200.0
@@ -336,7 +337,8 @@ def test_iio_device_or_channel_that_is_not_there_is_one_line(bench, iio, changes
 def test_controller_of_physik_instrumente_through_its_own_package(bench):
     pytest.importorskip("pipython", reason="PI's package: pip install PIPython")
     with GcsController() as controller:
-        bed = Bed(bench, PhysikInstrumenteStage, host="127.0.0.1", port=controller.port, controller_axes=["2"], upper=200.0)
+        settings = {"host": "127.0.0.1", "port": controller.port, "controller_axes": ["2"]}
+        bed = Bed(bench, PhysikInstrumenteStage, **settings, upper=200.0)
         bench.until(lambda: controller.voltage["2"] == 40.0)
         assert controller.servo == {"1": True, "2": False} and controller.voltage["1"] == 12.0
         bench.until(lambda: bench.rows("measurement")[-1, 1] == pytest.approx(40.0 * GAIN))
@@ -346,8 +348,28 @@ def test_controller_of_physik_instrumente_through_its_own_package(bench):
         bed.value = 10.0
         bench.until(lambda: controller.voltage["2"] == 10.0)
         with pytest.raises(InputError, match=r"has no axis 7 \(axes: 1, 2\)"):
-            bench.add(
-                PhysikInstrumenteStage, **{**SETTINGS, "host": "127.0.0.1", "port": controller.port, "controller_axes": ["7"]}
-            )
+            bench.add(PhysikInstrumenteStage, **{**SETTINGS, **settings, "controller_axes": ["7"]})
+        bench.until(lambda: controller.connections == 1)  # the refused one has not kept its connection, of which there are few
+        bed.node.close()
+        bench.until(lambda: controller.connections == 0)
     with pytest.raises(InputError, match="127.0.0.1:1: Connection refused"):
         bench.add(PhysikInstrumenteStage, **{**SETTINGS, "host": "127.0.0.1", "port": 1})
+
+
+def test_controller_of_physik_instrumente_that_falls_silent_is_connected_again(bench, monkeypatch):
+    pytest.importorskip("pipython", reason="PI's package: pip install PIPython")
+    monkeypatch.setattr(physik_instrumente, "ANSWER_TIMEOUT", 0.2)
+    with GcsController() as controller:
+        settings = {"host": "127.0.0.1", "port": controller.port, "controller_axes": ["2"], "failures": 2}
+        bed = Bed(bench, PhysikInstrumenteStage, **settings)
+        bench.until(lambda: controller.voltage["2"] == 40.0)
+        controller.silent = True
+        bench.until(lambda: bed.node.state == UNCONFIGURED)
+        bench.until(lambda: controller.connections == 0)
+        with pytest.raises(InputError, match=r"Timeout.*is this a controller of Physik Instrumente\?"):
+            bench.add(PhysikInstrumenteStage, **{**SETTINGS, **settings})
+        controller.silent = False
+        assert bench.call(Trigger, "pi_stage/reset", Trigger.Request()).success
+        count = len(bench.rows("measurement"))
+        bench.until(lambda: len(bench.rows("measurement")) > count)
+        bench.until(lambda: controller.connections == 1)

@@ -117,7 +117,7 @@ def test_what_waits_behind_a_gap_is_bounded(bench, tmp_path):
     node = bench.add(Recorder, output=str(tmp_path / "bag"), topics=["command"], rate_hz=1 / PERIOD, most_waiting=100)
     [command] = node._topics
     arriving = [rows(0, 10), rows(11, 100), rows(100, 110), rows(110, 120)]
-    command._intake.take = lambda refused, merge: [("t[s],x[V]", arriving.pop(0), 0)]
+    command._intake.take = lambda refused, merge: [("t[s],x[V]", arriving.pop(0), 0)] if arriving else []
     ends = []
     while arriving:
         command.drain()
@@ -139,6 +139,8 @@ def test_an_interrupt_while_messages_are_taken_loses_none_of_them(bench, tmp_pat
     arriving = [rows(0, 10), rows(10, 20), rows(20, 30), rows(30, 40)]
 
     def take(refused, merge):
+        if not arriving:
+            return []
         signal.raise_signal(signal.SIGINT)
         return [("t[s],x[V]", arriving.pop(0), 0)]
 
