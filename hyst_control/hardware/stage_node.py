@@ -83,7 +83,7 @@ class StageNode(ManagedNode):
         """Open the device, in the transition `configure`; `self.settings`, `self.axes` and `self.unit` are known by then."""
 
     def disconnect(self) -> None:
-        """Close the device; called however the node ends, and also when the device has failed."""
+        """Close the device; called however the node ends, and also when the device has failed; what it raises is logged."""
 
     def initial_command(self) -> ArrayLike:
         """Voltage (A,) that is on the actuator when the node starts, V; 0 V unless a subclass knows better."""
@@ -132,7 +132,10 @@ class StageNode(ManagedNode):
     def clean_up(self) -> None:
         if self._connected:
             self._connected = False
-            self.disconnect()
+            try:
+                self.disconnect()
+            except Exception as error:  # a driver may raise anything, and no failure here is the reason for the end
+                self.get_logger().warning(f"disconnect: {str(error) or type(error).__name__}")
 
     def tick(self, tick: int) -> None:
         if not self._connected:

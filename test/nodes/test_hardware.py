@@ -54,12 +54,14 @@ class Drive(StageNode):
 
     def disconnect(self):
         self.open -= 1
+        if self.fault in ("disconnect", "read and disconnect"):
+            raise OSError("already closed")
 
     def initial_command(self):
         return [20.0]
 
     def read(self):
-        if self.fault == "read":
+        if self.fault in ("read", "read and disconnect"):
             raise OSError("sensor error")
         return self.answer if self.answer is not None else [0.1 * (self.written[-1] if self.written else 20.0)]
 
@@ -156,6 +158,19 @@ def test_failed_reads_are_counted_and_end_in_a_device_that_can_be_connected_agai
     bench.until(lambda: len(bed.node.written) > count and bed.last == 40.0)
     assert bed.node.connections == 3 and bed.node.open == 1
     bed.assert_sound(begin=20.0) if count == 0 else None
+
+
+def test_device_that_cannot_be_disconnected_hides_no_reason_and_keeps_no_node_from_its_end(bench):
+    bed = Bed(bench, failures=3)
+    bench.until(lambda: bed.last == 40.0)
+    bed.node.fault = "read and disconnect"
+    bench.until(lambda: bed.node.state == "unconfigured")
+    answer = bench.call(Trigger, "stage/reset", Trigger.Request())
+    assert not answer.success and "sensor error" in answer.message
+    bed.node.fault = "disconnect"
+    assert bench.call(Trigger, "stage/reset", Trigger.Request()).success
+    bed.node.close()
+    assert bed.node.open == 0
 
 
 def test_failed_writes_and_useless_readings_are_counted(bench):
