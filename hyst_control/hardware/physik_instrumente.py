@@ -7,6 +7,7 @@ needs two exchanges over the network, about a millisecond each: 100 to 300 Hz ar
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from typing import Any
 
@@ -24,7 +25,8 @@ ERROR_CHECK_INTERVAL = 1.0
 """s, between two questions for the controller's error, which would cost a third exchange at every tick."""
 
 ANSWER_TIMEOUT = 1.0
-"""s, after which an answer that has not come is an error; the node does nothing else meanwhile."""
+"""s, after which the connection is given up: an answer that came later would be taken for that of the next question. The node does
+nothing else meanwhile."""
 
 
 class GcsController:
@@ -42,7 +44,7 @@ class GcsController:
 
     def __init__(self, host: str, port: int, axes: list[str]) -> None:
         try:
-            from pipython import GCSDevice, GCSError
+            from pipython import GCSDevice, gcserror
             from pipython.pidevice.interfaces.pisocket import PISocket
         except ImportError as error:
             raise InputError(f"pipython cannot be imported ({error}): pip install PIPython") from None
@@ -61,6 +63,7 @@ class GcsController:
             raise InputError(f"{host}:{port}: {error.strerror}: is the controller on, and is this its address?") from None
         gateway.settimeout(ANSWER_TIMEOUT * 1e3)
         self._axes = axes
+        self._errors: Any = gcserror
         self._checked = time.monotonic()
         with ExitStack() as failed:  # a controller takes only few connections, so none may be left open
             failed.callback(gateway.close)
@@ -74,7 +77,7 @@ class GcsController:
                     )
                 self._device.SVO(axes, [False] * len(axes))  # the loop is closed here
                 self._device.errcheck = False
-            except GCSError as error:
+            except gcserror.GCSError as error:
                 raise InputError(f"{host}:{port}: {error}: is this a controller of Physik Instrumente?") from None
             self._connection = failed.pop_all()
 
@@ -85,12 +88,12 @@ class GcsController:
 
     def voltages(self) -> list[float]:
         """Voltages that are set, V."""
-        found = self._device.qSVA(self._axes)
+        found = self._ask(self._device.qSVA, self._axes)
         return [float(found[axis]) for axis in self._axes]
 
     def positions(self) -> list[float]:
         """Readings of the sensors, in the controller's unit, um or mrad."""
-        found = self._device.qPOS(self._axes)
+        found = self._ask(self._device.qPOS, self._axes)
         return [float(found[axis]) for axis in self._axes]
 
     def set_voltages(self, volts: list[float]) -> None:
@@ -98,8 +101,17 @@ class GcsController:
         self._device.SVA(self._axes, volts)
         if time.monotonic() - self._checked > ERROR_CHECK_INTERVAL:
             self._checked = time.monotonic()
-            if code := self._device.qERR():
+            if code := self._ask(self._device.qERR):
                 raise OSError(f"the controller reports error {code}")
+
+    def _ask(self, question: Callable[..., Any], *arguments: Any) -> Any:
+        """Answer of the controller; raises `ConnectionError` when there is none."""
+        try:
+            return question(*arguments)
+        except self._errors.GCSError as error:
+            if error == self._errors.E_7_COM_TIMEOUT:
+                raise ConnectionError(f"no answer for {ANSWER_TIMEOUT:g} s") from None
+            raise
 
     def close(self) -> None:
         """End the connection, if the controller has not ended it; the controller holds its voltages."""

@@ -38,7 +38,8 @@ class StageNode(ManagedNode):
     `safe_command` at `safe_rate`. Before the first command nothing is written.
 
     A `read` or `write` that raises is counted and logged; the feedback goes to its safe value when measurements stay away. After
-    `failures` in a row the node disconnects and waits to be configured again (`~/reset`).
+    `failures` in a row, and at once after a `ConnectionError` unless `failures` is 0, the node disconnects and waits to be configured
+    again (`~/reset`).
 
     Parameters
     ----------
@@ -209,7 +210,9 @@ class StageNode(ManagedNode):
             self.counts[f"{what}: failed"] += 1
             reason = f"{what}: {str(error) or type(error).__name__}"
             self.warn(f"{what}: failed", reason)
-            if 0 < self.settings.failures <= self._failed[what]:
+            if isinstance(error, ConnectionError) and self.settings.failures:
+                self.fail(f"the connection is lost, {reason}")
+            elif 0 < self.settings.failures <= self._failed[what]:
                 self.fail(f"{self._failed[what]} failures in a row, {reason}")
             return None
         self._durations[what].add(time.monotonic() - begin)

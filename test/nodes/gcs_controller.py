@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socketserver
 import threading
+import time
 
 GAIN = 0.1  # um/V
 RANGE = (-30.0, 130.0)  # V
@@ -20,6 +21,7 @@ class GcsController:
         self.lost: list[str] = []
         self._counting = threading.Lock()
         self.silent = False  # takes commands and answers nothing
+        self.late = 0.0  # s, by which the next answer comes late
         self.connections = 0  # open now
         controller = self
 
@@ -32,6 +34,9 @@ class GcsController:
             def handle(self) -> None:
                 for line in self.rfile:
                     answer = controller.answer(line.decode().split())
+                    if answer and controller.late:
+                        time.sleep(controller.late)
+                        controller.late = 0.0
                     if answer and not controller.silent:
                         self.wfile.write(answer.encode())
 

@@ -160,6 +160,20 @@ def test_failed_reads_are_counted_and_end_in_a_device_that_can_be_connected_agai
     bed.assert_sound(begin=20.0) if count == 0 else None
 
 
+def test_controller_of_physik_instrumente_that_answers_late_is_not_taken_for_the_next_answer(bench, monkeypatch):
+    pytest.importorskip("pipython", reason="PI's package: pip install PIPython")
+    monkeypatch.setattr(physik_instrumente, "ANSWER_TIMEOUT", 0.1)
+    with GcsController() as controller:
+        bed = Bed(bench, PhysikInstrumenteStage, host="127.0.0.1", port=controller.port, controller_axes=["2"])
+        bench.until(lambda: controller.voltage["2"] == 40.0)
+        controller.late = 0.15
+        bench.until(lambda: bed.node.counts["read: failed"] > 0)
+        bench.until(lambda: bed.node.state == UNCONFIGURED and controller.connections == 0)
+        bench.until(lambda: controller.late == 0.0)
+        assert bench.call(Trigger, "pi_stage/reset", Trigger.Request()).success
+        assert bed.node.initial_command() == [controller.voltage["2"]]  # and not the position that was asked for last
+
+
 def test_device_that_cannot_be_disconnected_hides_no_reason_and_keeps_no_node_from_its_end(bench):
     bed = Bed(bench, failures=3)
     bench.until(lambda: bed.last == 40.0)
@@ -375,11 +389,12 @@ def test_controller_of_physik_instrumente_that_falls_silent_is_connected_again(b
     pytest.importorskip("pipython", reason="PI's package: pip install PIPython")
     monkeypatch.setattr(physik_instrumente, "ANSWER_TIMEOUT", 0.2)
     with GcsController() as controller:
-        settings = {"host": "127.0.0.1", "port": controller.port, "controller_axes": ["2"], "failures": 2}
+        settings = {"host": "127.0.0.1", "port": controller.port, "controller_axes": ["2"]}
         bed = Bed(bench, PhysikInstrumenteStage, **settings)
         bench.until(lambda: controller.voltage["2"] == 40.0)
         controller.silent = True
         bench.until(lambda: bed.node.state == UNCONFIGURED)
+        assert bed.node.counts["read: failed"] == 1
         bench.until(lambda: controller.connections == 0)
         with pytest.raises(InputError, match=r"Timeout.*is this a controller of Physik Instrumente\?"):
             bench.add(PhysikInstrumenteStage, **{**SETTINGS, **settings})
