@@ -25,12 +25,12 @@ ERROR_CHECK_INTERVAL = 1.0
 """s, between two questions for the controller's error, which would cost a third exchange at every tick."""
 
 ANSWER_TIMEOUT = 1.0
-"""s, after which the connection is given up: an answer that came later would be taken for that of the next question. The node does
-nothing else meanwhile."""
+"""s. The node waits this long for an answer and does nothing else meanwhile. Then it gives the connection up, because an answer that
+comes later would be taken for that of the next question."""
 
 
 class GcsController:
-    """Connection with one controller; all that is used of `pipython` is here.
+    """Connection with one controller; all that is used of `pipython` is here. Every question raises `ConnectionError` without an answer.
 
     Parameters
     ----------
@@ -40,7 +40,15 @@ class GcsController:
         Its port.
     axes : list of str
         The controller's names of the axes.
+
+    Raises
+    ------
+    InputError
+        When there is no such controller or axis.
     """
+
+    identity: str
+    """The controller's own name and version."""
 
     def __init__(self, host: str, port: int, axes: list[str]) -> None:
         try:
@@ -50,7 +58,7 @@ class GcsController:
             raise InputError(f"pipython cannot be imported ({error}): pip install PIPython") from None
 
         class Gateway(PISocket):
-            """Socket that may be closed again, and after the controller has closed it: `GCSDevice` does so at its end."""
+            """Socket whose `close` may be called twice, as `GCSDevice` does, and after the controller has closed the connection."""
 
             def close(self) -> None:
                 if self.connected:
@@ -65,11 +73,11 @@ class GcsController:
         self._axes = axes
         self._errors: Any = gcserror
         self._checked = time.monotonic()
-        with ExitStack() as failed:  # a controller takes only few connections, so none may be left open
-            failed.callback(gateway.close)
+        with ExitStack() as opened:  # closed again at any failure: a controller takes only few connections
+            opened.callback(gateway.close)
             try:
-                # Left as a context, the device is also forgotten by `pipython`, which would ask it again at the next connection.
-                self._device: Any = failed.enter_context(GCSDevice(gateway=gateway))
+                # `pipython` forgets a device only when its context ends; one that it has kept is asked again at the next connection.
+                self._device: Any = opened.enter_context(GCSDevice(gateway=gateway))
                 known = list(self._device.qSAI())
                 if unknown := [axis for axis in axes if axis not in known]:
                     raise InputError(
@@ -77,14 +85,10 @@ class GcsController:
                     )
                 self._device.SVO(axes, [False] * len(axes))  # the loop is closed here
                 self._device.errcheck = False
+                self.identity = str(self._device.qIDN()).strip()
             except gcserror.GCSError as error:
                 raise InputError(f"{host}:{port}: {error}: is this a controller of Physik Instrumente?") from None
-            self._connection = failed.pop_all()
-
-    @property
-    def identity(self) -> str:
-        """The controller's own name and version."""
-        return str(self._device.qIDN()).strip()
+            self._connection = opened.pop_all()
 
     def voltages(self) -> list[float]:
         """Voltages that are set, V."""

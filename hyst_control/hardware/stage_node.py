@@ -38,8 +38,8 @@ class StageNode(ManagedNode):
     `safe_command` at `safe_rate`. Before the first command nothing is written.
 
     A `read` or `write` that raises is counted and logged; the feedback goes to its safe value when measurements stay away. After
-    `failures` in a row, and at once after a `ConnectionError` unless `failures` is 0, the node disconnects and waits to be configured
-    again (`~/reset`).
+    `failures` in a row the node disconnects and waits to be configured again (`~/reset`); after a `ConnectionError` it does so at once.
+    With `failures` 0 it never does.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class StageNode(ManagedNode):
         """Open the device, in the transition `configure`; `self.settings`, `self.axes` and `self.unit` are known by then."""
 
     def disconnect(self) -> None:
-        """Close the device; called however the node ends, and also when the device has failed; what it raises is logged."""
+        """Close the device; called however the node ends, and also when the device has failed. An exception is logged and ignored."""
 
     def initial_command(self) -> ArrayLike:
         """Voltage (A,) that is on the actuator when the node starts, V; 0 V unless a subclass knows better."""
@@ -135,7 +135,7 @@ class StageNode(ManagedNode):
             self._connected = False
             try:
                 self.disconnect()
-            except Exception as error:  # a driver may raise anything, and no failure here is the reason for the end
+            except Exception as error:  # a driver may raise anything; it must not hide why the node disconnects
                 self.get_logger().warning(f"disconnect: {str(error) or type(error).__name__}")
 
     def tick(self, tick: int) -> None:

@@ -20,6 +20,8 @@ from hyst_control.records.signal_message import Encoder, decode
 MODEL = str(config_path("models/pea_hampi.yaml"))
 RATE = 20000.0
 SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
+RUNNING = r"(running|\d+ of \d+ Hz: \d+ ticks missed)"
+"""State of a node without a fault: on a machine that is busy with other things, such as a browser, it may miss ticks."""
 
 
 def reference(count: int) -> np.ndarray:

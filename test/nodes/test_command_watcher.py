@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 from command_watcher import CommandWatcher
-from loop_case import MODEL, recorded
+from loop_case import MODEL, RUNNING, recorded
 from pipeline_thread import ProcessesBesideThread
 from rclpy.task import Future
 
@@ -280,14 +280,11 @@ def wait(condition, processes, timeout=60.0):
         time.sleep(0.01)
 
 
-RUNNING = re.compile(r"\]: (running|\d+ of \d+ Hz: \d+ ticks missed)$", re.MULTILINE)
-"""What a feedback says once it commands; on a busy machine it may miss ticks from the start."""
-
-
 def wait_for_commands(run, watcher, processes):
     """Wait for the commands of this run of the feedback: those of the one before may still be on their way when it starts."""
     log = processes.log("pi_feedback")
-    wait(lambda: RUNNING.search("".join(log.read_text().split("]: ready: ")[run : run + 1])), processes)
+    said = re.compile(rf"\]: {RUNNING}$", re.MULTILINE)
+    wait(lambda: said.search("".join(log.read_text().split("]: ready: ")[run : run + 1])), processes)
     count = len(watcher.command())
     wait(lambda: len(watcher.command()) > count + 60 and watcher.last[0] > 25.0, processes)
 

@@ -63,6 +63,8 @@ class Drive(StageNode):
     def read(self):
         if self.fault in ("read", "read and disconnect"):
             raise OSError("sensor error")
+        if self.fault == "connection":
+            raise ConnectionResetError("the device has gone")
         return self.answer if self.answer is not None else [0.1 * (self.written[-1] if self.written else 20.0)]
 
     def write(self, command):
@@ -70,6 +72,11 @@ class Drive(StageNode):
             raise OSError("converter error")
         assert command.shape == (1,)
         self.written.append(float(command[0]))
+
+
+def failed_calls(node):
+    """Number of calls of the device that have failed."""
+    return node.counts["read: failed"] + node.counts["write: failed"]
 
 
 class Bed:
@@ -160,18 +167,23 @@ def test_failed_reads_are_counted_and_end_in_a_device_that_can_be_connected_agai
     bed.assert_sound(begin=20.0) if count == 0 else None
 
 
-def test_controller_of_physik_instrumente_that_answers_late_is_not_taken_for_the_next_answer(bench, monkeypatch):
-    pytest.importorskip("pipython", reason="PI's package: pip install PIPython")
-    monkeypatch.setattr(physik_instrumente, "ANSWER_TIMEOUT", 0.1)
-    with GcsController() as controller:
-        bed = Bed(bench, PhysikInstrumenteStage, host="127.0.0.1", port=controller.port, controller_axes=["2"])
-        bench.until(lambda: controller.voltage["2"] == 40.0)
-        controller.late = 0.15
-        bench.until(lambda: bed.node.counts["read: failed"] > 0)
-        bench.until(lambda: bed.node.state == UNCONFIGURED and controller.connections == 0)
-        bench.until(lambda: controller.late == 0.0)
-        assert bench.call(Trigger, "pi_stage/reset", Trigger.Request()).success
-        assert bed.node.initial_command() == [controller.voltage["2"]]  # and not the position that was asked for last
+def test_lost_connection_disconnects_at_once(bench):
+    bed = Bed(bench, failures=10**6)
+    bench.until(lambda: bed.last == 40.0)
+    bed.node.fault = "connection"
+    bench.until(lambda: bed.node.state == UNCONFIGURED)
+    assert failed_calls(bed.node) == 1 and bed.node.open == 0
+    bed.node.fault = ""
+    assert bench.call(Trigger, "stage/reset", Trigger.Request()).success
+    assert bed.node.connections == 2 and bed.node.open == 1
+
+
+def test_lost_connection_is_kept_where_failures_never_disconnect(bench):
+    bed = Bed(bench, failures=0)
+    bench.until(lambda: bed.last == 40.0)
+    bed.node.fault = "connection"
+    bench.until(lambda: failed_calls(bed.node) > 3)
+    assert bed.node.state == "active" and bed.node.open == 1
 
 
 def test_device_that_cannot_be_disconnected_hides_no_reason_and_keeps_no_node_from_its_end(bench):
@@ -394,7 +406,7 @@ def test_controller_of_physik_instrumente_that_falls_silent_is_connected_again(b
         bench.until(lambda: controller.voltage["2"] == 40.0)
         controller.silent = True
         bench.until(lambda: bed.node.state == UNCONFIGURED)
-        assert bed.node.counts["read: failed"] == 1
+        assert failed_calls(bed.node) == 1
         bench.until(lambda: controller.connections == 0)
         with pytest.raises(InputError, match=r"Timeout.*is this a controller of Physik Instrumente\?"):
             bench.add(PhysikInstrumenteStage, **{**SETTINGS, **settings})
@@ -403,3 +415,17 @@ def test_controller_of_physik_instrumente_that_falls_silent_is_connected_again(b
         count = len(bench.rows("measurement"))
         bench.until(lambda: len(bench.rows("measurement")) > count)
         bench.until(lambda: controller.connections == 1)
+
+
+def test_late_answer_of_physik_instrumente_is_not_taken_for_the_next_one(bench, monkeypatch):
+    pytest.importorskip("pipython", reason="PI's package: pip install PIPython")
+    monkeypatch.setattr(physik_instrumente, "ANSWER_TIMEOUT", 0.1)
+    with GcsController() as controller:
+        bed = Bed(bench, PhysikInstrumenteStage, host="127.0.0.1", port=controller.port, controller_axes=["2"])
+        bench.until(lambda: controller.voltage["2"] == 40.0)
+        controller.late = 0.15
+        bench.until(lambda: failed_calls(bed.node) == 1)
+        bench.until(lambda: bed.node.state == UNCONFIGURED and controller.connections == 0)
+        bench.until(lambda: controller.late == 0.0)
+        assert bench.call(Trigger, "pi_stage/reset", Trigger.Request()).success
+        assert bed.node.initial_command() == [controller.voltage["2"]]  # and not the position that was asked for last
